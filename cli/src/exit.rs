@@ -23,7 +23,6 @@ pub enum Ended {
 }
 
 impl Ended {
-    /// [`Ended::Lost`] if something was lost.
     pub fn with_loss(is_lost: bool) -> Self {
         if is_lost { Ended::Lost } else { Ended::Done }
     }

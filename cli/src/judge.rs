@@ -55,7 +55,6 @@ pub fn network(name: &Path) -> anyhow::Result<radome_models::Model> {
     })
 }
 
-/// Checks that a model's file is there.
 fn check_exists(name: &Path) -> anyhow::Result<()> {
     ensure!(
         name.exists(),
@@ -118,7 +117,6 @@ pub enum Prediction {
 struct FaultyReceiver {
     /// Index in the frame, 0-based.
     rx: usize,
-    /// Number of receivers of a frame.
     receivers: usize,
     fault: ReceiverFault,
 }

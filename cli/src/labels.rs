@@ -57,7 +57,6 @@ pub fn write(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Re
     files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))
 }
 
-/// Formats a file of labels.
 fn text(path: &Path, spans: &[LabelSpan]) -> anyhow::Result<String> {
     Ok(match format(path)? {
         Format::Audacity => label_text::to_audacity(spans),

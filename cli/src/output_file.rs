@@ -27,7 +27,6 @@ pub struct Overwrite {
 }
 
 impl Overwrite {
-    /// Replaces whatever is there.
     pub fn yes() -> Self {
         Overwrite { overwrite: true }
     }

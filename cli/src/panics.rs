@@ -80,7 +80,6 @@ pub struct Guarded {
 }
 
 impl Guarded {
-    /// Wraps a source.
     pub fn new(source: Box<dyn FrameSource>) -> Self {
         Guarded { source, panicked: None }
     }

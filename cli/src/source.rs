@@ -113,7 +113,6 @@ impl SourceArgs {
     }
 }
 
-/// Options of a source.
 #[derive(Debug, Clone, Default)]
 pub struct SourceOptions {
     /// Explicit waveform, with which a board is programmed, which a board without a request protocol uses, or in which a
@@ -150,19 +149,15 @@ impl SourceOptions {
 /// Recording that a user plays, pauses and seeks.
 #[derive(Clone)]
 pub struct Playback {
-    /// Playback controls.
     pub transport: Transport,
-    /// First and last frame.
     pub extent: Extent,
     pub path: PathBuf,
 }
 
-/// An opened source.
 pub struct Source {
     pub frames: Box<dyn FrameSource>,
     /// Whether it cannot wait for slow consumers.
     pub is_live: bool,
-    /// One-line description.
     pub description: String,
     /// Board of the source, if there is one; of a recording the board that made it.
     pub board: Option<BoardIdentity>,
@@ -331,7 +326,6 @@ fn simulation_in(
     Ok(Box::new(simulator))
 }
 
-/// Opens a recording for playback.
 fn playback(path: &Path, speed: f64) -> anyhow::Result<Source> {
     let recording = Recording::open(path)?;
     let header = recording.header();

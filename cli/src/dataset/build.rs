@@ -22,11 +22,9 @@ use crate::{output, panics};
 pub struct Built {
     /// Folder of the dataset, or of the shard.
     pub folder: PathBuf,
-    /// Number of its units.
     pub units: usize,
     /// Number of units that an earlier run had finished.
     pub found: usize,
-    /// Number of its maps.
     pub counts: Counts,
 }
 
@@ -243,7 +241,6 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Adds the maps of a dataset.
     pub fn add(&mut self, dataset: &Dataset) {
         for row in dataset.rows() {
             self.classes[row.label.index()] += 1;

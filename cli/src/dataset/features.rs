@@ -25,7 +25,6 @@ const FRAMES: u64 = 100;
 /// Seed of the first room, far from the seeds of datasets.
 const FIRST_SEED: u64 = 500_001;
 
-/// A file of measured features.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct MeasuredFile {
@@ -36,7 +35,6 @@ struct MeasuredFile {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Measured {
-    /// Key of the feature.
     key: String,
     /// Name of the feature, with its unit.
     pub name: String,
@@ -53,7 +51,6 @@ pub struct Measured {
 /// Feature of a dataset with its measured range.
 #[derive(Serialize)]
 pub struct Row {
-    /// Measured range.
     #[serde(flatten)]
     pub measured: Measured,
     /// Median over maps; `None` where no map shows the feature.

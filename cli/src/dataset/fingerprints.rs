@@ -29,7 +29,6 @@ impl Fingerprints {
         Fingerprints { base: base.to_owned(), prints: BTreeMap::new() }
     }
 
-    /// Returns the fingerprints.
     pub fn into_map(self) -> BTreeMap<String, String> {
         self.prints
     }

@@ -11,7 +11,6 @@ use crate::source;
 /// Largest nesting depth of folders that are searched.
 const DEEPEST: usize = 12;
 
-/// Recording that was found.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Found {
     /// Path to open.
@@ -148,7 +147,6 @@ impl Rules {
     }
 }
 
-/// Compiles a pattern to a regular expression.
 fn compile(pattern: &str) -> anyhow::Result<Regex> {
     let mut text = String::from("^");
     let mut rest = pattern;

@@ -62,7 +62,6 @@ fn shards(parts: &[PathBuf], target: &Path) -> anyhow::Result<usize> {
     Ok(card.units)
 }
 
-/// Concatenates datasets.
 fn datasets(parts: &[PathBuf], target: &Path) -> anyhow::Result<usize> {
     if let Some(shard) = parts.iter().find(|part| part.join(plan::FILE).exists()) {
         bail!("{} is a shard, others are not; merge the shards of a build first", shard.display());

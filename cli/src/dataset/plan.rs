@@ -75,7 +75,6 @@ pub struct Plan {
 #[serde(deny_unknown_fields)]
 pub struct PlanCard {
     format: u32,
-    /// Version of the program.
     program: String,
     /// Instruction set that computes the maps.
     kernel: KernelLevel,

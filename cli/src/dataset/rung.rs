@@ -10,7 +10,6 @@ use serde::Deserialize;
 use super::spec::{BuildSpec, Simulated};
 use crate::files;
 
-/// Format version of a rung's file.
 const FORMAT: u32 = 1;
 /// Largest number of frames of a rung: a day at ten per second.
 pub const MOST_FRAMES: u64 = 864_000;
@@ -24,7 +23,6 @@ pub struct RungFile {
     pub name: String,
     /// One sentence that describes the difference from training.
     pub about: String,
-    /// Scenes to simulate.
     pub scene: Vec<RungScene>,
 }
 

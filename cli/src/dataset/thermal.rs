@@ -25,7 +25,6 @@ pub struct RawNoise<'a> {
     pub snr_db: f64,
     /// Seed of the run; 0 for a recording.
     pub seed: u64,
-    /// Name of the recording.
     pub recording: &'a str,
 }
 
@@ -52,14 +51,12 @@ impl RawNoise<'_> {
 
 /// Processor from frames to maps, optionally with noise on the samples of the frames.
 pub struct NoisyProcessor<'a> {
-    /// Processor without noise.
     pub processor: RdmProcessor,
     noise: Option<RawNoise<'a>>,
     samples: Vec<f32>,
 }
 
 impl<'a> NoisyProcessor<'a> {
-    /// Wraps a processor, with optional noise before it.
     pub fn new(processor: RdmProcessor, noise: Option<RawNoise<'a>>) -> Self {
         NoisyProcessor { processor, noise, samples: Vec::new() }
     }

@@ -86,12 +86,10 @@ impl Token {
         Ok(Token { text, file: Some(path.to_owned()) })
     }
 
-    /// Returns the text of the token.
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// Returns the file that holds the token.
     pub fn file(&self) -> Option<&Path> {
         self.file.as_deref()
     }
@@ -161,11 +159,8 @@ pub enum Refusal {
     Host,
     /// The request comes from a page of another site.
     Origin,
-    /// The request contains no token.
     NoToken,
-    /// The request contains a wrong token.
     WrongToken,
-    /// The request has a body.
     Body,
 }
 

@@ -80,9 +80,7 @@ fn is_zero<T: Default + PartialEq>(n: &T) -> bool {
 #[derive(Debug, Clone, Serialize)]
 pub struct Latency {
     pub p50: f64,
-    /// 95th percentile.
     pub p95: f64,
-    /// 99th percentile.
     pub p99: f64,
 }
 
@@ -93,15 +91,12 @@ pub struct Summary {
     pub frames: u64,
     /// Frames that were lost on the way.
     pub dropped: u64,
-    /// Number of lost frames by reason.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub dropped_by_reason: BTreeMap<&'static str, u64>,
     /// Gaps of unknown length, whose frames are not counted.
     #[serde(skip_serializing_if = "is_zero")]
     pub gaps_of_unknown_length: u64,
-    /// Frames with a label.
     pub labelled: u64,
-    /// Number of frames with each label.
     pub labels: BTreeMap<&'static str, u64>,
     /// Mean recall over the classes that occurred, over all frames with truth.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -64,7 +64,6 @@ impl Capture {
         Capture { maps: Vec::new(), doppler: 0, range: 0 }
     }
 
-    /// Adds a map of the empty room.
     pub fn add(&mut self, map: &Rdm) {
         (self.doppler, self.range) = (map.shape.doppler, map.shape.range);
         self.maps.push(first_channel(map).to_vec());

@@ -39,7 +39,6 @@ pub struct FrameClassifier {
     /// Time without frames after which it begins anew, s.
     forgets_after_s: f64,
     last_time_s: Option<f64>,
-    /// Counters of the run so far.
     pub health: Health,
     transition_frames: u64,
     all: Confusion,
@@ -91,7 +90,6 @@ impl FrameClassifier {
         self
     }
 
-    /// Newest map.
     pub fn map(&self) -> &Rdm {
         self.judge.map()
     }
@@ -176,7 +174,6 @@ impl FrameClassifier {
         }
     }
 
-    /// Summary of the run.
     pub fn summary(&self) -> Summary {
         let metrics = |confusion: &Confusion| {
             (confusion.iter().flatten().sum::<u64>() > 0).then(|| Metrics::from_confusion(*confusion))

@@ -13,7 +13,6 @@ impl Arrivals {
     /// Number of frames whose arrivals are kept.
     const FRAMES: usize = 32;
 
-    /// Adds the arrival of a frame.
     pub fn add(&mut self, arrived: Instant) {
         if self.0.len() == Self::FRAMES {
             self.0.pop_front();
@@ -40,9 +39,7 @@ pub struct Health {
     pub started: Instant,
     /// Number of classified frames.
     pub frames: u64,
-    /// Number of frames with each label.
     pub labels: [u64; Occupancy::ALL.len()],
-    /// Frames lost, by reason.
     pub dropped: BTreeMap<GapReason, u64>,
     /// Gaps of unknown length, whose frames are not counted.
     pub unknown_gaps: u64,
@@ -58,7 +55,6 @@ pub struct Health {
 }
 
 impl Health {
-    /// Creates counters of a run without frames.
     pub fn new(started: Instant) -> Self {
         Health {
             started,
@@ -96,13 +92,11 @@ impl Health {
         self.arrivals.add(arrived);
     }
 
-    /// Counts missing frames.
     pub fn lost(&mut self, gap: &Gap) {
         *self.dropped.entry(gap.reason).or_default() += gap.frames;
         self.unknown_gaps += u64::from(gap.frames == 0);
     }
 
-    /// Number of frames lost for all reasons.
     pub fn dropped_total(&self) -> u64 {
         self.dropped.values().sum()
     }
@@ -122,9 +116,7 @@ impl Health {
 #[derive(Debug, Clone)]
 pub struct LatencyHistogram {
     counts: Vec<u64>,
-    /// Number of latencies that were counted.
     pub total: u64,
-    /// Sum of the latencies, s.
     pub sum_s: f64,
 }
 

@@ -27,7 +27,6 @@ use crate::panics::lock;
 
 /// Longest request line and headers, bytes. Browsers send the cookies of all programs on the same machine.
 const MOST_HEAD_BYTES: usize = 16 * 1024;
-/// Largest number of headers of a request.
 const MOST_HEADERS: usize = 64;
 /// Pause after a connection could not be accepted. If file descriptors have run out, others must close first.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);

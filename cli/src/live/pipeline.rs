@@ -112,7 +112,6 @@ struct Outlet {
 
 /// Consumer's end of a queue.
 pub struct Inlet {
-    /// Items in order.
     pub receiver: Receiver<Delivery>,
     pub queue: Arc<Queue>,
 }

@@ -62,7 +62,6 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Returns whether a page is requested.
     pub fn is_wanted(&self) -> bool {
         self.view
     }

@@ -37,7 +37,6 @@ impl Canvas {
         self.marks.push(Mark::Rectangle { corner, size, ink });
     }
 
-    /// Draws a line through points.
     pub fn line(&mut self, places: &[Pixel], style: &Line) {
         self.marks.push(Mark::Stroke { lines: vec![places.to_vec()], is_closed: false, style: *style });
     }

@@ -8,7 +8,6 @@ pub(super) const DASH: [f64; 2] = [6.0, 5.0];
 /// Position in pixels, to the right and down.
 pub type Pixel = [f64; 2];
 
-/// A colour.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ink {
     /// Red, green, blue.
@@ -18,30 +17,24 @@ pub struct Ink {
 }
 
 impl Ink {
-    /// Creates an opaque colour.
     pub const fn solid(rgb: [u8; 3]) -> Self {
         Ink { rgb, opacity: 1.0 }
     }
 
-    /// Returns the colour with another opacity.
     pub fn faint(self, opacity: f64) -> Self {
         Ink { opacity, ..self }
     }
 
-    /// Returns a darker colour.
     pub fn darker(self, by: f64) -> Self {
         Ink { rgb: self.rgb.map(|c| (f64::from(c) * (1.0 - by)) as u8), ..self }
     }
 }
 
-/// Style of a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Line {
-    /// Colour.
     pub ink: Ink,
     /// Width, pixels.
     pub width: f64,
-    /// Whether it is dashed.
     pub is_dashed: bool,
 }
 
@@ -80,44 +73,16 @@ impl Letters {
     }
 }
 
-/// Drawn element. Later marks cover earlier ones.
+/// Drawn element, in pixels. Later marks cover earlier ones.
 pub enum Mark {
-    /// Union of areas, all with the same orientation.
-    Fill {
-        /// Corners of each area.
-        areas: Vec<Vec<Pixel>>,
-        /// Colour.
-        ink: Ink,
-    },
-    /// Rectangle.
-    Rectangle {
-        /// Upper left corner.
-        corner: Pixel,
-        /// Width and height, pixels.
-        size: [f64; 2],
-        /// Colour.
-        ink: Ink,
-    },
-    /// Lines.
-    Stroke {
-        /// Points that each line passes through.
-        lines: Vec<Vec<Pixel>>,
-        /// Whether each line returns to its first point.
-        is_closed: bool,
-        /// Style.
-        style: Line,
-    },
-    /// Line of text.
-    Text {
-        /// Upper left corner.
-        corner: Pixel,
-        /// The text.
-        text: String,
-        /// Size of its letters.
-        letters: Letters,
-        /// Colour.
-        ink: Ink,
-    },
+    /// Union of areas, all with the same orientation, by their corners.
+    Fill { areas: Vec<Vec<Pixel>>, ink: Ink },
+    /// Rectangle by its upper left corner, and its width and height.
+    Rectangle { corner: Pixel, size: [f64; 2], ink: Ink },
+    /// Lines through points. Closed ones return to their first point.
+    Stroke { lines: Vec<Vec<Pixel>>, is_closed: bool, style: Line },
+    /// Line of text by its upper left corner.
+    Text { corner: Pixel, text: String, letters: Letters, ink: Ink },
 }
 
 #[cfg(test)]

@@ -39,7 +39,6 @@ const OWN: [[u8; 3]; 5] = [[134, 180, 92], [222, 128, 160], [110, 190, 180], [23
 /// Margin to the left of each view, for numbers, pixels.
 pub(super) const LEFT: f64 = 66.0;
 
-/// Returns the colour of a material of a scene.
 pub(super) fn material_ink(scene: &Scene, material: &str) -> Ink {
     if let Some((_, rgb)) = MATERIALS.iter().find(|(name, _)| *name == material) {
         return Ink::solid(*rgb);

@@ -46,7 +46,6 @@ const LATER: usize = 3;
 pub struct Preview<'a> {
     /// The scene as its seed drew it.
     pub scene: &'a Scene,
-    /// The seed.
     pub seed: u64,
     /// Number of people; the scene's own number if `None`.
     pub people: Option<usize>,

@@ -9,7 +9,6 @@ use prost_types::{
 
 const TIMESTAMP_FILE: &str = "google/protobuf/timestamp.proto";
 
-/// Type of a message.
 #[derive(Debug)]
 pub struct MessageType {
     pub package: &'static str,
@@ -22,7 +21,6 @@ pub struct MessageType {
 }
 
 impl MessageType {
-    /// Returns the name with the package.
     pub fn full_name(&self) -> String {
         format!("{}.{}", self.package, self.name)
     }

@@ -7,7 +7,6 @@ use serde::Serialize;
 /// Time and error of one implementation of a stage.
 #[derive(Debug, Clone, Serialize)]
 pub struct Point {
-    /// Name of the stage.
     pub stage: &'static str,
     /// Name of the method.
     pub way: String,
@@ -15,7 +14,6 @@ pub struct Point {
     pub milliseconds: f64,
     /// Error in `error_unit`; `None` for a reference, and where nothing is approximated.
     pub error: Option<f64>,
-    /// Unit of the error.
     pub error_unit: &'static str,
     /// Whether a third-party program or library was measured.
     pub is_peer: bool,

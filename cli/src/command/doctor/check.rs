@@ -4,7 +4,6 @@ use serde::Serialize;
 
 use crate::output;
 
-/// Outcome of a check.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
@@ -16,11 +15,9 @@ pub enum Outcome {
     Fail,
 }
 
-/// Check and its finding.
 #[derive(Debug, Clone, Serialize)]
 pub struct Check {
     pub check: &'static str,
-    /// Outcome.
     #[serde(rename = "verdict")]
     pub outcome: Outcome,
     /// Finding in words.
@@ -31,17 +28,14 @@ pub struct Check {
 }
 
 impl Check {
-    /// Creates a check that found no problem.
     pub fn ok(check: &'static str, found: impl Into<String>) -> Self {
         Check { check, outcome: Outcome::Ok, found: found.into(), hint: None }
     }
 
-    /// Creates a check that found something missing or slow.
     pub fn warn(check: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Self {
         Check { check, outcome: Outcome::Warn, found: found.into(), hint: Some(hint.into()) }
     }
 
-    /// Creates a check that found something that will not work.
     pub fn fail(check: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Self {
         Check { check, outcome: Outcome::Fail, found: found.into(), hint: Some(hint.into()) }
     }

@@ -17,7 +17,6 @@ use crate::live::integrations::broker::Broker;
 use crate::live::screen::lost_besides;
 use crate::source::{self, SourceOptions};
 
-/// Reports the program itself.
 pub fn program() -> Check {
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let found = format!(
@@ -149,9 +148,7 @@ pub fn devices() -> Vec<Check> {
 
 /// Frames and header of a source.
 pub struct Examined {
-    /// One-line description of the source.
     pub description: String,
-    /// Waveform, board and registers.
     pub header: RecordingHeader,
     pub frames: Vec<Frame>,
 }

@@ -28,7 +28,6 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Returns the word in the tokens of this kind.
     pub fn word(self) -> &'static str {
         match self {
             Kind::Path => "path",
@@ -244,7 +243,6 @@ impl Redactor {
         self.text(&text)
     }
 
-    /// Returns the token of a text.
     fn token(&mut self, kind: Kind, text: &str) -> String {
         let count = self.tokens.keys().filter(|(other, _)| *other == kind).count();
         let number = *self.tokens.entry((kind, text.to_lowercase())).or_insert(count + 1);
@@ -491,7 +489,6 @@ mod tests {
                 }
             }
 
-            /// Any text is accepted.
             #[test]
             fn nothing_is_refused(text in any::<String>(), known in any::<String>()) {
                 let mut redactor = Redactor::of_this_machine();

@@ -41,7 +41,6 @@ impl Default for WireLog {
 }
 
 impl WireLog {
-    /// Returns the layer to add to the log.
     pub fn layer<S: Subscriber + for<'a> LookupSpan<'a>>(&self) -> impl Layer<S> + use<S> {
         self.clone().with_filter(Targets::new().with_target(TARGET, LevelFilter::TRACE))
     }

@@ -115,7 +115,6 @@ fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
     LabelledRecording::parse_all(arguments.recordings.iter().cloned().chain(empty))
 }
 
-/// Reads the frames of a recording.
 fn read(frames: &mut Frames, recording: &LabelledRecording) -> anyhow::Result<AdaptRecording> {
     let named = || recording.path.display().to_string();
     let mut source = Recording::open(&recording.path)?;

@@ -172,7 +172,6 @@ fn read_labels(input: &Path, source: &Recording) -> anyhow::Result<Vec<LabelSpan
     Ok(spans)
 }
 
-/// Writes a recording of another format.
 fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> anyhow::Result<WriteReport> {
     let spans = read_labels(&arguments.input, source)?;
     let existing = arguments.overwrite.existing();
@@ -204,7 +203,6 @@ fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> any
     Ok(report)
 }
 
-/// Writes the file for viewers.
 fn write_for_viewers(arguments: &Arguments, source: &mut Recording) -> anyhow::Result<WriteReport> {
     let spans = read_labels(&arguments.input, source)?;
     let bar = output::progress(source.frame_count().unwrap_or(0), "for viewers");

@@ -53,7 +53,6 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Content of a file of angles.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct AngleFile {

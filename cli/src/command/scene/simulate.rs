@@ -129,7 +129,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Results of a simulation.
 struct Simulated {
     frames: u64,
     /// Largest error estimate of any frame.
@@ -225,7 +224,6 @@ fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: R
     Ok(false)
 }
 
-/// Reports that a shard already existed.
 fn tell_shard(arguments: &Arguments, file: &Path, frames: u64) -> anyhow::Result<()> {
     if arguments.json {
         let file = file.display().to_string();

@@ -2,7 +2,6 @@
 
 use radome_dsp::detect::Detection;
 
-/// Echoes of one frame.
 #[derive(Debug, Clone)]
 pub struct Detections {
     /// Middle of the frame, s.

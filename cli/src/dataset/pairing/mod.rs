@@ -90,11 +90,9 @@ pub struct Settings {
 
 /// Stored pair.
 pub struct Paired {
-    /// Name of the pair.
     pub name: String,
     /// Number of maps of both sides.
     pub maps: usize,
-    /// Differences between the sides.
     pub report: Report,
 }
 
@@ -308,7 +306,6 @@ impl<'a> Pairing<'a> {
         Ok((self.mirror_text(&self.stage.stored, roles)?, Simulator::new(&scene, options)?))
     }
 
-    /// Formats the mirror's scene file.
     fn mirror_text(&self, table: &toml::Table, roles: &[Role]) -> anyhow::Result<String> {
         let radar = self.stage.scene.radar_position().truncate();
         let mut scripts = Vec::new();

@@ -40,7 +40,6 @@ impl Spread {
     }
 }
 
-/// Differences of one person.
 #[derive(Debug, Clone, Serialize)]
 struct Person {
     /// Number of frames whose echo is not merged with a ghost off a wall.
@@ -56,7 +55,6 @@ struct Person {
     sigma_m: f64,
 }
 
-/// Complete report.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
     frames: usize,

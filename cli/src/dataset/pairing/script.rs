@@ -28,7 +28,6 @@ const LEG_M: f64 = 0.03;
 /// radar.
 const ARRIVAL_S: f64 = 5.0;
 
-/// Time and position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Knot {
     pub time_s: f64,

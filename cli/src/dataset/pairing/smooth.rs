@@ -216,7 +216,6 @@ impl Sensor {
         })
     }
 
-    /// Computes the expected echo of a person.
     pub fn expected(&self, state: &Smoothed) -> Expected {
         let [range, speed, cosine] = self.measures(DVec4::new(state.x, state.y, state.vx, state.vy));
         Expected { range_m: range.0, velocity_m_per_s: speed.0, cosine: cosine.0 }

@@ -7,13 +7,9 @@ use super::watcher::Taken;
 
 /// Writer of maps of both sides of a pair.
 pub struct Store {
-    /// Writer of the dataset.
     pub writer: DatasetWriter,
-    /// Name of the pair.
     pub pair: String,
-    /// Name of the scene.
     pub scene: String,
-    /// Name of the person.
     pub subject: Option<String>,
 }
 

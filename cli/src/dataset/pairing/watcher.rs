@@ -15,7 +15,6 @@ const KEEPS_AWAY_M: f64 = 1.0;
 /// Metadata of a frame of the recording, without its samples.
 #[derive(Debug, Clone, Copy)]
 pub struct Taken {
-    /// Number of the frame.
     pub sequence: u64,
     /// Start of the frame on the recording's clock, ns.
     pub time_ns: u64,
@@ -36,7 +35,6 @@ pub struct Watcher {
 }
 
 impl Watcher {
-    /// Creates a finder for frames of a waveform.
     pub fn new(waveform: &Waveform, baselines: &[Baseline]) -> Self {
         let half = (STILL_HALF_S / waveform.frame_interval_s()).round().clamp(2.0, 200.0) as usize;
         Watcher {

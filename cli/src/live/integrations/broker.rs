@@ -115,9 +115,7 @@ pub struct Broker {
     pub host: String,
     port: u16,
     is_encrypted: bool,
-    /// User at the broker.
     pub user: Option<String>,
-    /// Password of that user.
     pub password: Option<Secret>,
 }
 

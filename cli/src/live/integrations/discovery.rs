@@ -84,7 +84,6 @@ impl Device {
         format!("{}/device/bgt60_{}/config", self.discovery_prefix, self.id)
     }
 
-    /// Discovery message for the hub.
     pub fn discovery(&self) -> Value {
         let version = env!("CARGO_PKG_VERSION");
         let unique = |what: &str| format!("bgt60_{}_{what}", self.id);

@@ -39,7 +39,6 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Returns whether anything is to be kept.
     pub fn is_wanted(&self) -> bool {
         self.keep_to.is_some()
     }

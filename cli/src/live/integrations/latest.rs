@@ -57,7 +57,6 @@ pub struct Counters {
     pub reports_refused: AtomicU64,
 }
 
-/// Adds one to a counter.
 pub fn count(counter: &AtomicU64) {
     counter.fetch_add(1, Ordering::Relaxed);
 }
@@ -67,7 +66,6 @@ pub struct Latest {
     newest: Mutex<Newest>,
     changes: watch::Sender<u64>,
     silence: Duration,
-    /// Counters of external requests.
     pub counters: Counters,
 }
 
@@ -107,7 +105,6 @@ impl Latest {
     }
 }
 
-/// Sink that updates a [`Latest`].
 pub struct LatestSink(pub Arc<Latest>);
 
 impl Sink for LatestSink {

@@ -11,7 +11,6 @@ use crate::live::health::{Health, LatencyHistogram};
 /// Upper bounds of the latency's buckets, s.
 const BOUNDS_S: [f64; 10] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.5, 1.0];
 
-/// Formats all metrics.
 pub fn text(latest: &Latest) -> String {
     let health = latest.newest().health;
     let said = latest.said();

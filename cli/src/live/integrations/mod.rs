@@ -55,7 +55,6 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Returns whether metrics are served.
     pub fn has_metrics(&self) -> bool {
         self.metrics.is_some()
     }

@@ -42,9 +42,7 @@ pub struct Mqtt {
 /// Events of the connection.
 #[derive(Clone, Copy)]
 enum Heard {
-    /// The connection is up.
     Connected,
-    /// The connection is lost.
     Lost,
     HubOnline,
     /// The hub goes offline; its copy of the discovery is retained.

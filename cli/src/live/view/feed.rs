@@ -62,7 +62,6 @@ pub enum Channel {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Removal {
-    /// No removal.
     None,
     /// Subtracts the mean over a frame's chirps.
     #[default]
@@ -75,10 +74,8 @@ pub enum Removal {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Look {
-    /// Channel of the map.
     #[serde(default)]
     channel: Channel,
-    /// Removal of static echoes from the map.
     #[serde(default)]
     removal: Removal,
     /// Index of the chirp, if one is shown.
@@ -180,7 +177,6 @@ pub struct Feed {
 }
 
 impl Feed {
-    /// Creates a feed without frames and pages.
     pub fn new(waveform: &Waveform, is_tape: bool) -> Self {
         // Both swapped queues have their full capacity from the start: see `serve`.
         let handover = Handover { points: VecDeque::with_capacity(HISTORY), ..Handover::default() };
@@ -247,7 +243,6 @@ impl Feed {
         arrivals.frames_per_s()
     }
 
-    /// Notes that frames are missing.
     pub fn gap(&self, _gap: &Gap) {
         lock(&self.handover).after_gap = true;
     }
@@ -270,12 +265,10 @@ impl Feed {
         (id, receiver)
     }
 
-    /// Removes a page.
     pub fn leave(&self, page: PageId) {
         lock(&self.pages).open.remove(&page);
     }
 
-    /// Number of open pages.
     pub fn pages(&self) -> usize {
         lock(&self.pages).open.len()
     }

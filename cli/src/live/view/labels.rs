@@ -158,7 +158,6 @@ impl Book {
         self.next_id - 1
     }
 
-    /// Changes one span.
     pub(super) fn change(&mut self, id: u64, change: impl FnOnce(&mut LabelSpan)) -> anyhow::Result<()> {
         let Some(span) = self.spans.iter().find(|span| span.id == id) else {
             bail!("that label is no longer there");
@@ -207,7 +206,6 @@ impl Book {
         Ok(())
     }
 
-    /// Redoes the change that was undone.
     pub(super) fn redo(&mut self) -> anyhow::Result<()> {
         let after = self.future.pop().context("nothing was taken back")?;
         self.past.push((std::mem::replace(&mut self.spans, after.0), std::mem::replace(&mut self.open, after.1)));
@@ -419,7 +417,6 @@ impl Keeper {
         }
     }
 
-    /// Returns the current labels.
     pub fn labels(&self) -> Vec<LabelSpan> {
         lock(&self.state).book.labels(self.now_s() + self.interval_s)
     }
@@ -429,7 +426,6 @@ impl Keeper {
         lock(&self.state).told
     }
 
-    /// Returns the message to pages.
     pub fn told(&self) -> serde_json::Value {
         let state = lock(&self.state);
         let recording = self.place.as_ref().map(Place::recording);

@@ -8,7 +8,6 @@ use tokio::sync::Semaphore;
 
 use crate::live::access::{self, Access, Token};
 
-/// Largest number of simultaneous pages.
 const MOST_PAGES: usize = 16;
 
 /// Reason for refusing a connection, a request, a page or a message.
@@ -61,7 +60,6 @@ impl From<access::Refusal> for Refusal {
 /// Access policy of the page, with the limit of pages and counters of refusals.
 pub struct Policy {
     pub access: Access,
-    /// Permits of pages.
     pub pages: Arc<Semaphore>,
     refused: [AtomicU64; REFUSALS.len()],
 }
@@ -76,7 +74,6 @@ impl Policy {
         }
     }
 
-    /// Counts a refusal.
     pub fn count(&self, refusal: Refusal) {
         if let Some(counter) = self.refused.get(refusal as usize) {
             counter.fetch_add(1, Ordering::Relaxed);

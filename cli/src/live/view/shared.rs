@@ -55,7 +55,6 @@ impl About {
     }
 }
 
-/// State that the server's tasks share.
 pub struct Shared {
     pub about: About,
     pub feed: Feed,

@@ -19,7 +19,6 @@ use super::frames::Frames;
 use crate::judge::Model;
 use crate::{files, output};
 
-/// Format version of the file of rooms.
 const FORMAT: u32 = 1;
 /// Time between the adaptation intervals and the test intervals, s. It is long enough for all people to have left in
 /// between.
@@ -30,7 +29,6 @@ const LONGEST_S: f64 = 86_400.0;
 const EMPTY_MINUTES: f64 = 1.0;
 const CLASSES: usize = Occupancy::ALL.len();
 
-/// File of rooms.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RoomsFile {
@@ -77,12 +75,10 @@ impl RoomsFile {
     }
 }
 
-/// Recordings of a room.
 struct Room {
     name: String,
     /// Recordings to adapt to, `[people]`.
     training: [Vec<AdaptRecording>; CLASSES],
-    /// Recordings to test on.
     test: Vec<AdaptRecording>,
 }
 

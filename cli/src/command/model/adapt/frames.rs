@@ -14,7 +14,6 @@ pub struct Frames<'a> {
 }
 
 impl<'a> Frames<'a> {
-    /// Creates a reader of frames for a model and its adapter.
     pub fn new(model: Model, adapter: &'a Adapter) -> Self {
         Frames { model: Some(model), adapter }
     }

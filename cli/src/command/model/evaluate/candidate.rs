@@ -20,7 +20,6 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Creates a candidate from a model that was opened from a path.
     pub fn new(path: PathBuf, model: Model) -> Self {
         Candidate { path, model: Some(model) }
     }
@@ -41,7 +40,6 @@ impl Candidate {
         }
     }
 
-    /// Puts the model back.
     pub fn put_back(&mut self, model: Model) {
         self.model = Some(model);
     }
@@ -62,7 +60,6 @@ impl Candidate {
         })
     }
 
-    /// Ends a recording.
     pub fn end(&mut self, run: Run) -> Predictions {
         self.model = Some(run.judge.into_model());
         run.predictions
@@ -115,12 +112,10 @@ pub struct Predictions {
 }
 
 impl Predictions {
-    /// Computes the scores after the filter.
     pub fn filtered_scores(&self) -> RecordingScores {
         RecordingScores::new(&self.filtered, self.frame_interval_s)
     }
 
-    /// Computes the scores of single frames.
     pub fn alone_scores(&self) -> RecordingScores {
         RecordingScores::new(&self.alone, self.frame_interval_s)
     }

@@ -10,7 +10,6 @@ use radome_dsp::{Frame, Occupancy, Waveform};
 
 use crate::labels;
 
-/// Recording with labels.
 pub struct LabelledRecording {
     pub path: PathBuf,
     labels: Labels,

@@ -12,9 +12,7 @@ use crate::{output, source};
 
 /// Recordings of one waveform, each cut in two.
 pub struct Recordings {
-    /// Waveform of all of them.
     pub waveform: Waveform,
-    /// The recordings.
     pub all: Vec<Cut>,
 }
 

@@ -14,7 +14,6 @@ use super::line::{Lines, Many};
 use super::still::Clutter;
 use crate::{files, output, shell};
 
-/// Complete result of a calibration.
 #[derive(Serialize)]
 pub struct Answer<'a> {
     pub receiver: Option<&'a Path>,

@@ -23,7 +23,6 @@ pub(super) struct Rung {
 
 /// Recording to be simulated.
 pub(super) struct Simulation {
-    /// Name of the recording.
     pub(super) name: String,
     /// Name of the scene file.
     stem: String,

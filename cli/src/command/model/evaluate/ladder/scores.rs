@@ -20,7 +20,6 @@ pub(super) struct RungScores {
     recordings: Vec<OfRecording>,
     scores: Vec<RecordingScores>,
     reliability: ReliabilitySums,
-    /// Recordings that the model refused.
     pub(super) refused: Vec<Refused>,
     /// Frames that a filter is fitted to, by recording.
     pub(super) sequences: Vec<FilterSequence>,
@@ -40,7 +39,6 @@ struct OfRecording {
 }
 
 impl RungScores {
-    /// Adds a recording.
     pub(super) fn add(&mut self, name: &str, predictions: &Predictions) {
         let scores = predictions.filtered_scores();
         if scores.frames() == 0 {
@@ -125,7 +123,6 @@ pub(super) struct OfModel {
 }
 
 impl OfModel {
-    /// Collects the scores of a model by rung.
     pub(super) fn new(model: &Path, rungs: &[Rung], scores: &[RungScores]) -> Self {
         let rows: Vec<Row> = rungs.iter().zip(scores).map(|(rung, scores)| Row::new(&rung.name, scores)).collect();
         let mut sum = RungScores::default();
@@ -145,7 +142,6 @@ impl OfModel {
     }
 }
 
-/// Prints a table for each model.
 pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
     message!("frames in which someone enters or leaves are left out; `two` means two people or more");
     for of in answers {
