@@ -12,6 +12,7 @@
 
 use std::ffi::{OsStr, OsString};
 use std::fmt::Display;
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -263,15 +264,8 @@ fn open_unguarded(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
 }
 
 /// Returns whether a path leads to a character device, such as a serial port.
-#[cfg(unix)]
 fn is_device(path: &Path) -> bool {
-    use std::os::unix::fs::FileTypeExt;
     std::fs::metadata(path).is_ok_and(|metadata| metadata.file_type().is_char_device())
-}
-
-#[cfg(not(unix))]
-fn is_device(_: &Path) -> bool {
-    false
 }
 
 /// Name of a recording or scene: that of the folder, or of the file without the ending of its format. Recordings of the

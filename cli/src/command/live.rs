@@ -120,7 +120,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         Integrations::open(&arguments.integrations, broker, &arguments.view.access, &header, board, started)?;
     let screen = Screen::new(arguments.json, source.is_live)?;
 
-    let mut pipeline = Pipeline::new();
+    let mut pipeline = Pipeline::default();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
     let recorder = output.map(|output| arguments.recorder(output, &header, &mut pipeline, &source)).transpose()?;

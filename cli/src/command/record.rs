@@ -70,7 +70,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let file = output.path().display().to_string();
     let recorder = output.create(&header, &recorder_options)?;
     let bar = output::progress(arguments.source.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
-    let mut pipeline = Pipeline::new();
+    let mut pipeline = Pipeline::default();
     let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
     let inlet = pipeline.consumer("recorder", 64, policy);
     let reader = pipeline.start(source.frames, arguments.source.frames);
@@ -248,7 +248,7 @@ mod tests {
         let path = folder.path().join("run.mcap");
         let waveform = panicking_after(0).waveform().clone();
         let recorder = Recorder::create(&path, &RecordingHeader::new(waveform)).expect("a file");
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         let _reader = source.map(|source| pipeline.start(source, None));
         let (tally, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden());
@@ -284,7 +284,7 @@ mod tests {
         let path = folder.path().join("run.mcap");
         let header = RecordingHeader::new(panicking_after(0).waveform().clone());
         let recorder = Recorder::create(&path, &header).expect("a file");
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         inlet.queue.end.set(Ok(())).expect("no end yet");
         drop(pipeline);

@@ -7,6 +7,7 @@
 use std::fs::{File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -103,13 +104,10 @@ fn random_text() -> anyhow::Result<String> {
 
 fn make_token_file(path: &Path) -> anyhow::Result<String> {
     let text = random_text()?;
-    let mut options = OpenOptions::new();
-    // Never opens a file or a link that another process has created meanwhile.
-    options.write(true).create_new(true);
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
     let cannot = || format!("cannot make the token file {}", path.display());
-    let mut file = options.open(path).with_context(cannot)?;
+    // Never opens a file or a link that another process has created meanwhile.
+    let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
+    let mut file = file.with_context(cannot)?;
     let written = file.write_all(format!("{text}\n").as_bytes()).and_then(|()| file.sync_all());
     if let Err(error) = written {
         // A partial token would be refused at the next start.
@@ -127,17 +125,14 @@ fn read_token_file(path: &Path) -> anyhow::Result<String> {
         bail!("the token file {} is no regular file", path.display());
     }
     let file = File::open(path).with_context(cannot)?;
-    #[cfg(unix)]
-    {
-        let mode = std::os::unix::fs::PermissionsExt::mode(&file.metadata().with_context(cannot)?.permissions());
-        ensure!(
-            mode & 0o077 == 0,
-            "the token file {} has the permissions {:03o}: others than its owner may use it\n\nhint: chmod 600 {0}, and put a new \
-             token in it if others have read it",
-            path.display(),
-            mode & 0o777
-        );
-    }
+    let mode = file.metadata().with_context(cannot)?.permissions().mode();
+    ensure!(
+        mode & 0o077 == 0,
+        "the token file {} has the permissions {:03o}: others than its owner may use it\n\nhint: chmod 600 {0}, and put a new token in \
+         it if others have read it",
+        path.display(),
+        mode & 0o777
+    );
     let mut text = String::new();
     file.take(2 * MOST_TOKEN as u64).read_to_string(&mut text).with_context(cannot)?;
     let text = text.trim();
@@ -423,9 +418,7 @@ mod tests {
     }
 
     #[test]
-    #[cfg(unix)]
     fn a_token_file_is_made_for_its_owner_alone_and_read_again() {
-        use std::os::unix::fs::PermissionsExt;
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("token");
         let made = Token::from_file(&path).expect("makes it");
@@ -506,9 +499,7 @@ mod tests {
         }
 
         #[test]
-        #[cfg(unix)]
         fn files_that_hold_no_token_are_refused_and_never_quoted() {
-            use std::os::unix::fs::PermissionsExt;
             let folder = tempfile::tempdir().expect("a folder");
             let path = folder.path().join("token");
             for content in [

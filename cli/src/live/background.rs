@@ -48,6 +48,7 @@ pub struct Background {
 }
 
 /// Capture in progress.
+#[derive(Default)]
 pub struct Capture {
     maps: Vec<Vec<f32>>,
     doppler: usize,
@@ -59,11 +60,6 @@ fn first_channel(map: &Rdm) -> &[f32] {
 }
 
 impl Capture {
-    /// Creates an empty capture.
-    pub fn new() -> Self {
-        Capture { maps: Vec::new(), doppler: 0, range: 0 }
-    }
-
     pub fn add(&mut self, map: &Rdm) {
         (self.doppler, self.range) = (map.shape.doppler, map.shape.range);
         self.maps.push(first_channel(map).to_vec());

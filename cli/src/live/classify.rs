@@ -341,7 +341,7 @@ mod tests {
 
     /// Runs three frames with such a sink; returns the error and the number of sinks that were ended.
     fn run_with(answer: fn() -> anyhow::Result<()>) -> (anyhow::Error, usize) {
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
         let source = source_from_fn(waveform(), |frame| {
             frame.codes.fill(2048);
@@ -358,7 +358,7 @@ mod tests {
 
     #[test]
     fn a_source_that_has_gone_without_a_word_is_an_error() {
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
         drop(pipeline);
         let error = run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect_err("no end was told");
@@ -368,7 +368,7 @@ mod tests {
     /// Regression test: of a stdout that nobody read while the recording ended, it was said that the source had gone.
     #[test]
     fn an_end_that_could_not_be_delivered_in_time_is_an_end() {
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
         inlet.queue.end.set(Ok(())).expect("no end yet");
         drop(pipeline);

@@ -125,6 +125,7 @@ impl Inlet {
 }
 
 /// Consumers that are registered before the reader starts.
+#[derive(Default)]
 pub struct Pipeline {
     outlets: Vec<Outlet>,
 }
@@ -136,11 +137,6 @@ pub struct Reader {
 }
 
 impl Pipeline {
-    /// Creates a pipeline without consumers.
-    pub fn new() -> Self {
-        Pipeline { outlets: Vec::new() }
-    }
-
     /// Adds a consumer with a queue of `capacity` items.
     pub fn consumer(&mut self, name: &'static str, capacity: usize, policy: Policy) -> Inlet {
         let (sender, receiver) = bounded(capacity);
@@ -201,7 +197,7 @@ pub struct Items {
 impl Items {
     /// Starts to read a source. `limit` ends the items after this number of frames.
     pub fn of(source: Box<dyn FrameSource>, limit: Option<u64>) -> Self {
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("command", 16, Policy::Wait);
         Items { inlet, _reader: pipeline.start(source, limit) }
     }
@@ -354,7 +350,7 @@ mod tests {
 
     #[test]
     fn every_consumer_gets_every_frame_in_order_and_the_gap_in_its_place() {
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let inlets = [pipeline.consumer("a", 2, Policy::Wait), pipeline.consumer("b", 64, Policy::DropOldest)];
         let _reader = pipeline.start(counter(50), None);
         for inlet in inlets {
@@ -377,7 +373,7 @@ mod tests {
 
     #[test]
     fn a_slow_view_misses_the_oldest_and_knows_how_many() {
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("view", 3, Policy::DropOldest);
         let mut reader = pipeline.start(counter(1000), Some(20));
         reader.thread.take().expect("runs").join().expect("reader ends by itself");
@@ -398,7 +394,7 @@ mod tests {
 
     #[test]
     fn a_consumer_that_goes_away_does_not_hold_up_the_others() {
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         drop(pipeline.consumer("gone", 1, Policy::Wait));
         let inlet = pipeline.consumer("stays", 64, Policy::Wait);
         let _reader = pipeline.start(counter(50), None);
@@ -411,7 +407,7 @@ mod tests {
 
     #[test]
     fn a_stalled_recorder_stops_the_pipeline_loudly() {
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("recorder", 2, Policy::Lossless(Duration::from_millis(50)));
         let reader = pipeline.start(counter(1000), None);
         std::thread::sleep(Duration::from_millis(200));
@@ -423,7 +419,7 @@ mod tests {
 
     #[test]
     fn a_stalled_recorder_is_left_behind_and_the_others_go_on() {
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let stalled = pipeline.consumer("recorder", 2, Policy::LosslessOrGone(Duration::from_millis(50)));
         let other = pipeline.consumer("classifier", 64, Policy::Wait);
         let _reader = pipeline.start(counter(50), None);
@@ -459,7 +455,7 @@ mod tests {
 
         #[test]
         fn a_source_that_fails_is_heard_by_every_consumer() {
-            let mut pipeline = Pipeline::new();
+            let mut pipeline = Pipeline::default();
             let first = pipeline.consumer("first", 1, Policy::Wait);
             let second = pipeline.consumer("second", 1, Policy::DropOldest);
             let _reader = pipeline.start(failing_after(0, |_| "chunk 3 is damaged".into()), None);
@@ -474,7 +470,7 @@ mod tests {
 
         #[test]
         fn a_source_that_panics_is_an_error_with_its_place_for_every_consumer() {
-            let mut pipeline = Pipeline::new();
+            let mut pipeline = Pipeline::default();
             let inlets = [
                 pipeline.consumer("first", 1, Policy::Wait),
                 pipeline.consumer("second", 9, Policy::DropOldest),

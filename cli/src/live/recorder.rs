@@ -333,7 +333,7 @@ mod tests {
 
     /// Records a source until it ends.
     fn record(source: Box<dyn FrameSource>, path: &Path) -> (anyhow::Result<Recorded>, bool) {
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let classifier = pipeline.consumer("classifier", 64, Policy::Wait);
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         let mut sink = sink(path, source.waveform(), inlet);
@@ -428,7 +428,7 @@ mod tests {
     fn a_source_that_has_gone_without_a_word_is_an_error_and_leaves_the_recording_unfinished() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("night.mcap");
-        let mut pipeline = Pipeline::new();
+        let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         drop(pipeline);
         let mut sink = sink(&path, panicking_after(0).waveform(), inlet);

@@ -208,8 +208,8 @@ impl Sink for Page {
         Ok(())
     }
 
-    fn gap(&mut self, gap: &Gap, _health: &Health) -> anyhow::Result<()> {
-        self.shared.feed.gap(gap);
+    fn gap(&mut self, _gap: &Gap, _health: &Health) -> anyhow::Result<()> {
+        self.shared.feed.gap();
         Ok(())
     }
 

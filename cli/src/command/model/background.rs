@@ -48,7 +48,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     message!("{}; nobody should be in the room", source.description);
     let (waveform, is_live) = (source.frames.waveform().clone(), source.is_live);
     let mut at_work = model.judge(&waveform)?;
-    let mut capture = Capture::new();
+    let mut capture = Capture::default();
     let mut start_s = None;
     let items = Items::of(source.frames, arguments.source.frames);
     loop {

@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use anyhow::bail;
 use axum::body::Bytes;
 use radome_dsp::rdm::{Channels, StaticRemoval};
-use radome_dsp::{Frame, Gap, MAX_CODE, MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform, noise_floor_db};
+use radome_dsp::{Frame, MAX_CODE, MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform, noise_floor_db};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use tokio::sync::mpsc;
@@ -243,7 +243,7 @@ impl Feed {
         arrivals.frames_per_s()
     }
 
-    pub fn gap(&self, _gap: &Gap) {
+    pub fn gap(&self) {
         lock(&self.handover).after_gap = true;
     }
 

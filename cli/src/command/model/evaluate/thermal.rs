@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use radome_driver::recording::Recording;
-use radome_dsp::{Frame, FrameSource};
+use radome_dsp::{Frame, FrameSource, MAX_CODE};
 use rand_distr::{Distribution, Normal};
 
 use crate::dataset::spec::MOST_SNR_DB;
@@ -24,9 +24,6 @@ pub fn snr_db(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|number| (-MOST_SNR_DB..=MOST_SNR_DB).contains(number));
     number.ok_or_else(|| format!("expected -{MOST_SNR_DB} to {MOST_SNR_DB}"))
 }
-
-/// Largest code of the converter.
-const MOST_CODE: f64 = 4095.0;
 
 impl ThermalNoise {
     /// Creates noise whose variance is the signal's over `10^(snr_db / 10)`. The signal's variance is that of the
@@ -55,7 +52,7 @@ impl ThermalNoise {
         let mut rng = radome_models::stream(self.seed, "thermal noise", frame.sequence);
         for code in &mut noisy.codes {
             let sample = f64::from(*code) + self.normal.sample(&mut rng);
-            *code = sample.round().clamp(0.0, MOST_CODE) as u16;
+            *code = sample.round().clamp(0.0, f64::from(MAX_CODE)) as u16;
         }
         noisy
     }
