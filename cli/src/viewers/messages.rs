@@ -12,37 +12,20 @@ pub fn timestamp(time_ns: u64) -> Option<Timestamp> {
 }
 
 /// Protobuf's type of a field by the name that `prost` gives it. The only integers with a sign are enumerations.
-macro_rules! field_type {
-    (message) => {
-        Type::Message
-    };
-    (int32) => {
-        Type::Enum
-    };
-    (bool) => {
-        Type::Bool
-    };
-    (bytes) => {
-        Type::Bytes
-    };
-    (double) => {
-        Type::Double
-    };
-    (fixed32) => {
-        Type::Fixed32
-    };
-    (float) => {
-        Type::Float
-    };
-    (string) => {
-        Type::String
-    };
-    (uint32) => {
-        Type::Uint32
-    };
-    (uint64) => {
-        Type::Uint64
-    };
+const fn field_type(name: &str) -> Type {
+    match name.as_bytes() {
+        b"message" => Type::Message,
+        b"int32" => Type::Enum,
+        b"bool" => Type::Bool,
+        b"bytes" => Type::Bytes,
+        b"double" => Type::Double,
+        b"fixed32" => Type::Fixed32,
+        b"float" => Type::Float,
+        b"string" => Type::String,
+        b"uint32" => Type::Uint32,
+        b"uint64" => Type::Uint64,
+        _ => panic!("a type that no message has yet"),
+    }
 }
 
 /// Defines a message, whose fields are numbered from 1 on (new ones go last), and the constant that describes its type.
@@ -56,7 +39,7 @@ macro_rules! message {
         pub const $constant: MessageType = MessageType {
             package: $package,
             name: stringify!($name),
-            fields: &[$((stringify!($field), field_type!($kind))),+],
+            fields: &[$((stringify!($field), field_type(stringify!($kind)))),+],
             enumeration: $enumeration,
         };
 

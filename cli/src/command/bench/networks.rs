@@ -72,7 +72,7 @@ const PAUSE: Duration = Duration::from_millis(100);
 /// There is no such network, or the peer fails.
 pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
     let (batch, repeats) = (arguments.batch.unwrap_or(32), arguments.repeats.unwrap_or(5));
-    compare(arguments, "train", batch, repeats, &|spec, _| {
+    compare(arguments, "train", batch, repeats, &|spec, _, _| {
         // At learning rate zero a step does all its work, but the network stays random. Learning the random maps by
         // heart would kill units, which would make later steps cheaper.
         let mut trainer = Trainer::new(spec, 1, 0.0, KernelLevel::detect())?;
@@ -91,6 +91,14 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
     let folder = std::env::temp_dir().join(format!("radome-bench-{}", std::process::id()));
     std::fs::create_dir_all(&folder)?;
     let mut points = Vec::new();
+    let point = |stage, way, milliseconds, error, is_peer| Point {
+        stage,
+        way,
+        milliseconds,
+        error,
+        error_unit: "of logits",
+        is_peer,
+    };
     for (name, stage) in NETWORKS.iter().zip(STAGES) {
         let spec = NetworkSpec::named(name).with_context(|| format!("there is no network '{name}'"))?;
         let maps: Vec<f32> = Trainer::made_up_maps(1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
@@ -113,28 +121,14 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
             let apart =
                 portable.iter().zip(&logits).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max) / largest;
             let way = format!("native, {:.0} k parameters", spec.parameter_count() as f64 * 1e-3);
-            points.push(Point {
-                stage,
-                way,
-                milliseconds,
-                error: Some(apart),
-                error_unit: "of logits",
-                is_peer: false,
-            });
+            points.push(point(stage, way, milliseconds, Some(apart), false));
         }
         let threads = rayon::current_num_threads();
         for onnx in [None, Some(folder.as_path())] {
             let Some(mut peer) = Peer::start(python, "infer", name, threads, 1, ROUNDS, onnx) else { continue };
             let times = peer.turn();
             let Some(milliseconds) = times.iter().copied().reduce(f64::min) else { continue };
-            points.push(Point {
-                stage,
-                way: peer.name.clone(),
-                milliseconds,
-                error: None,
-                error_unit: "of logits",
-                is_peer: true,
-            });
+            points.push(point(stage, peer.name.clone(), milliseconds, None, true));
         }
     }
     std::fs::remove_dir_all(&folder)?;
@@ -147,20 +141,13 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
 /// There is no such network, or the peer fails.
 pub fn infer(arguments: &Arguments) -> anyhow::Result<()> {
     let (batch, repeats) = (arguments.batch.unwrap_or(1), arguments.repeats.unwrap_or(30));
-    compare(arguments, "infer", batch, repeats, &|spec, folder| {
+    compare(arguments, "infer", batch, repeats, &|spec, name, folder| {
         let network = Network::initialise(spec, 1, 0, KernelLevel::detect())?;
-        let name = named(spec)?;
         std::fs::write(folder.join(format!("{name}.onnx")), onnx::export_network(&network, SIZE, SIZE)?)?;
         let maps: Vec<f32> = Trainer::made_up_maps(batch, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
         let mut inference = Inference::new(&network)?;
         Ok(Box::new(move || Ok(inference.logits(&maps, [batch, SIZE, SIZE]).map(|_| ())?)))
     })
-}
-
-fn named(spec: &NetworkSpec) -> anyhow::Result<String> {
-    let networks = radome_models::networks().into_iter();
-    let found = networks.map(|network| network.name).find(|name| NetworkSpec::named(name).as_ref() == Some(spec));
-    found.context("a network without a name")
 }
 
 /// One run of a network of this program.
@@ -182,7 +169,7 @@ fn compare(
     what: &str,
     batch: usize,
     repeats: usize,
-    ours: &dyn Fn(&NetworkSpec, &Path) -> anyhow::Result<Run>,
+    ours: &dyn Fn(&NetworkSpec, &str, &Path) -> anyhow::Result<Run>,
 ) -> anyhow::Result<()> {
     let names: Vec<String> = match arguments.networks.as_slice() {
         [] => NETWORKS.map(str::to_owned).to_vec(),
@@ -199,9 +186,9 @@ fn compare(
         };
         // The cost of the circuit shows in comparison with the same network with a linear head, which takes turns too.
         let linear = if what == "train" && name == NETWORKS[0] { NetworkSpec::named(NETWORKS[1]) } else { None };
-        let mut own = vec![("radome".to_owned(), ours(&spec, &folder)?)];
+        let mut own = vec![("radome".to_owned(), ours(&spec, name, &folder)?)];
         if let Some(spec) = &linear {
-            own.push(("linear head".to_owned(), ours(spec, &folder)?));
+            own.push(("linear head".to_owned(), ours(spec, NETWORKS[1], &folder)?));
         }
         let python = arguments.python.as_deref();
         let start = |onnx| Peer::start(python, what, name, threads, batch, repeats, onnx);

@@ -60,19 +60,22 @@ enum Proposer {
 }
 
 fn parse_interval(text: &str) -> Result<(f64, f64), String> {
-    let wrong = || format!("'{text}': expected START_S:END_S such as 0.5:12, the end after the start");
-    let (start, end) = text.split_once(':').ok_or_else(wrong)?;
-    let time = |text: &str| text.trim().parse::<f64>().map_err(|_| wrong());
-    let (start_s, end_s) = (time(start)?, time(end)?);
-    if start_s < end_s { Ok((start_s, end_s)) } else { Err(wrong()) }
+    times(text)
+        .filter(|(start_s, end_s)| start_s < end_s)
+        .ok_or_else(|| format!("'{text}': expected START_S:END_S such as 0.5:12, the end after the start"))
 }
 
 fn parse_span(text: &str) -> Result<LabelSpan, String> {
-    let wrong = || format!("'{text}': expected START_S:END_S=LABEL such as 0.5:12=empty");
-    let (times, label) = text.split_once('=').ok_or_else(wrong)?;
-    let (start, end) = times.split_once(':').ok_or_else(wrong)?;
-    let time = |text: &str| text.trim().parse::<f64>().map_err(|_| wrong());
-    Ok(LabelSpan::new(time(start)?, time(end)?, label.trim()))
+    let span = text.split_once('=').and_then(|(interval, label)| {
+        let (start_s, end_s) = times(interval)?;
+        Some(LabelSpan::new(start_s, end_s, label.trim()))
+    });
+    span.ok_or_else(|| format!("'{text}': expected START_S:END_S=LABEL such as 0.5:12=empty"))
+}
+
+fn times(text: &str) -> Option<(f64, f64)> {
+    let (start, end) = text.split_once(':')?;
+    Some((start.trim().parse().ok()?, end.trim().parse().ok()?))
 }
 
 /// Adds labels to a recording, or shows its labels.
