@@ -602,9 +602,14 @@ mod tests {
     use glam::DMat3;
 
     use super::*;
+    use crate::files;
 
     fn view() -> View {
         View { across: 0, up: 2, corner: [10.0, 20.0], per_m: 50.0, size_m: DVec3::new(4.0, 3.0, 2.5) }
+    }
+
+    fn scene(name: &str) -> Scene {
+        Scene::load(&files::fixture(&format!("scenes/{name}.toml")).expect("a fixture")).expect("a scene")
     }
 
     /// A metre is as long across as up, and up is up.
@@ -640,7 +645,7 @@ mod tests {
     /// Every shipped scene has a picture, with something in it.
     #[test]
     fn every_shipped_scene_is_drawn() {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes");
+        let folder = files::fixture("scenes").expect("a fixture");
         let file = tempfile::NamedTempFile::new().expect("a file");
         let mut drawn = 0;
         for entry in std::fs::read_dir(folder).expect("folder") {
@@ -662,8 +667,7 @@ mod tests {
     /// A partition is drawn beside its doorway and not in it, where the leaf stands open.
     #[test]
     fn openings_are_gaps_in_the_plan() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/half-open-door.toml");
-        let scene = Scene::load(&path).expect("a scene");
+        let scene = scene("half-open-door");
         let file = tempfile::NamedTempFile::new().expect("a file");
         let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 0.1, paths: &[] };
         draw(&preview, file.path()).expect("a picture");
@@ -682,8 +686,7 @@ mod tests {
     /// The beam ends where the pattern has lost half its power.
     #[test]
     fn beams_are_as_wide_as_the_antenna_says() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
-        let scene = Scene::load(&path).expect("a scene");
+        let scene = scene("corridor");
         for (view, width_deg) in [
             (View { up: 1, ..view() }, scene.receiver().antenna.azimuth_beamwidth_deg),
             (view(), scene.receiver().antenna.elevation_beamwidth_deg),

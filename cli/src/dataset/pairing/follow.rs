@@ -275,7 +275,7 @@ mod tests {
 
     /// Room of the paper, with a horizontal radar.
     fn sensor() -> Sensor {
-        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/room.toml");
+        let file = crate::files::fixture("scenes/room.toml").expect("a fixture");
         let text =
             std::fs::read_to_string(&file).expect("a scene").replace("tilt_down_deg = 30.0", "tilt_down_deg = 5.0");
         let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");

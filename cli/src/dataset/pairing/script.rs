@@ -448,6 +448,27 @@ mod tests {
         all.iter().map(|&(time_s, x, y)| Knot { time_s, place: DVec2::new(x, y) }).collect()
     }
 
+    fn corridor() -> radome_sim::Scene {
+        let file = crate::files::fixture("scenes/corridor.toml").expect("a fixture");
+        radome_sim::Scene::load(&file).expect("a scene")
+    }
+
+    /// Track of a person at these places, one each 0.1 s.
+    fn tracklet(places: &[(f64, f64)]) -> Tracklet {
+        let state = |(frame, &(x, y)): (usize, &(f64, f64))| Smoothed {
+            frame,
+            time_s: 0.1 * frame as f64,
+            x,
+            y,
+            vx: 1.0,
+            vy: 0.0,
+            sigma_m: 0.1,
+            snr_db: Some(20.0),
+            is_visible: true,
+        };
+        Tracklet { places: Vec::new(), track: places.iter().enumerate().map(state).collect() }
+    }
+
     /// Position on the trajectory of a script's steps, at constant speeds and without rounding.
     fn walked(start_s: f64, steps: &[StepFile], time_s: f64) -> DVec2 {
         let mut at = DVec2::from_array(steps[0].walk_to_m.expect("a place"));
@@ -501,20 +522,9 @@ mod tests {
     /// A step before the door, a person goes out by it. Seen in it or beyond it, a person does not come back in first.
     #[test]
     fn who_is_seen_through_a_door_goes_straight_on() {
-        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
-        let scene = radome_sim::Scene::load(&file).expect("a scene");
+        let scene = corridor();
         for (x, places) in [(11.8, 2), (12.2, 1), (12.8, 0)] {
-            let state = Smoothed {
-                frame: 0,
-                time_s: 3.0,
-                x,
-                y: 1.2,
-                vx: 1.0,
-                vy: 0.0,
-                sigma_m: 0.1,
-                snr_db: Some(20.0),
-                is_visible: true,
-            };
+            let state = Smoothed { time_s: 3.0, ..tracklet(&[(x, 1.2)]).track[0] };
             let knots = by_door(&state, 0.5, 1.0, scene.file()).expect("a door");
             assert_eq!(knots.len(), places, "{knots:?}");
             let mut last = (3.0, x);
@@ -531,8 +541,7 @@ mod tests {
         /// Echoes of people in and beyond walls are removed: the mirror lost people whom the recording showed beside a wall.
         #[test]
         fn who_was_followed_into_a_wall_is_in_the_room_unless_it_is_a_door() {
-            let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
-            let scene = radome_sim::Scene::load(&file).expect("a scene");
+            let scene = corridor();
             let through_a_door = [(11.6, 1.0), (11.9, 1.0), (12.4, 1.1), (13.0, 2.5)];
             for (followed, expected) in [
                 ([(5.0, 1.5), (5.1, 1.95), (5.2, 2.4), (5.3, 1.6)], [(5.0, 1.5), (5.1, 1.8), (5.2, 1.8), (5.3, 1.6)]),
@@ -545,8 +554,7 @@ mod tests {
         /// Regression test: a person who walked beyond an open wall was moved into the room.
         #[test]
         fn who_is_beyond_a_wall_that_does_not_hide_stays_there() {
-            let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
-            let scene = radome_sim::Scene::load(&file).expect("a scene");
+            let scene = corridor();
             let (mut open, mut thin, mut rays) = (scene.file().clone(), scene.file().clone(), scene.file().clone());
             open.room.y_high.material = "open".to_owned();
             thin.room.transmission = true;
@@ -558,22 +566,6 @@ mod tests {
             let state = tracklet(&[(5.1, 2.4)]).track[0];
             assert_eq!(straight(&state, 1.0, &open)[0].place, DVec2::new(6.1, 2.4));
             assert_eq!(straight(&state, 1.0, scene.file())[0].place, DVec2::new(6.1, 1.8));
-        }
-
-        /// Track of a person at these places, one each 0.1 s.
-        fn tracklet(places: &[(f64, f64)]) -> Tracklet {
-            let state = |(frame, &(x, y)): (usize, &(f64, f64))| Smoothed {
-                frame,
-                time_s: 0.1 * frame as f64,
-                x,
-                y,
-                vx: 1.0,
-                vy: 0.0,
-                sigma_m: 0.1,
-                snr_db: Some(20.0),
-                is_visible: true,
-            };
-            Tracklet { places: Vec::new(), track: places.iter().enumerate().map(state).collect() }
         }
 
         /// Places of a person in the mirror who was followed at these.

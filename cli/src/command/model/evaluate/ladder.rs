@@ -171,9 +171,10 @@ mod tests {
     use radome_dsp::Occupancy;
 
     use super::*;
+    use crate::files;
 
     pub(super) fn ladder() -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/ladder")
+        files::fixture("ladder").expect("a fixture")
     }
 
     /// Every rung loads without warnings, and its scenes give frames with a truth. No training uses the seeds.

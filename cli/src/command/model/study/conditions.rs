@@ -204,9 +204,10 @@ pub(super) fn count(report: &Report) -> (usize, usize) {
 mod tests {
     use super::super::read;
     use super::*;
+    use crate::files;
 
     fn fixture(name: &str) -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures").join(name)
+        files::fixture(name).expect("a fixture")
     }
 
     /// Every rung of the ladder gives maps for models of rooms, one for each frame of each recording.
