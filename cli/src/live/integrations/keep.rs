@@ -67,21 +67,19 @@ impl Reports {
 }
 
 /// Frame with its codes packed as the chip packs them: two codes in three bytes.
-#[derive(Default)]
 struct Kept {
     packed: Vec<u8>,
     /// Frame without the codes.
-    head: Option<Frame>,
-    result: Option<FrameResult>,
+    head: Frame,
+    result: FrameResult,
 }
 
 impl Kept {
-    fn fill(&mut self, moment: &Moment) {
-        let frame = moment.frame;
-        self.packed.clear();
-        packed12::pack(&frame.codes, &mut self.packed);
-        self.head = Some(Frame { codes: Vec::new(), ..frame_head(frame) });
-        self.result = Some(frame_result(moment));
+    /// Packs a frame into `packed`, which may hold an older one.
+    fn new(mut packed: Vec<u8>, moment: &Moment) -> Self {
+        packed.clear();
+        packed12::pack(&moment.frame.codes, &mut packed);
+        Kept { packed, head: frame_head(moment.frame), result: frame_result(moment) }
     }
 
     fn bytes(&self) -> usize {
@@ -112,14 +110,13 @@ struct Ring {
 
 impl Ring {
     /// Removes entries beyond the limits; returns the memory of one frame for reuse.
-    fn forget(&mut self) -> Option<Kept> {
+    fn forget(&mut self) -> Option<Vec<u8>> {
         let mut spare = None;
         while let Some(first) = self.entries.front() {
             let is_old = match first {
                 Entry::Gap(_) => self.entries.len() == 1,
                 Entry::Frame(kept) => {
-                    let time_ns = kept.head.as_ref().map_or(0, |head| head.time_ns);
-                    self.newest_ns.saturating_sub(time_ns) > self.span_ns || self.bytes > self.most_bytes
+                    self.newest_ns.saturating_sub(kept.head.time_ns) > self.span_ns || self.bytes > self.most_bytes
                 }
             };
             // A gap at the front precedes all kept frames.
@@ -129,7 +126,7 @@ impl Ring {
             if let Some(Entry::Frame(kept)) = self.entries.pop_front() {
                 self.bytes -= kept.bytes();
                 // The memory is not reused while the frame is being saved.
-                spare = Arc::into_inner(kept).or(spare);
+                spare = Arc::into_inner(kept).map(|kept| kept.packed).or(spare);
             }
         }
         spare
@@ -139,7 +136,8 @@ impl Ring {
 /// Sink that keeps frames as they are classified.
 pub struct Keeper {
     ring: Arc<Mutex<Ring>>,
-    spare: Option<Kept>,
+    /// Memory for the next frame.
+    spare: Vec<u8>,
 }
 
 /// Saving thread. Dropping it waits for the report that is being saved.
@@ -186,7 +184,7 @@ impl Keeper {
         let stop = Arc::new(AtomicBool::new(false));
         let told = stop.clone();
         let thread = std::thread::spawn(move || saving.run(&receiver, &told));
-        Ok(Some((Keeper { ring, spare: None }, Reports(sender), Saver { stop, thread: Some(thread) })))
+        Ok(Some((Keeper { ring, spare: Vec::new() }, Reports(sender), Saver { stop, thread: Some(thread) })))
     }
 }
 
@@ -204,8 +202,7 @@ impl Drop for Saver {
 
 impl Sink for Keeper {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
-        let mut kept = self.spare.take().unwrap_or_default();
-        kept.fill(moment);
+        let kept = Kept::new(std::mem::take(&mut self.spare), moment);
         let mut ring = lock(&self.ring);
         // A restarted clock makes earlier entries unrelated.
         if moment.frame.time_ns < ring.newest_ns {
@@ -215,7 +212,7 @@ impl Sink for Keeper {
         ring.newest_ns = moment.frame.time_ns;
         ring.bytes += kept.bytes();
         ring.entries.push_back(Entry::Frame(Arc::new(kept)));
-        self.spare = ring.forget();
+        self.spare = ring.forget().unwrap_or_default();
         Ok(())
     }
 
@@ -271,7 +268,7 @@ impl Saving {
         let entries = lock(&self.ring).entries.clone();
         let entries: Vec<Entry> = entries.into();
         let results = entries.iter().filter_map(|entry| match entry {
-            Entry::Frame(kept) => kept.result,
+            Entry::Frame(kept) => Some(kept.result),
             Entry::Gap(_) => None,
         });
         let results: Vec<FrameResult> = results.collect();
@@ -291,9 +288,8 @@ impl Saving {
             match entry {
                 Entry::Gap(gap) => writer.gap(gap)?,
                 Entry::Frame(kept) => {
-                    let Some(head) = &kept.head else { continue };
                     let codes = std::mem::take(&mut frame.codes);
-                    frame = Frame { codes, ..frame_head(head) };
+                    frame = Frame { codes, ..frame_head(&kept.head) };
                     packed12::unpack(&kept.packed, &mut frame.codes);
                     writer.frame(&frame)?;
                 }
