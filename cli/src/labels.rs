@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
+use radome_driver::recording::label_text::{self, LabelTextError};
 use radome_driver::recording::mcap::LabelEditor;
 use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
-use radome_driver::recording::{Existing, Partial, Recording, label_text};
+use radome_driver::recording::{Existing, Partial, Recording};
 use radome_dsp::{Frame, FrameSource, Occupancy, Truth, Waveform};
 use radome_files::read_text;
 
@@ -17,16 +18,13 @@ use crate::output::on_one_line;
 /// Length limit of files of labels, bytes: more than a label for each frame of a day.
 const LIMIT_BYTES: u64 = 64 << 20;
 
-#[derive(Clone, Copy)]
-enum Format {
-    Audacity,
-    Deepcraft,
-}
+/// Reader and writer of a kind of file.
+type Format = (fn(&str) -> Result<Vec<LabelSpan>, LabelTextError>, fn(&[LabelSpan]) -> String);
 
 fn format(path: &Path) -> anyhow::Result<Format> {
     match path.extension().and_then(|e| e.to_str()) {
-        Some("txt") => Ok(Format::Audacity),
-        Some("label") => Ok(Format::Deepcraft),
+        Some("txt") => Ok((label_text::from_audacity, label_text::to_audacity)),
+        Some("label") => Ok((label_text::from_deepcraft, label_text::to_deepcraft)),
         _ => bail!(
             "{}: which kind of labels?\n\nhint: end its name in .txt for an Audacity label track, in .label for DEEPCRAFT",
             path.display()
@@ -39,13 +37,9 @@ fn format(path: &Path) -> anyhow::Result<Format> {
 /// # Errors
 /// The name has an unknown ending, or the file cannot be read or understood.
 pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
-    let format = format(path)?;
+    let (parse, _) = format(path)?;
     let text = read_text(path, LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
-    let read = match format {
-        Format::Audacity => label_text::from_audacity(&text),
-        Format::Deepcraft => label_text::from_deepcraft(&text),
-    };
-    read.with_context(|| format!("{} cannot be understood", path.display()))
+    parse(&text).with_context(|| format!("{} cannot be understood", path.display()))
 }
 
 /// Writes a file of labels atomically.
@@ -53,15 +47,9 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
 /// # Errors
 /// The name has an unknown ending, the file exists and is not to be replaced, or it cannot be written.
 pub fn write(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Result<()> {
-    let text = text(path, spans)?;
+    let (_, print) = format(path)?;
+    let text = print(spans);
     files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))
-}
-
-fn text(path: &Path, spans: &[LabelSpan]) -> anyhow::Result<String> {
-    Ok(match format(path)? {
-        Format::Audacity => label_text::to_audacity(spans),
-        Format::Deepcraft => label_text::to_deepcraft(spans),
-    })
 }
 
 /// Replaces the labels in the file beside a recording that cannot hold any by the result of `change`. No other process
@@ -75,7 +63,8 @@ pub fn rewrite_beside(
     change: impl FnOnce(Vec<LabelSpan>) -> anyhow::Result<Vec<LabelSpan>>,
 ) -> anyhow::Result<()> {
     let partial = Partial::labels(file)?;
-    let text = text(file, &change(of(recording)?)?)?;
+    let (_, print) = format(file)?;
+    let text = print(&change(of(recording)?)?);
     files::fill(&partial, |out| out.write_all(text.as_bytes()).context("cannot write the labels"))?;
     Ok(partial.finish()?)
 }
