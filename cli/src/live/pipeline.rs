@@ -451,22 +451,7 @@ mod tests {
 
     mod hard_cases {
         use super::*;
-        use crate::panics::tests::{failing_after, panicking_after};
-
-        #[test]
-        fn a_source_that_fails_is_heard_by_every_consumer() {
-            let mut pipeline = Pipeline::default();
-            let first = pipeline.consumer("first", 1, Policy::Wait);
-            let second = pipeline.consumer("second", 1, Policy::DropOldest);
-            let _reader = pipeline.start(failing_after(0, |_| "chunk 3 is damaged".into()), None);
-            let end = |inlet: &Inlet| match inlet.receiver.recv_timeout(Duration::from_secs(5)).expect("no stall").item
-            {
-                Item::End(end) => end.map_err(|e| e.to_string()),
-                _ => panic!("an item before the end"),
-            };
-            assert_eq!(end(&first), Err("chunk 3 is damaged".to_owned()));
-            assert_eq!(end(&second), Err("chunk 3 is damaged".to_owned()));
-        }
+        use crate::panics::tests::panicking_after;
 
         #[test]
         fn a_source_that_panics_is_an_error_with_its_place_for_every_consumer() {
