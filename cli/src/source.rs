@@ -135,18 +135,6 @@ pub struct SourceOptions {
     pub give_up_after: Option<Duration>,
 }
 
-impl SourceOptions {
-    /// Returns the waveform to program a board with.
-    fn to_program(&self) -> Option<&Waveform> {
-        self.waveform.as_ref().or(self.model_waveform.as_ref())
-    }
-
-    fn reconnect(&self) -> Reconnect {
-        let default = Reconnect::default();
-        Reconnect { give_up_after: self.give_up_after.unwrap_or(default.give_up_after), ..default }
-    }
-}
-
 /// Recording that a user plays, pauses and seeks.
 #[derive(Clone)]
 pub struct Playback {
@@ -334,14 +322,17 @@ fn board_at(address: &Address, options: &SourceOptions) -> anyhow::Result<Source
 
 /// Starts a board with the waveform of the options, or else with its own.
 fn board(detected: Detected, at: impl Display, options: &SourceOptions) -> anyhow::Result<Source> {
-    let waveform = options.to_program().cloned().or_else(|| detected.waveform()).context(match &detected {
+    let wanted = options.waveform.as_ref().or(options.model_waveform.as_ref());
+    let waveform = wanted.cloned().or_else(|| detected.waveform()).context(match &detected {
         Detected::Deepcraft(_) => {
             "the board is set to no waveform that this program understands\n\nhint: name one with --waveform FILE.toml"
         }
         _ => "the board has not been told a waveform\n\nhint: name one with --waveform paper or --waveform FILE.toml",
     })?;
     // Boards may disconnect by accident; frames lost meanwhile are a gap.
-    let StartedBoard { frames, identity, registers, outage } = detected.start(&waveform, options.reconnect())?;
+    let default = Reconnect::default();
+    let reconnect = Reconnect { give_up_after: options.give_up_after.unwrap_or(default.give_up_after), ..default };
+    let StartedBoard { frames, identity, registers, outage } = detected.start(&waveform, reconnect)?;
     let description = format!("{} on {at}", identity.as_ref().map_or("ESP32", |board| board.name.as_str()));
     Ok(Source { is_live: true, board: identity, registers, outage, ..Source::without_board(frames, description) })
 }

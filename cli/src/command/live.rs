@@ -4,7 +4,6 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use radome_driver::{RecorderOptions, RecordingHeader};
-use radome_dsp::Waveform;
 
 use crate::exit::Ended;
 use crate::judge::{BUILT_IN, Delays, Model};
@@ -145,31 +144,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
 impl Arguments {
     /// Builds the options of the source. A board is programmed with a waveform that the model accepts.
     fn source_options(&self, model: &Model) -> anyhow::Result<SourceOptions> {
-        self.source.check()?;
-        Ok(SourceOptions {
-            waveform: self.named_waveform(model)?,
-            model_waveform: model.waveform().cloned(),
-            seed: self.source.seed.unwrap_or(UNSEEN_SEED),
-            people: self.source.people,
-            frames: self.source.frames,
-            speed: self.source.speed,
-            as_playback: self.view.is_wanted(),
-            give_up_after: self.source.give_up_after_s,
-        })
-    }
-
-    /// Returns the named waveform, if there is one and the model accepts it.
-    fn named_waveform(&self, model: &Model) -> anyhow::Result<Option<Waveform>> {
-        let Some(named) = &self.source.waveform else { return Ok(None) };
-        let waveform = source::waveform(named)?;
-        model.check_waveform(&waveform).with_context(|| {
-            format!(
-                "--waveform {named} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; \
-                 --model cfar takes nearly any",
-                self.model.display()
-            )
-        })?;
-        Ok(Some(waveform))
+        let options = self.source.options()?;
+        if let (Some(named), Some(waveform)) = (&self.source.waveform, &options.waveform) {
+            model.check_waveform(waveform).with_context(|| {
+                format!(
+                    "--waveform {named} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; \
+                     --model cfar takes nearly any",
+                    self.model.display()
+                )
+            })?;
+        }
+        let seed = self.source.seed.unwrap_or(UNSEEN_SEED);
+        let (model_waveform, as_playback) = (model.waveform().cloned(), self.view.is_wanted());
+        Ok(SourceOptions { model_waveform, seed, as_playback, ..options })
     }
 
     /// Starts to record frames and answers. Frames of a board must not be lost meanwhile.

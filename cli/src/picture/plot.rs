@@ -25,12 +25,12 @@ const TICK: f64 = 5.0;
 /// Distance between lines of a legend, pixels.
 const LEGEND_STEP: f64 = 20.0;
 
-/// Writes one channel of a map as a picture. Range is to the right in metres, velocity upwards in m/s (receding above),
+/// Writes the first channel of a map as a picture. Range is to the right in metres, velocity upwards in m/s (receding above),
 /// colour in dB from 10 dB below the median to the peak.
 ///
 /// # Errors
 /// The file cannot be written.
-pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
+pub fn map(path: &Path, map: &Rdm) -> anyhow::Result<()> {
     let (doppler, range) = (map.shape.doppler, map.shape.range);
     let (cell_x, cell_y) = ((768 / range).max(1) as f64, (512 / doppler).max(1) as f64);
     let (width, height) = (range as f64 * cell_x, doppler as f64 * cell_y);
@@ -41,7 +41,7 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
     for d in 0..doppler {
         let y = MARGIN_TOP + (doppler - 1 - d) as f64 * cell_y;
         for r in 0..range {
-            let value = map.at(rx, d, r);
+            let value = map.at(0, d, r);
             let ink = if value.is_finite() { viridis((value - low) / (high - low)) } else { NOT_A_NUMBER };
             plot.canvas.rectangle([MARGIN_LEFT + r as f64 * cell_x, y], [cell_x, cell_y], ink);
         }
@@ -73,18 +73,18 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
     plot.canvas.save(path)
 }
 
-/// Encodes one channel of a map as a PNG without axes, with one pixel per cell. Range is to the right, velocity upwards
+/// Encodes the first channel of a map as a PNG without axes, with one pixel per cell. Range is to the right, velocity upwards
 /// (receding above), colour between two levels, dB.
 ///
 /// # Errors
 /// The picture cannot be encoded.
-pub fn cells(map: &Rdm, rx: usize, (low, high): (f32, f32)) -> anyhow::Result<Vec<u8>> {
+pub fn cells(map: &Rdm, (low, high): (f32, f32)) -> anyhow::Result<Vec<u8>> {
     let (doppler, range) = (map.shape.doppler, map.shape.range);
     let steps = VIRIDIS.len() as f32 - 1.0;
     let mut rgb = Vec::with_capacity(3 * doppler * range);
     for row in (0..doppler).rev() {
         for column in 0..range {
-            let place = (map.at(rx, row, column) - low) / (high - low);
+            let place = (map.at(0, row, column) - low) / (high - low);
             let colour = VIRIDIS[(place.clamp(0.0, 1.0) * steps + 0.5) as usize];
             rgb.extend_from_slice(if place.is_finite() { &colour } else { &NOT_A_NUMBER.rgb });
         }

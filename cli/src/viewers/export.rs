@@ -150,7 +150,7 @@ impl<W: Write + Seek> Export<W> {
         let status = self.processor.process(frame, &mut self.map)?;
         if status == MapStatus::Ready {
             let levels = *self.levels.get_or_insert_with(|| plot::levels(&self.map));
-            let data = plot::cells(&self.map, 0, levels)?;
+            let data = plot::cells(&self.map, levels)?;
             let (timestamp, format, frame_id) = (timestamp(time_ns), "png".to_owned(), FRAME_ID.to_owned());
             self.write(self.topics.map, time_ns, &CompressedImage { timestamp, data, format, frame_id })?;
         }
