@@ -122,28 +122,14 @@ impl Book {
             return;
         }
         if span.occupancy().is_some() {
-            for other in std::mem::take(&mut self.spans) {
-                let is_apart = other.label.end_s <= start_s || other.label.start_s >= end_s;
-                if Some(other.id) == id {
-                    continue;
-                }
-                if other.label.occupancy().is_none() || is_apart {
-                    self.spans.push(other);
-                    continue;
-                }
-                if start_s - other.label.start_s >= SHORTEST_S {
-                    let mut before = other.clone();
-                    before.label.end_s = start_s;
-                    self.spans.push(before);
-                }
-                if other.label.end_s - end_s >= SHORTEST_S {
-                    let mut after = other;
-                    after.label.start_s = end_s;
+            for other in std::mem::take(&mut self.spans).into_iter().filter(|other| Some(other.id) != id) {
+                let is_class = |label: &LabelSpan| label.occupancy().is_some();
+                let rests = labels::cut_out(vec![other.label.clone()], (start_s, end_s), is_class).into_iter();
+                let rests = rests.filter(|rest| *rest == other.label || rest.end_s - rest.start_s >= SHORTEST_S);
+                for (index, label) in rests.enumerate() {
                     // The remainders on both sides become two labels.
-                    if self.spans.last().is_some_and(|last| last.id == after.id) {
-                        after.id = self.new_id();
-                    }
-                    self.spans.push(after);
+                    let id = if index == 0 { other.id } else { self.new_id() };
+                    self.spans.push(Span { id, label });
                 }
             }
         }
