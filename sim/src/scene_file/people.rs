@@ -91,7 +91,7 @@ pub struct ActorFile {
 
 /// One line of a script: `{ walk_to_m = [x, y], speed_m_per_s = 1.2 }`, `{ stand_s = 3 }`, `{ sit_s = 20, seat = 0 }`,
 /// `{ squat_s = 4, depth_m = 0.4 }`, `{ lie_s = 30, bed = 0 }`, `{ face_deg = 90 }`, `{ enter_door = 0 }` or `{ leave_door = 0 }`.
-#[derive(Debug, Clone, Default, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StepFile {
     /// Walk there (the first step: be there), m.

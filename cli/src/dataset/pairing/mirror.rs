@@ -86,31 +86,26 @@ impl Stage {
     }
 
     /// Formats a scene file with these people: the start time and the steps of each.
-    pub fn with_scripts(table: &Table, name: &str, height_m: f64, scripts: &[(f64, Vec<StepFile>)]) -> String {
+    ///
+    /// # Errors
+    /// A step has no form in TOML.
+    pub fn with_scripts(
+        table: &Table,
+        name: &str,
+        height_m: f64,
+        scripts: &[(f64, Vec<StepFile>)],
+    ) -> anyhow::Result<String> {
         let mut table = table.clone();
         table.insert("name".into(), Value::String(name.to_owned()));
         let actors = scripts.iter().map(|(start_s, steps)| {
             let mut actor = Table::new();
             actor.insert("start_s".into(), Value::Float(*start_s));
             actor.insert("height_m".into(), Value::Float(height_m));
-            actor.insert("step".into(), Value::Array(steps.iter().map(step).collect()));
-            Value::Table(actor)
+            actor.insert("step".into(), Value::try_from(steps).context("the steps as TOML")?);
+            anyhow::Ok(Value::Table(actor))
         });
-        with_people(&table, actors.collect()).to_string()
+        Ok(with_people(&table, actors.collect::<anyhow::Result<_>>()?).to_string())
     }
-}
-
-fn step(step: &StepFile) -> Value {
-    let mut table = Table::new();
-    if let Some([x, y]) = step.walk_to_m {
-        table.insert("walk_to_m".into(), Value::Array(vec![Value::Float(x), Value::Float(y)]));
-    }
-    for (key, value) in [("speed_m_per_s", step.speed_m_per_s), ("stand_s", step.stand_s), ("sit_s", step.sit_s)] {
-        if let Some(value) = value {
-            table.insert(key.into(), Value::Float(value));
-        }
-    }
-    Value::Table(table)
 }
 
 /// Returns a table with these actors, or without people.

@@ -319,7 +319,7 @@ impl<'a> Pairing<'a> {
         Ok(format!(
             "# The scene that mirrors a recording, from its first frame on. Made by:\n#     {command}\n# Schema: \
              sim/src/scene_file/mod.rs.\n{}",
-            Stage::with_scripts(table, &format!("{}-mirror", self.name), self.settings.height_m, &scripts)
+            Stage::with_scripts(table, &format!("{}-mirror", self.name), self.settings.height_m, &scripts)?
         ))
     }
 
