@@ -21,8 +21,8 @@ use radome_driver::chip::RegisterList;
 use radome_driver::recording::mcap::RecordingHeader;
 use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
-    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Outage, Pace,
-    Player, RealTime, Reconnect, StartedBoard, Transport, candidates,
+    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Judge, Outage,
+    Pace, Player, RealTime, Reconnect, StartedBoard, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
@@ -35,7 +35,7 @@ use crate::panics::Guarded;
 pub const DEFAULT_SEED: u64 = 1;
 
 /// Source of frames and its options, as every command that reads frames takes them.
-#[derive(Debug, Clone, clap::Args)]
+#[derive(Debug, Clone, Default, clap::Args)]
 pub struct SourceArgs {
     /// Recording, SCENE.toml, serial:PORT, usb:, deepcraft:PORT, auto, or emulated:SOURCE
     #[arg(value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
@@ -178,6 +178,12 @@ impl Source {
         let RecordingHeader { board, registers, .. } = header;
         let source = Source::without_board(frames, format!("recording {}", path.display()));
         Source { board, registers, is_recording: true, ..source }
+    }
+
+    /// Header of a recording of these frames, and of the answers of a model to them.
+    pub fn header(&self, judge: Option<Judge>) -> RecordingHeader {
+        let (waveform, board) = (self.frames.waveform().clone(), self.board.clone());
+        RecordingHeader { waveform, board, registers: self.registers.clone(), judge }
     }
 }
 

@@ -42,12 +42,10 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
     live::run(&live::Arguments {
         source: SourceArgs {
             source: format!("emulated:{}", scene.display()),
-            waveform: None,
             frames: Some(arguments.frames),
             speed: (arguments.speed > 0.0).then_some(arguments.speed),
             seed: Some(arguments.seed),
-            people: None,
-            give_up_after_s: None,
+            ..SourceArgs::default()
         },
         model,
         output: None,

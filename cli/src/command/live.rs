@@ -107,12 +107,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
     let recording = output.as_ref().map(NewRecording::path);
     let page = view::Page::open(&arguments.view, &source, &arguments.model, recording, arguments.integrations.name())?;
-    let header = RecordingHeader {
-        waveform,
-        board: source.board.clone(),
-        registers: source.registers.clone(),
-        judge: Some(named),
-    };
+    let header = source.header(Some(named));
     // A recording must not speak as the board that made it: the broker would drop that board's own connection.
     let board = source.board.as_ref().filter(|_| !source.is_recording);
     let mut integrations =

@@ -5,7 +5,7 @@ use anyhow::{Context, bail};
 use crossbeam::channel::RecvTimeoutError;
 use radome_driver::Outage;
 use radome_driver::recording::Recording;
-use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader, SyncOptions};
+use radome_driver::recording::mcap::{Recorder, RecorderOptions, SyncOptions};
 use radome_dsp::Gap;
 use serde_json::json;
 
@@ -59,12 +59,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     message!("{}", source.description);
     labels::tell_left_behind(arguments.source.input());
     tell_answers_left_behind(arguments.source.input());
-    let header = RecordingHeader {
-        waveform: source.frames.waveform().clone(),
-        board: source.board.clone(),
-        registers: source.registers.clone(),
-        judge: None,
-    };
+    let header = source.header(None);
     let sync = (!arguments.no_sync).then(SyncOptions::default);
     let recorder_options = RecorderOptions { existing: arguments.overwrite.existing(), sync };
     let file = output.path().display().to_string();
@@ -235,7 +230,7 @@ impl Writer {
 
 #[cfg(test)]
 mod tests {
-    use radome_driver::{BoardError, McapReader};
+    use radome_driver::{BoardError, McapReader, RecordingHeader};
     use radome_dsp::FrameSource;
 
     use super::*;

@@ -171,8 +171,7 @@ pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>
     };
     let waveform = opened.frames.waveform().clone();
     let mut checks = vec![Check::ok("source", format!("{}, {}", opened.description, waveform.shape()))];
-    let header =
-        RecordingHeader { waveform: waveform.clone(), board: opened.board, registers: opened.registers, judge: None };
+    let header = opened.header(None);
     let mut examined = Examined { description: opened.description, header, frames: Vec::new() };
     let mut judge = match model.map(|model| model.judge(&waveform)) {
         Some(Ok(judge)) => {
