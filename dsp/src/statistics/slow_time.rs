@@ -4,6 +4,7 @@
 //! A person who breathes shows as a line: a range bin with more motion than the bins around it.
 
 use num_complex::Complex64;
+use serde::Serialize;
 
 use crate::detect::LEAKAGE_BINS;
 use crate::spectrum::{RangeFft, peak_offset};
@@ -62,15 +63,16 @@ pub struct StaticChanges {
 }
 
 /// Line of a person in the moving power.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct MotionLine {
-    /// Range, m, interpolated between bins.
-    pub range_m: f64,
     /// Moving power in the strongest bin, mean of windows and receivers, dBFS: 0 dB is the power of a full-scale sine.
     pub level_dbfs: f64,
+    /// Range, m, interpolated between bins.
+    pub range_m: f64,
     /// Rate of the strongest oscillation of the phase, median of the windows, Hz; `None` if windows are too short for one.
     pub breath_hz: Option<f64>,
     /// Range bin.
+    #[serde(skip)]
     pub bin: usize,
     /// Number of windows.
     pub windows: usize,

@@ -6,19 +6,9 @@ use serde::Serialize;
 /// Strongest slow-time line, real and simulated.
 #[derive(Serialize)]
 pub struct Lines {
-    pub real: Option<One>,
+    pub real: Option<MotionLine>,
     pub before: Option<Many>,
     pub after: Option<Many>,
-}
-
-/// Line of a recording.
-#[derive(Clone, Copy, Serialize)]
-pub struct One {
-    pub level_dbfs: f64,
-    pub range_m: f64,
-    pub breath_hz: Option<f64>,
-    /// Number of windows of ten seconds.
-    pub windows: usize,
 }
 
 /// Lines of the copies, each of which draws another person.
@@ -41,19 +31,12 @@ pub struct Many {
 
 impl Lines {
     pub fn new(real: Option<MotionLine>, before: &[Option<MotionLine>], after: &[Option<MotionLine>]) -> Self {
-        let one = |line: MotionLine| One {
-            level_dbfs: line.level_dbfs,
-            range_m: line.range_m,
-            breath_hz: line.breath_hz,
-            windows: line.windows,
-        };
-        let real = real.map(one);
         Lines { real, before: Many::of(before, real), after: Many::of(after, real) }
     }
 }
 
 impl Many {
-    fn of(lines: &[Option<MotionLine>], real: Option<One>) -> Option<Self> {
+    fn of(lines: &[Option<MotionLine>], real: Option<MotionLine>) -> Option<Self> {
         let sorted = |of: &dyn Fn(&MotionLine) -> Option<f64>| {
             let mut values: Vec<f64> = lines.iter().flatten().filter_map(of).collect();
             values.sort_unstable_by(f64::total_cmp);
