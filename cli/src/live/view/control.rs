@@ -22,49 +22,33 @@ pub enum Command {
     Seen,
     /// Selects the content of this page.
     Look(Look),
+    /// Continues the playback.
     Play,
+    /// Pauses the playback.
     Pause,
     /// Sets the speed as a multiple of real time; 0 is as fast as possible.
-    Speed {
-        times: f64,
-    },
+    Speed { times: f64 },
     /// Seeks the first frame at or after a time.
-    Seek {
-        time_s: f64,
-    },
-    SeekFrame {
-        sequence: u64,
-    },
+    Seek { time_s: f64 },
+    /// Seeks a frame by its number.
+    SeekFrame { sequence: u64 },
     /// Steps forwards, or backwards if negative.
-    Step {
-        frames: i64,
-    },
+    Step { frames: i64 },
     /// Starts a label at the newest frame.
-    Label {
-        occupancy: Occupancy,
-        who: Option<String>,
-    },
+    Label { occupancy: Occupancy, who: Option<String> },
     /// Ends the label at the newest frame.
     Stop,
-    Move {
-        id: u64,
-        start_s: f64,
-        end_s: f64,
-    },
-    Relabel {
-        id: u64,
-        occupancy: Occupancy,
-    },
-    Add {
-        start_s: f64,
-        end_s: f64,
-        occupancy: Occupancy,
-        who: Option<String>,
-    },
-    Delete {
-        id: u64,
-    },
+    /// Changes the start and end of a label.
+    Move { id: u64, start_s: f64, end_s: f64 },
+    /// Changes the class of a label.
+    Relabel { id: u64, occupancy: Occupancy },
+    /// Creates a label.
+    Add { start_s: f64, end_s: f64, occupancy: Occupancy, who: Option<String> },
+    /// Deletes a label.
+    Delete { id: u64 },
+    /// Undoes the last change of a label.
     Undo,
+    /// Redoes the change that was undone.
     Redo,
 }
 
