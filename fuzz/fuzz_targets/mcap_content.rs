@@ -8,17 +8,10 @@ use std::io::Cursor;
 use libfuzzer_sys::fuzz_target;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, WriteOptions};
-use radome_fuzz::{SEPARATOR, check_mcap, folder, waveform};
+use radome_fuzz::{check_mcap, folder, parts, waveform};
 
 fn build(input: &[u8]) -> Option<Vec<u8>> {
-    let mut parts = Vec::new();
-    let mut rest = input;
-    while let Some(at) = rest.windows(SEPARATOR.len()).position(|w| w == SEPARATOR) {
-        parts.push(&rest[..at]);
-        rest = &rest[at + SEPARATOR.len()..];
-    }
-    parts.push(rest);
-    let mut parts = parts.into_iter();
+    let mut parts = parts(input, usize::MAX).into_iter();
     let good = serde_json::to_string(&waveform()).ok()?;
     let mut text = |good: &str| {
         let part = parts.next().unwrap_or(&[]);

@@ -14,7 +14,7 @@ mod recordings;
 mod scenes;
 
 pub use learning::{check_card, check_dataset, check_model, check_onnx, check_specs, with_card};
-pub use recordings::{Event, check_mcap, read, round_trip, waveform, write};
+pub use recordings::{INFINEON_FILES, check_mcap, check_vendors, waveform};
 pub use scenes::{SCENE_FILES, check_bvh, check_collada, check_gltf, check_obj, check_scene, check_stl};
 
 struct Counting;
@@ -87,20 +87,23 @@ pub fn pieces(bytes: &[u8], longest: usize) -> impl Iterator<Item = &[u8]> {
 /// Separator between the files of one input.
 pub const SEPARATOR: &[u8] = b"\n====\n";
 
+/// The first files of an input, as many as `most`; the last one has the rest.
+pub fn parts(input: &[u8], most: usize) -> Vec<&[u8]> {
+    let (mut parts, mut rest) = (Vec::new(), input);
+    while parts.len() + 1 < most
+        && let Some(at) = rest.windows(SEPARATOR.len()).position(|w| w == SEPARATOR)
+    {
+        parts.push(&rest[..at]);
+        rest = &rest[at + SEPARATOR.len()..];
+    }
+    parts.push(rest);
+    parts
+}
+
 /// Files of an input; absent ones are empty.
 pub fn sections<const N: usize>(input: &[u8]) -> [&[u8]; N] {
-    let mut rest = Some(input);
-    std::array::from_fn(|index| {
-        let bytes = rest.take().unwrap_or(&[]);
-        let at = bytes.windows(SEPARATOR.len()).position(|w| w == SEPARATOR).filter(|_| index + 1 < N);
-        match at {
-            Some(at) => {
-                rest = Some(&bytes[at + SEPARATOR.len()..]);
-                &bytes[..at]
-            }
-            None => bytes,
-        }
-    })
+    let mut parts = parts(input, N).into_iter();
+    std::array::from_fn(|_| parts.next().unwrap_or_default())
 }
 
 /// Empty folder, in memory where the system supports it, otherwise among the temporary files.

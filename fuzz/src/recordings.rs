@@ -9,6 +9,16 @@ use radome_dsp::{Frame, FrameShape, FrameSource, Gap, SourceEvent, Waveform, Wav
 
 use crate::within;
 
+/// Files of a recording folder of the vendor, in the order of an input's sections.
+pub const INFINEON_FILES: [&str; 6] = [
+    "config.json",
+    "radar.npy",
+    "radar_timestamp.csv",
+    "temperature.npy",
+    "temperature_timestamp.csv",
+    "format.version",
+];
+
 /// Waveform of the small recordings.
 pub fn waveform() -> Waveform {
     let request = WaveformRequest {
@@ -22,14 +32,14 @@ pub fn waveform() -> Waveform {
 
 /// Event of a recording: a frame or a gap.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Event {
+enum Event {
     Frame(Frame),
     Gap(Gap),
 }
 
 /// Reads all remaining events, and whether the end was reached. Returns `None` if a frame would be too large for a
 /// fuzzer.
-pub fn read(source: &mut dyn FrameSource) -> Option<(Vec<Event>, bool)> {
+fn read(source: &mut dyn FrameSource) -> Option<(Vec<Event>, bool)> {
     if source.waveform().shape().codes() > 1 << 16 {
         return None;
     }
@@ -58,7 +68,7 @@ pub fn read(source: &mut dyn FrameSource) -> Option<(Vec<Event>, bool)> {
 }
 
 /// Writes frames and gaps in a format, and labels if the format holds them.
-pub fn write(path: &Path, format: Format, header: &RecordingHeader, events: &[Event], labels: &[LabelSpan]) -> bool {
+fn write(path: &Path, format: Format, header: &RecordingHeader, events: &[Event], labels: &[LabelSpan]) -> bool {
     let mut writer = RecordingWriter::create(path, format, header).expect("creates");
     for event in events {
         match event {
@@ -74,7 +84,7 @@ pub fn write(path: &Path, format: Format, header: &RecordingHeader, events: &[Ev
 
 /// Asserts that the native format preserves a recording that was read completely. Asserts the same of another format,
 /// if that reports no loss.
-pub fn round_trip(folder: &Path, header: &RecordingHeader, events: &[Event], labels: &[LabelSpan], other: Format) {
+fn round_trip(folder: &Path, header: &RecordingHeader, events: &[Event], labels: &[LabelSpan], other: Format) {
     let path = folder.join("again.mcap");
     write(&path, Format::Mcap, header, events, labels);
     let mut reader = McapReader::open(&path).expect("what was written opens");
@@ -86,6 +96,31 @@ pub fn round_trip(folder: &Path, header: &RecordingHeader, events: &[Event], lab
         let mut reader = Recording::open(&path).expect("what was written opens");
         assert_eq!(reader.waveform(), &header.waveform);
         assert_eq!(read(&mut reader), Some((events.to_vec(), true)));
+    }
+}
+
+/// Asserts that a recording in a format of the vendor is read after a seek as from the start, and that one that was read
+/// completely survives a round trip in `folder`.
+pub fn check_vendors(folder: &Path, path: &Path, format: Format, input: &[u8]) {
+    let found = within((2 << 20) + 64 * input.len(), || {
+        let mut source = Recording::open(path).ok()?;
+        let header = source.header();
+        let events = read(&mut source)?;
+        for time_s in [f64::NAN, -1.0, 0.05, 1e300] {
+            let _ = source.seek_time_s(time_s);
+        }
+        source.seek_frame(u64::MAX).expect("seeks");
+        source.seek_frame(1).expect("seeks");
+        let rest = read(&mut source)?;
+        // Damage before the target of the seek does not matter.
+        if events.1 {
+            assert_eq!(rest.0, events.0[events.0.len().min(1)..]);
+        }
+        Some((header, events, source.frame_count()))
+    });
+    if let Some((header, (events, true), count)) = found {
+        assert_eq!(count, Some(events.len() as u64));
+        round_trip(folder, &header, &events, &[], format);
     }
 }
 

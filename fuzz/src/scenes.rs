@@ -1,11 +1,11 @@
 //! Checks of scene files and of every kind of file that a scene refers to.
 
 use radome_sim::Scene;
+use radome_sim::geometry::import::{LengthUnit, Part, UpAxis, import, parse_obj, parse_stl};
+use radome_sim::geometry::{lint, weld};
 use radome_sim::people::bvh::parse_bvh;
 use radome_sim::people::clip::BodyClip;
 use radome_sim::people::imported::{Actor, ActorOptions};
-use radome_sim::geometry::import::{LengthUnit, Part, UpAxis, import, parse_obj, parse_stl};
-use radome_sim::geometry::{lint, weld};
 
 use crate::{files, within};
 

@@ -12,7 +12,7 @@ use radome_driver::recording::label_text::{to_audacity, to_deepcraft};
 use radome_driver::recording::{Format, RecordingWriter};
 use radome_driver::{LabelSpan, RecordingHeader};
 use radome_dsp::{Frame, Gap, GapReason, MapFlags, Occupancy, Rdm, RdmSpec, Truth};
-use radome_fuzz::{SEPARATOR, folder, waveform, with_card};
+use radome_fuzz::{INFINEON_FILES, SEPARATOR, folder, waveform, with_card};
 use radome_models::dataset::{DatasetHeader, DatasetWriter, Domain, ManifestRow};
 use radome_models::layer::KernelLevel;
 use radome_models::network::Network;
@@ -198,15 +198,7 @@ fn mcap_content() -> Seeds {
 fn infineon() -> Seeds {
     let folder = recording(Format::Infineon);
     let radar = folder.path().join("a/RadarIfxAvian_00");
-    let names = [
-        "config.json",
-        "radar.npy",
-        "radar_timestamp.csv",
-        "temperature.npy",
-        "temperature_timestamp.csv",
-        "format.version",
-    ];
-    let parts: Seeds = names.iter().map(|name| bytes(&radar.join(name))).collect();
+    let parts: Seeds = INFINEON_FILES.iter().map(|name| bytes(&radar.join(name))).collect();
     let old = r#"{"device_config": {"fmcw_single_shape": {
         "chirp_repetition_time_s": 591.125e-6, "frame_repetition_time_s": 0.1, "if_gain_dB": 23,
         "lower_frequency_Hz": 60.5e9, "upper_frequency_Hz": 61.5e9, "num_chirps_per_frame": 1,
@@ -368,9 +360,9 @@ fn specs() -> Seeds {
         [head]\nkind = \"circuit\"\n[head.circuit]\nqubits = 3\ndepth = 2\n[split]\nby = \"seed\"\n[augmentation]\n\
         noise_db = 1.0\n[latent.running]\nmomentum = 0.1\n[smoothing]\ndwell_s = 20\nunseen_share = 0.3\ntemperature = 1.5\n";
     let mut seeds = vec![training.as_bytes().to_vec()];
-    for name in [
-        "quick", "paper", "circuits", "controls", "leak", "networks", "orientation", "reliability", "strangers",
-    ] {
+    for name in
+        ["quick", "paper", "circuits", "controls", "leak", "networks", "orientation", "reliability", "strangers"]
+    {
         seeds.push(fixture(&format!("studies/{name}.toml")).into_bytes());
     }
     for name in ["quick", "paper", "hall", "desk", "paper-mesh"] {
