@@ -230,6 +230,18 @@ pub fn success(command: &mut Command) -> (String, String) {
     (told, said)
 }
 
+/// Runs commands at once, all of which must succeed.
+///
+/// # Panics
+/// If one of them fails.
+pub fn success_at_once(commands: impl IntoIterator<Item = Command>) {
+    std::thread::scope(|scope| {
+        for mut command in commands {
+            scope.spawn(move || success(&mut command));
+        }
+    });
+}
+
 /// Runs a command that must fail with exit status 1; returns its stderr.
 ///
 /// # Panics

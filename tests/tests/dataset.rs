@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
@@ -74,15 +74,13 @@ fn names(folder: &Path) -> Vec<String> {
 
 /// Starts a build and kills it by SIGKILL when it has made some units, but not all.
 fn kill_midway(command: &mut Command, parts: &Path, after: usize) {
-    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+    let mut build = Running::start(command);
     let until = Instant::now() + Duration::from_secs(300);
     let done = || names(parts).iter().filter(|n| n.starts_with("unit-") && !n.ends_with(".partial")).count();
-    while done() < after && child.try_wait().expect("a child").is_none() {
+    while done() < after && build.is_running() {
         assert!(Instant::now() < until, "no unit was ever made");
         std::thread::sleep(Duration::from_millis(2));
     }
-    let _ = child.kill();
-    child.wait().expect("ended");
 }
 
 #[test]

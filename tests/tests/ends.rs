@@ -8,7 +8,9 @@ use std::process::{Command, Stdio};
 use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 use radome_tests::running::{Running, emulated_board, unplug, wait_for};
-use radome_tests::{failure, fixture, frames, json_lines, limited, outcome, radome, simulate, skip, subcommand};
+use radome_tests::{
+    fails_with, failure, fixture, frames, json_lines, limited, outcome, radome, simulate, skip, subcommand,
+};
 use serde_json::Value;
 
 /// Simulates a desk recording with this number of frames.
@@ -256,16 +258,7 @@ fn a_stdout_that_is_full_is_a_failure() {
     let Ok(full) = std::fs::File::options().write(true).open("/dev/full") else {
         return skip("/dev/full", "a device of Linux");
     };
-    let said = failure_with_stdout(subcommand("model list").arg("--json"), full.into());
-    assert!(said.contains("cannot write to stdout"), "{said}");
-}
-
-fn failure_with_stdout(command: &mut Command, stdout: Stdio) -> String {
-    let child = command.stdout(stdout).stderr(Stdio::piped()).spawn().expect("starts");
-    let output = child.wait_with_output().expect("ends");
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    said
+    fails_with(subcommand("model list --json").stdout(full), &["cannot write to stdout"]);
 }
 
 #[test]

@@ -4,33 +4,22 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use radome_tests::running::free_port;
+use radome_tests::running::{Running, free_port};
 use radome_tests::{fixture, installed, json_lines, skip, subcommand, success};
 
 use super::learning::maps;
 use super::study::{STUDY, TRAININGS, progress, report, wait};
 
-/// Child processes that are stopped at the end of the test.
-struct Daemons(Vec<Child>);
-
-impl Drop for Daemons {
-    fn drop(&mut self) {
-        for child in self.0.iter_mut().rev() {
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
-}
-
 fn text_of(command: &mut Command) -> String {
     success(command).0.trim().to_owned()
 }
 
-/// Starts munge, the controller and a node, all private to `folder`. Returns the path of the configuration.
-fn start(folder: &Path) -> (Daemons, PathBuf) {
+/// Starts a node, its controller and munge, in the order in which they are stopped and all private to `folder`. Also
+/// returns the path of the configuration.
+fn start(folder: &Path) -> ([Running; 3], PathBuf) {
     use std::os::unix::fs::PermissionsExt;
     let at = |name: &str| folder.join(name).display().to_string();
     fs::set_permissions(folder, fs::Permissions::from_mode(0o711)).expect("permissions");
@@ -64,9 +53,8 @@ fn start(folder: &Path) -> (Daemons, PathBuf) {
     );
     fs::write(&configuration, text).expect("writable");
     let spawn = |name: &str, arguments: &[&str]| {
-        let mut command = Command::new(installed(name).unwrap_or_else(|| panic!("{name} is absent")));
-        command.args(arguments).env("SLURM_CONF", &configuration).stdout(Stdio::null()).stderr(Stdio::null());
-        command.spawn().unwrap_or_else(|e| panic!("{name}: {e}"))
+        let program = installed(name).unwrap_or_else(|| panic!("{name} is absent"));
+        Running::start(Command::new(program).args(arguments).env("SLURM_CONF", &configuration))
     };
     let file = |option: &str, name: &str| format!("--{option}={}", at(name));
     let options = [
@@ -79,23 +67,23 @@ fn start(folder: &Path) -> (Daemons, PathBuf) {
     .map(|(option, name)| file(option, name));
     let mut arguments = vec!["--foreground", "--force"];
     arguments.extend(options.iter().map(String::as_str));
-    let mut daemons = Daemons(vec![spawn("munged", &arguments)]);
+    let munge = spawn("munged", &arguments);
     wait("munge", || folder.join("munge.socket").exists());
     let configuration_text = configuration.display().to_string();
-    daemons.0.push(spawn("slurmctld", &["-D", "-f", &configuration_text]));
-    daemons.0.push(spawn("slurmd", &["-D", "-f", &configuration_text]));
+    let controller = spawn("slurmctld", &["-D", "-f", &configuration_text]);
+    let node = spawn("slurmd", &["-D", "-f", &configuration_text]);
     wait("the node", || {
         let output =
             Command::new("sinfo").args(["-h", "-o", "%T"]).env("SLURM_CONF", &configuration).output().expect("sinfo");
         String::from_utf8_lossy(&output.stdout).trim() == "idle"
     });
-    (daemons, configuration)
+    ([node, controller, munge], configuration)
 }
 
 /// Slurm cluster of this machine alone, private to a folder.
 struct Cluster {
     /// Daemons, dropped before their folder is removed.
-    _daemons: Daemons,
+    _daemons: [Running; 3],
     folder: tempfile::TempDir,
     configuration: PathBuf,
     _alone: MutexGuard<'static, ()>,

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, SystemTime};
 
 use radome_models::Dataset;
 use radome_tests::running::{Running, wait_up_to};
-use radome_tests::{fails_with, failure, fixture_text, json_lines, radome, subcommand, success};
+use radome_tests::{fails_with, failure, fixture_text, json_lines, radome, subcommand, success, success_at_once};
 
 use super::learning::maps;
 
@@ -43,10 +43,10 @@ impl Place {
         command
     }
 
-    fn shard(&self, name: &str, shard: &str) -> Child {
+    fn shard(&self, name: &str, shard: &str) -> Command {
         let mut command = self.study(name);
-        command.args(["--shard", shard]).stdout(Stdio::null()).stderr(Stdio::null());
-        command.spawn().expect("starts")
+        command.args(["--shard", shard]);
+        command
     }
 
     fn report(&self, name: &str) -> (String, String) {
@@ -108,18 +108,14 @@ fn shards_with_one_killed_report_the_bytes_of_one_run() {
     let told = json_lines(&mut place.study("whole"));
     assert_eq!(told.len(), TRAININGS + 1);
 
-    let mut first = place.shard("shards", "0/4");
+    let first = Running::start(&mut place.shard("shards", "0/4"));
     // No other shard runs yet, so that the checkpoint belongs to this one.
     wait("a training to be at work", || progress(&place.at("shards"))[1] > 0);
-    first.kill().expect("is killed");
-    first.wait().expect("ends");
+    drop(first);
     let [done, begun] = progress(&place.at("shards"));
     assert!(done < TRAININGS, "{done} done, {begun} begun");
 
-    let shards: Vec<Child> = ["0/4", "1/4", "2/4", "3/4"].map(|shard| place.shard("shards", shard)).into();
-    for mut shard in shards {
-        assert!(shard.wait().expect("ends").success());
-    }
+    success_at_once(["0/4", "1/4", "2/4", "3/4"].map(|shard| place.shard("shards", shard)));
     assert_eq!(progress(&place.at("shards")), [TRAININGS, 0]);
     assert!(!place.at("shards/report.md").exists(), "shards leave the report to the last command");
     let merged = json_lines(place.study("shards").arg("--report-only"));
@@ -177,14 +173,11 @@ fn conditions_are_added_without_training_again() {
 
     // No work is left; shards give the same result.
     assert_eq!(json_lines(&mut judge("whole")).len(), 1);
-    for shard in ["0/2", "1/2"].map(|shard| {
+    success_at_once(["0/2", "1/2"].map(|shard| {
         let mut command = judge("shards");
-        command.args(["--shard", shard]).stdout(Stdio::null()).stderr(Stdio::piped());
-        command.spawn().expect("starts")
-    }) {
-        let ended = shard.wait_with_output().expect("ends");
-        assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
-    }
+        command.args(["--shard", shard]);
+        command
+    }));
     json_lines(judge("shards").arg("--report-only"));
     assert_eq!(place.report("shards"), place.report("whole"));
 }
@@ -335,16 +328,11 @@ mod hard_cases {
         let place = Place::new(&STUDY.replace("none.toml", "maps.toml").replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
         let few = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
         std::fs::write(place.at("maps.toml"), few).expect("writable");
-        let start = |shard: &str| {
+        success_at_once(["0/3", "1/3", "2/3"].map(|shard| {
             let mut command = subcommand("model study");
-            command.arg(place.at("study.toml")).arg("-o").arg(place.at("study"));
-            command.args(["--json", "--shard", shard]).stdout(Stdio::null()).stderr(Stdio::piped());
-            command.spawn().expect("starts")
-        };
-        for shard in ["0/3", "1/3", "2/3"].map(start) {
-            let output = shard.wait_with_output().expect("ends");
-            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        }
+            command.arg(place.at("study.toml")).arg("-o").arg(place.at("study")).args(["--json", "--shard", shard]);
+            command
+        }));
         assert_eq!(progress(&place.at("study")), [9, 0]);
     }
 

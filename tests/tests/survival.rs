@@ -2,14 +2,16 @@
 //! one writer at a time, and a kill leaves a readable file.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
 
 use radome_driver::recording::Recording;
 use radome_driver::{McapReader, Reconnect, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, RxMask, SourceEvent, Waveform, WaveformRequest};
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{convert, fails_with, failure, fixture, json_lines, labels_of, radome, root, subcommand, success};
+use radome_tests::{
+    convert, fails_with, failure, fixture, json_lines, labels_of, radome, root, subcommand, success, success_at_once,
+};
 
 /// Waveform of one receiver at ten frames a second: 64 KiB a frame.
 fn waveform() -> Waveform {
@@ -174,12 +176,9 @@ fn runs_that_begin_at_once_in_one_folder_record_to_a_file_each() {
     let runs = RECORDERS.repeat(3).into_iter().map(|arguments| {
         let mut command = radome();
         command.args(arguments).arg(&source).arg("-o").arg(&nights);
-        command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("starts")
+        command
     });
-    for run in runs.collect::<Vec<_>>() {
-        let output = run.wait_with_output().expect("ends");
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    }
+    success_at_once(runs);
     let made = files(&nights);
     assert!(made.len() == 6 && made.iter().all(|path| readable(path) == 6 && is_complete(path)), "{made:?}");
 }
@@ -225,21 +224,15 @@ fn labels_that_are_imported_at_once_are_all_there() {
     convert(&at("a.mcap"), &at("b.txt"));
     // Labels of a text recording are in a file beside it.
     for recording in ["a.mcap", "b.txt"] {
-        let imports: Vec<_> = (0..8)
-            .map(|k| {
-                let track = at(&format!("{k}-track.txt"));
-                std::fs::write(&track, format!("0.{k}\t0.{k}5\tone\n")).expect("writable");
-                let mut command = subcommand("recording labels");
-                command.arg(at(recording)).args(["--json", "--import"]).arg(track);
-                command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("starts")
-            })
-            .collect();
-        for import in imports {
-            let output = import.wait_with_output().expect("ends");
-            assert!(output.status.success(), "{recording}: {}", String::from_utf8_lossy(&output.stderr));
-        }
-        let starts = labels_of(&at(recording)).iter().map(|label| label["start_s"].as_f64()).collect::<Vec<_>>();
-        let mut starts: Vec<f64> = starts.into_iter().map(|start| start.expect("a start")).collect();
+        success_at_once((0..8).map(|k| {
+            let track = at(&format!("{k}-track.txt"));
+            std::fs::write(&track, format!("0.{k}\t0.{k}5\tone\n")).expect("writable");
+            let mut command = subcommand("recording labels");
+            command.arg(at(recording)).args(["--json", "--import"]).arg(track);
+            command
+        }));
+        let labels = labels_of(&at(recording));
+        let mut starts: Vec<f64> = labels.iter().map(|label| label["start_s"].as_f64().expect("a start")).collect();
         starts.sort_by(f64::total_cmp);
         assert_eq!(starts, [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7], "{recording}");
     }
