@@ -1,5 +1,6 @@
 //! Headless Chromium, driven over the DevTools protocol: <https://chromedevtools.github.io/devtools-protocol>.
 
+use std::borrow::BorrowMut;
 use std::io::{BufRead, BufReader};
 use std::net::TcpStream;
 use std::path::Path;
@@ -243,7 +244,7 @@ impl Served {
     ///
     /// # Panics
     /// If the program serves no page.
-    pub fn start(command: &mut Command) -> Served {
+    pub fn start(command: impl BorrowMut<Command>) -> Served {
         Served::start_at("127.0.0.1:0", command)
     }
 
@@ -251,8 +252,8 @@ impl Served {
     ///
     /// # Panics
     /// If the program serves no page.
-    pub fn start_at(listen: &str, command: &mut Command) -> Served {
-        let program = Running::start(command.args(["--view", "--listen", listen]));
+    pub fn start_at(listen: &str, mut command: impl BorrowMut<Command>) -> Served {
+        let program = Running::start(command.borrow_mut().args(["--view", "--listen", listen]));
         let link = |line: &str| line.strip_prefix("live page: http://").map(str::to_owned);
         let link = program.stderr.find(0, "the page's address", link);
         let (host, path) = link.split_once('/').unwrap_or((&link, ""));

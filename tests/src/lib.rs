@@ -3,6 +3,7 @@
 pub mod browser;
 pub mod running;
 
+use std::borrow::{Borrow, BorrowMut};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -11,6 +12,30 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, Gap, MAX_CODE, SourceEvent, Waveform};
 pub use radome_skip::{shared, skip};
 use serde_json::Value;
+
+/// Command of the built program. A literal stands for the words in it, any other argument is passed as it is, and `..list`
+/// stands for all arguments of a list: `command!("recording convert --json", from, to, ..options)`.
+#[macro_export]
+macro_rules! command {
+    (@add $command:ident) => {};
+    (@add $command:ident, ..$list:expr $(, $($rest:tt)+)?) => {
+        $command.args($list);
+        $crate::command!(@add $command $(, $($rest)+)?);
+    };
+    (@add $command:ident, $words:literal $(, $($rest:tt)+)?) => {
+        $command.args($words.split_whitespace());
+        $crate::command!(@add $command $(, $($rest)+)?);
+    };
+    (@add $command:ident, $argument:expr $(, $($rest:tt)+)?) => {
+        $command.arg($argument);
+        $crate::command!(@add $command $(, $($rest)+)?);
+    };
+    ($words:literal $(, $($rest:tt)+)?) => {{
+        let mut command = $crate::subcommand($words);
+        $crate::command!(@add command $(, $($rest)+)?);
+        command
+    }};
+}
 
 /// Root of the source tree.
 pub fn root() -> PathBuf {
@@ -55,8 +80,7 @@ pub fn walk(folder: &Path, from_m: f64, to_m: f64) -> PathBuf {
 /// # Panics
 /// If the program fails.
 pub fn simulate(scene: &Path, options: &str, to: &Path) -> Value {
-    let mut command = subcommand("scene simulate --json --overwrite -o");
-    json_lines(command.arg(to).arg(scene).args(options.split_whitespace())).remove(0)
+    json_lines(command!("scene simulate --json --overwrite -o", to, scene, ..options.split_whitespace())).remove(0)
 }
 
 /// Converts a recording to the format that the name of the output stands for. Returns the program's JSON answer.
@@ -64,7 +88,7 @@ pub fn simulate(scene: &Path, options: &str, to: &Path) -> Value {
 /// # Panics
 /// If the program fails.
 pub fn convert(from: &Path, to: &Path) -> Value {
-    json_lines(subcommand("recording convert").args([from, to]).arg("--json")).remove(0)
+    json_lines(command!("recording convert --json", from, to)).remove(0)
 }
 
 /// Labels of a recording, complete or not.
@@ -72,7 +96,7 @@ pub fn convert(from: &Path, to: &Path) -> Value {
 /// # Panics
 /// If the program fails.
 pub fn labels_of(recording: &Path) -> Vec<Value> {
-    let list = json_lines(subcommand("recording label --json").arg(recording)).remove(0);
+    let list = json_lines(command!("recording label --json", recording)).remove(0);
     list.as_array().expect("a list").clone()
 }
 
@@ -81,7 +105,7 @@ pub fn labels_of(recording: &Path) -> Vec<Value> {
 /// # Panics
 /// If the program fails.
 pub fn maps_of(recording: &Path) -> Vec<u8> {
-    let Output { status, stdout, stderr } = run(subcommand("recording maps -o -").arg(recording));
+    let Output { status, stdout, stderr } = run(command!("recording maps -o -", recording));
     assert!(status.success(), "{}", String::from_utf8_lossy(&stderr));
     stdout
 }
@@ -168,14 +192,13 @@ pub fn subcommand(name: &str) -> Command {
 /// # Panics
 /// If the program has not been built.
 pub fn live_command(source: impl AsRef<OsStr>, options: &str) -> Command {
-    let mut command = subcommand("live --model");
-    command.arg(fixture("models/paper-hqnn.safetensors")).arg(source).args(options.split_whitespace());
-    command
+    command!("live --model", fixture("models/paper-hqnn.safetensors"), source, ..options.split_whitespace())
 }
 
 /// Command that may write this number of blocks to a file, which stands for a full disk. Blocks have 512 bytes or 1 KiB,
 /// depending on the shell.
-pub fn limited(blocks: u32, command: &Command) -> Command {
+pub fn limited(blocks: u32, command: impl Borrow<Command>) -> Command {
+    let command: &Command = command.borrow();
     let mut shell = Command::new("sh");
     shell.args(["-c", &format!("ulimit -f {blocks}; exec \"$@\""), "sh"]);
     shell.arg(command.get_program()).args(command.get_args());
@@ -192,7 +215,7 @@ pub fn emulated_corridor() -> String {
 ///
 /// # Panics
 /// If the program cannot be run.
-pub fn outcome(command: &mut Command) -> (Option<i32>, String, String) {
+pub fn outcome(command: impl BorrowMut<Command>) -> (Option<i32>, String, String) {
     let Output { status, stdout, stderr } = run(command);
     (status.code(), String::from_utf8_lossy(&stdout).into_owned(), String::from_utf8_lossy(&stderr).into_owned())
 }
@@ -201,7 +224,7 @@ pub fn outcome(command: &mut Command) -> (Option<i32>, String, String) {
 ///
 /// # Panics
 /// If the program fails or prints anything but JSON lines.
-pub fn json_lines(command: &mut Command) -> Vec<Value> {
+pub fn json_lines(command: impl BorrowMut<Command>) -> Vec<Value> {
     json_lines_of(command, &[0])
 }
 
@@ -210,8 +233,9 @@ pub fn json_lines(command: &mut Command) -> Vec<Value> {
 ///
 /// # Panics
 /// If the program ends with another status or prints anything but JSON lines.
-pub fn json_lines_of(command: &mut Command, statuses: &[i32]) -> Vec<Value> {
-    let output = run(command);
+pub fn json_lines_of(mut command: impl BorrowMut<Command>, statuses: &[i32]) -> Vec<Value> {
+    let command: &mut Command = command.borrow_mut();
+    let output = run(&mut *command);
     let is_expected = output.status.code().is_some_and(|status| statuses.contains(&status));
     assert!(is_expected, "{command:?}: {}: {}", output.status, String::from_utf8_lossy(&output.stderr));
     String::from_utf8_lossy(&output.stdout)
@@ -224,8 +248,9 @@ pub fn json_lines_of(command: &mut Command, statuses: &[i32]) -> Vec<Value> {
 ///
 /// # Panics
 /// If the program fails.
-pub fn success(command: &mut Command) -> (String, String) {
-    let (status, told, said) = outcome(command);
+pub fn success(mut command: impl BorrowMut<Command>) -> (String, String) {
+    let command: &mut Command = command.borrow_mut();
+    let (status, told, said) = outcome(&mut *command);
     assert_eq!(status, Some(0), "{command:?}: {said}");
     (told, said)
 }
@@ -236,8 +261,8 @@ pub fn success(command: &mut Command) -> (String, String) {
 /// If one of them fails.
 pub fn success_at_once(commands: impl IntoIterator<Item = Command>) {
     std::thread::scope(|scope| {
-        for mut command in commands {
-            scope.spawn(move || success(&mut command));
+        for command in commands {
+            scope.spawn(move || success(command));
         }
     });
 }
@@ -246,8 +271,9 @@ pub fn success_at_once(commands: impl IntoIterator<Item = Command>) {
 ///
 /// # Panics
 /// If the program succeeds or fails in another way.
-pub fn failure(command: &mut Command) -> String {
-    let (status, _, said) = outcome(command);
+pub fn failure(mut command: impl BorrowMut<Command>) -> String {
+    let command: &mut Command = command.borrow_mut();
+    let (status, _, said) = outcome(&mut *command);
     assert_eq!(status, Some(1), "{command:?}: {said}");
     said
 }
@@ -256,8 +282,9 @@ pub fn failure(command: &mut Command) -> String {
 ///
 /// # Panics
 /// If the program succeeds, fails in another way, or does not say it.
-pub fn fails_with(command: &mut Command, parts: &[&str]) {
-    let said = failure(command);
+pub fn fails_with(mut command: impl BorrowMut<Command>, parts: &[&str]) {
+    let command: &mut Command = command.borrow_mut();
+    let said = failure(&mut *command);
     for part in parts {
         assert!(said.contains(part), "{command:?} does not say {part:?}: {said}");
     }
@@ -317,6 +344,7 @@ pub fn npy(shape: [usize; 4], codes: &[u16]) -> Vec<u8> {
     bytes
 }
 
-fn run(command: &mut Command) -> Output {
+fn run(mut command: impl BorrowMut<Command>) -> Output {
+    let command: &mut Command = command.borrow_mut();
     command.output().unwrap_or_else(|e| panic!("cannot run {command:?}: {e}"))
 }

@@ -1,5 +1,6 @@
 //! Program that runs while a test observes it.
 
+use std::borrow::BorrowMut;
 use std::io::{BufRead, BufReader, Read};
 use std::net::TcpListener;
 use std::path::Path;
@@ -8,7 +9,7 @@ use std::sync::atomic::{AtomicU16, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::subcommand;
+use crate::command;
 
 /// Longest time that a test waits for an expected event: far longer than it takes on any machine.
 pub const PATIENCE: Duration = Duration::from_secs(120);
@@ -85,7 +86,8 @@ impl Running {
     ///
     /// # Panics
     /// If the program cannot be started.
-    pub fn start(command: &mut Command) -> Self {
+    pub fn start(mut command: impl BorrowMut<Command>) -> Self {
+        let command: &mut Command = command.borrow_mut();
         let mut child = command
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -149,7 +151,7 @@ impl Drop for Running {
 /// # Panics
 /// If the board does not start.
 pub fn emulated_board(from: &Path, options: &[&str]) -> (Running, String) {
-    let board = Running::start(subcommand("board emulate").args(options).arg("--from").arg(from));
+    let board = Running::start(command!("board emulate", ..options, "--from", from));
     let port = board.stdout.find(0, "the board's port", |line| Some(line.to_owned()));
     (board, port)
 }

@@ -8,7 +8,9 @@ use std::sync::OnceLock;
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_models::ModelCard;
-use radome_tests::{add_signal, fails_with, failure, fixture, fixture_text, json_lines, simulate, subcommand};
+use radome_tests::{
+    add_signal, command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand,
+};
 use serde_json::Value;
 
 const TRAINING: &str = "epochs = 25\nlearning_rate = 0.01\nstarts = 1\nreference = { over_noise = { skip_range_bins = 3 } }\n\
@@ -26,11 +28,10 @@ fn made() -> &'static Path {
         let at = |name: &str| folder.path().join(name);
         let write = |name: &str, text: &str| std::fs::write(at(name), text).expect("writable");
         write("maps.toml", &fixture_text("datasets/quick.toml"));
-        json_lines(subcommand("dataset build").arg("--json").arg(at("maps.toml")).arg("-o").arg(at("maps")));
+        json_lines(command!("dataset build --json", at("maps.toml"), "-o", at("maps")));
         write("training.toml", TRAINING);
-        let mut train = subcommand("model train");
-        train.arg(at("maps")).arg("--spec").arg(at("training.toml")).args(["--network", "descriptor_linear"]);
-        json_lines(train.args(["--json", "-o"]).arg(at("model.safetensors")));
+        let mut train = command!("model train --json --network descriptor_linear -o", at("model.safetensors"));
+        json_lines(train.arg(at("maps")).arg("--spec").arg(at("training.toml")));
         let scene = fixture_text("scenes/hall.toml");
         let (hall, _) = scene.split_once("\n[random]").expect("a table");
         let receiver = "\"receiver.antenna.azimuth_beamwidth_deg\" = { between = [90.0, 90.0] }\n\
@@ -42,7 +43,7 @@ fn made() -> &'static Path {
             simulate(&at("room.toml"), &options, &at("still.mcap"));
             with_sway(&at("still.mcap"), &at(&format!("{people}-{seed}.mcap")), f64::from(10 * people + seed));
         }
-        json_lines(subcommand("recording label").args(["--json", "--span", "0:30=one"]).arg(at("1-1.mcap")));
+        json_lines(command!("recording label --json --span 0:30=one", at("1-1.mcap")));
         folder
     });
     folder.path()
@@ -65,20 +66,18 @@ fn with_sway(from: &Path, to: &Path, phase: f64) {
 
 /// Command `radome model adapt` of the model with recordings such as `0-1=empty`.
 fn adapt(recordings: &[&str]) -> Command {
-    let mut command = subcommand("model adapt");
-    command.arg(made().join("model.safetensors")).arg("--json");
-    command.args(recordings.iter().map(|recording| {
+    let recordings = recordings.iter().map(|recording| {
         let (name, label) =
             recording.split_once('=').map_or((*recording, String::new()), |(n, l)| (n, format!("={l}")));
         format!("{}{label}", made().join(format!("{name}.mcap")).display())
-    }));
-    command
+    });
+    command!("model adapt --json", made().join("model.safetensors"), ..recordings)
 }
 
 const ROOM: [&str; 6] = ["0-1=empty", "0-2=empty", "1-1", "1-2=one", "2-1=two", "2-2=two"];
 
 fn evaluate(model: &Path, args: &[&str], inputs: &[PathBuf]) -> Value {
-    json_lines(subcommand("model evaluate").arg(model).args(inputs).arg("--json").args(args)).remove(0)
+    json_lines(command!("model evaluate --json", model, ..inputs, ..args)).remove(0)
 }
 
 fn score(answer: &Value) -> f64 {
@@ -144,12 +143,8 @@ fn a_curve_tells_accuracy_against_minutes_of_labels() {
     let room = |name: &str, seed: u64| format!("[[room]]\nname = \"{name}\"\nscene = {scene:?}\nseed = {seed}\n");
     let times = "format = 1\nminutes = [0.1, 0.2]\nrecording_s = 1.0\ntest_s = 2.0\n";
     std::fs::write(&rooms, format!("{times}{}{}", room("a", 800_001), room("b", 800_002))).expect("writable");
-    let curve = || {
-        let mut command = subcommand("model adapt");
-        command.arg(made().join("model.safetensors")).arg("--json").arg("--curve").arg(&rooms);
-        command
-    };
-    let answer = json_lines(&mut curve()).remove(0);
+    let curve = || command!("model adapt --json", made().join("model.safetensors"), "--curve", &rooms);
+    let answer = json_lines(curve()).remove(0);
     let curves = answer["curves"].as_array().expect("curves");
     assert_eq!(curves.iter().map(|curve| &curve["room"]).collect::<Vec<_>>(), ["a", "b"], "{answer}");
     for curve in curves.iter().chain([&answer["mean"]]) {
@@ -164,13 +159,13 @@ fn a_curve_tells_accuracy_against_minutes_of_labels() {
             }
         }
     }
-    let again = json_lines(&mut curve()).remove(0);
+    let again = json_lines(curve()).remove(0);
     assert_eq!(again, answer, "another run gives other scores");
 
     std::fs::write(&rooms, times).expect("writable");
-    fails_with(&mut curve(), &["rooms.toml"]);
+    fails_with(curve(), &["rooms.toml"]);
     std::fs::write(&rooms, format!("{times}{}{}", room("a", 1), room("a", 2))).expect("writable");
-    fails_with(&mut curve(), &["two rooms are called a"]);
+    fails_with(curve(), &["two rooms are called a"]);
 }
 
 mod hard_cases {
@@ -254,7 +249,7 @@ mod hard_cases {
             (&["0-1=empty", "0-1=one"][..], "named twice"),
             (&["0-1=three"][..], "not empty, one or two"),
         ] {
-            fails_with(&mut adapt(recordings), &[expected]);
+            fails_with(adapt(recordings), &[expected]);
         }
         let folder = tempfile::tempdir().expect("a folder");
         let none = folder.path().join("none.mcap");
@@ -264,8 +259,8 @@ mod hard_cases {
         fails_with(adapt(&[]).arg(labelled), &["none.mcap: no frame of it can be judged"]);
         // Frames that count twice would give a wrong score.
         let twice = [made().join("0-1.mcap=empty"), made().join("./0-1.mcap=one")];
-        fails_with(subcommand("model evaluate").arg("cfar").args(twice), &["0-1.mcap is named twice", "hint: "]);
-        fails_with(subcommand("model adapt").arg("cfar").arg(text.path()), &["cannot be adapted"]);
-        assert_eq!(subcommand("model adapt").arg("a.safetensors").output().expect("runs").status.code(), Some(2));
+        fails_with(command!("model evaluate cfar", ..twice), &["0-1.mcap is named twice", "hint: "]);
+        fails_with(command!("model adapt cfar", text.path()), &["cannot be adapted"]);
+        assert_eq!(outcome(subcommand("model adapt a.safetensors")).0, Some(2));
     }
 }

@@ -4,7 +4,7 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use radome_tests::{add_signal, fails_with, failure, fixture, json_lines, live_command, radome, simulate, subcommand};
+use radome_tests::{add_signal, command, fails_with, failure, fixture, json_lines, live_command, simulate, success};
 use serde_json::Value;
 
 /// Simulates thirty seconds of a corridor with this number of people.
@@ -50,9 +50,9 @@ fn a_fan_is_nobody_once_the_empty_room_is_known_and_people_before_it_are_people(
     simulated(&at("capture.mcap"), "0", "1");
     with_fan(&at("capture.mcap"), &at("capture-fan.mcap"), 0.0);
     let model = fixture("models/paper-hqnn.safetensors");
-    let mut command = subcommand("model background");
-    command.arg(at("capture-fan.mcap")).arg("--model").arg(&model);
-    let report = json_lines(command.args(["--json", "-o"]).arg(at("empty.json")));
+    let capture =
+        command!("model background --json", at("capture-fan.mcap"), "--model", &model, "-o", at("empty.json"));
+    let report = json_lines(capture);
     assert_eq!(report[0]["frames"], 300);
 
     let is_occupied = |frame: &Value| frame["occupied"] == true;
@@ -94,19 +94,14 @@ mod hard_cases {
         simulated(&at("empty.mcap"), "0", "1");
         let model = fixture("models/paper-hqnn.safetensors");
         let capture = |source: &Path, seconds: &str| {
-            let mut command = subcommand("model background");
-            command.arg(source).arg("--model").arg(&model).args(["--seconds", seconds, "-o"]);
-            command.arg(at("room.json"));
-            command
+            command!("model background", source, "--model", &model, "--seconds", seconds, "-o", at("room.json"))
         };
-        fails_with(&mut capture(&at("one.mcap"), "60"), &["was not empty", "hint:"]);
-        fails_with(&mut capture(&at("empty.mcap"), "2"), &["expected 90", "hint:"]);
+        fails_with(capture(&at("one.mcap"), "60"), &["was not empty", "hint:"]);
+        fails_with(capture(&at("empty.mcap"), "2"), &["expected 90", "hint:"]);
         assert!(!at("room.json").exists());
-        assert!(capture(&at("empty.mcap"), "60").output().expect("runs").status.success());
+        success(capture(&at("empty.mcap"), "60"));
         let with = |background: &Path, model: &str| {
-            let mut command = radome();
-            command.arg("live").arg(at("empty.mcap")).args(["--model", model, "--background"]);
-            failure(command.arg(background))
+            failure(command!("live", at("empty.mcap"), "--model", model, "--background", background))
         };
         assert!(with(&at("room.json"), "cfar").contains("another model"));
         std::fs::write(at("nonsense.json"), "{\"format\":1}").expect("writable");

@@ -8,7 +8,7 @@ use radome_driver::recording::Recording;
 use radome_driver::{Address, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
 use radome_tests::running::{Running, emulated_board, wait_for};
-use radome_tests::{convert, fails_with, failure, fixture, json_lines, radome, simulate, subcommand};
+use radome_tests::{command, convert, fails_with, failure, fixture, json_lines, outcome, radome, simulate, subcommand};
 
 const FRAMES: usize = 60;
 
@@ -84,9 +84,7 @@ fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
     let (folder, fed) = fed(40);
     let (_board, port) = emulated_board(&fed, &["--protocol", "deepcraft"]);
     let recorded = folder.path().join("recorded.mcap");
-    let summary = json_lines(
-        radome().args(["record", &format!("deepcraft:{port}"), "--frames", "20", "--json", "-o"]).arg(&recorded),
-    );
+    let summary = json_lines(command!("record --json", format!("deepcraft:{port}"), "--frames 20 -o", &recorded));
     assert_eq!((&summary[0]["frames"], &summary[0]["dropped"]), (&20.into(), &0.into()));
 }
 
@@ -96,7 +94,7 @@ fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
 fn frames_of_an_esp32_are_judged_on_the_axes_that_it_states() {
     let (_folder, fed) = fed(40);
     let (_board, port) = emulated_board(&fed, &["--protocol", "esp32"]);
-    let judged = json_lines(radome().args(["live", &format!("serial:{port}"), "--frames", "10", "--json"]));
+    let judged = json_lines(command!("live --json", format!("serial:{port}"), "--frames 10"));
     assert!(judged.iter().filter(|line| line["probabilities"].is_object()).count() >= 10, "{judged:?}");
 }
 
@@ -109,9 +107,8 @@ mod hard_cases {
         let (folder, fed) = fed(60);
         let (_board, port) = emulated_board(&fed, &["--protocol", "esp32"]);
         let (_, other) = other_waveform(folder.path());
-        let mut record = radome();
-        record.args(["record", &format!("serial:{port}"), "--waveform"]).arg(&other);
-        let said = failure(record.arg("-o").arg(folder.path().join("none.mcap")));
+        let none = folder.path().join("none.mcap");
+        let said = failure(command!("record", format!("serial:{port}"), "--waveform", &other, "-o", none));
         assert!(said.contains("no frame among its lines") && said.contains("hint: name the waveform"), "{said}");
         assert_eq!(said.matches("WARN").count(), 1, "{said}");
     }
@@ -136,9 +133,8 @@ mod hard_cases {
     #[test]
     fn a_fault_that_nobody_can_follow_is_wrong_use() {
         let mut emulate = subcommand("board emulate --from nowhere.mcap --faults");
-        let output = emulate.arg("explode 3").output().expect("runs");
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.code() == Some(2) && said.contains("no such kind"), "{said}");
+        let (status, _, said) = outcome(emulate.arg("explode 3"));
+        assert!(status == Some(2) && said.contains("no such kind"), "{said}");
     }
 }
 
@@ -149,19 +145,17 @@ fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
     // Opening the board resets its chip.
     drop(Mcu7Board::open(&Address::Serial((&port).into())).expect("a board"));
     let live = |model: &str, more: &[&str]| {
-        let mut command = radome();
-        command.args(["live", &format!("serial:{port}"), "--frames", "5", "--json", "--model", model]).args(more);
-        command
+        command!("live --json", format!("serial:{port}"), "--frames 5 --model", model, ..more)
     };
-    fails_with(&mut live("cfar", &[]), &["not been told a waveform", "--waveform"]);
+    fails_with(live("cfar", &[]), &["not been told a waveform", "--waveform"]);
 
     // The model's waveform contradicts the named one: the command fails before it opens the board.
     let (model, other) = (fixture("models/paper-hqnn.safetensors"), fixture("models/desk-hqnn.safetensors"));
     let (model, other) = (model.display().to_string(), other.display().to_string());
-    fails_with(&mut live(&model, &["--waveform", &other]), &[&model, &other, "hint: leave --waveform away"]);
+    fails_with(live(&model, &["--waveform", &other]), &[&model, &other, "hint: leave --waveform away"]);
 
     for (model, waveform) in [("cfar", "paper"), ("cfar", &model), (&model, "paper")] {
-        let lines = json_lines(&mut live(model, &["--waveform", waveform]));
+        let lines = json_lines(live(model, &["--waveform", waveform]));
         assert_eq!(lines.last().expect("a summary")["summary"]["frames"], 5, "{model} {waveform}");
     }
 }
@@ -189,7 +183,7 @@ fn other_waveform(folder: &Path) -> (Waveform, PathBuf) {
 /// Records this number of frames of a board; none may be missing.
 fn record_frames(port: &str, frames: usize, waveform: Option<&Path>, recorded: &Path) {
     let mut record = radome();
-    record.args(["record", &format!("serial:{port}"), "--frames", &frames.to_string(), "--json", "-o"]).arg(recorded);
+    record.args(["record", &format!("serial:{port}"), "--frames", frames.to_string(), "--json", "-o"]).arg(recorded);
     if let Some(waveform) = waveform {
         record.arg("--waveform").arg(waveform);
     }
@@ -238,8 +232,7 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
     let (folder, fed) = fed(30);
 
     let (board, port) = emulated_board(&fed, &["--speed", "0"]);
-    let mut client =
-        Running::start(radome().args(["record", &format!("serial:{port}"), "-o"]).arg(folder.path().join("all.mcap")));
+    let mut client = Running::start(command!("record", format!("serial:{port}"), "-o", folder.path().join("all.mcap")));
     let said = board.stderr.find(0, "the end", |line| line.contains("has ended").then(|| line.to_owned()));
     assert!(said.contains("30 frames were sent") && said.contains("silent") && said.contains("--loop"), "{said}");
     client.signal("TERM");
@@ -270,15 +263,11 @@ fn a_link_is_one_boards_and_goes_with_it() {
     let link = folder.path().join("board");
     let link_text = link.display().to_string();
     let arguments = ["--speed", "0", "--loop", "--link", &link_text];
-    let second = || {
-        let mut command = subcommand("board emulate");
-        command.args(arguments).arg("--from").arg(&fed);
-        command
-    };
+    let second = || command!("board emulate", ..arguments, "--from", &fed);
     let (mut first, port) = emulated_board(&fed, &arguments);
     assert_eq!(port, link_text);
     for _ in 0..3 {
-        fails_with(&mut second(), &[&link_text, "hint:"]);
+        fails_with(second(), &[&link_text, "hint:"]);
     }
     record_frames(&port, 5, None, &folder.path().join("first.mcap"));
     first.signal("TERM");
@@ -300,13 +289,13 @@ fn a_recorder_that_is_killed_leaves_a_board_for_the_next() {
     let (_board, port) = emulated_board(&fed, &["--speed", "0", "--loop"]);
     for number in 0..5 {
         let recorded = folder.path().join(format!("killed-{number}.mcap"));
-        let mut killed = Running::start(radome().args(["record", &format!("serial:{port}"), "-o"]).arg(&recorded));
+        let mut killed = Running::start(command!("record", format!("serial:{port}"), "-o", &recorded));
         wait_for("a recording that grows", || {
             std::fs::metadata(&recorded).ok().filter(|file| file.len() > 100_000).map(|_| ())
         });
         killed.signal("KILL");
         killed.wait();
-        let info = json_lines(subcommand("recording info").arg(&recorded).arg("--json")).remove(0);
+        let info = json_lines(command!("recording info --json", &recorded)).remove(0);
         assert_eq!(info["finished"], false, "{info}");
         record_frames(&port, 20, None, &folder.path().join(format!("next-{number}.mcap")));
     }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_tests::{fails_with, failure, fixture, json_lines, shared, simulate, subcommand};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, shared, simulate, subcommand};
 use serde_json::Value;
 
 fn number(value: &Value) -> f64 {
@@ -16,7 +16,7 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("receiver.toml");
-    let lines = json_lines(subcommand("scene calibrate").arg(recording).arg("--json").arg("-o").arg(&file));
+    let lines = json_lines(command!("scene calibrate --json", recording, "-o", &file));
     let answer = lines.first().expect("an answer");
     assert_eq!((&answer["frames_fitted"], &answer["frames_judged"]), (&Value::from(128), &Value::from(128)));
     let after = answer["after"].as_array().expect("channels");
@@ -54,7 +54,7 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
     let scene = scene.replace("../receivers/desk.toml", "receiver.toml");
     let path = folder.path().join("scene.toml");
     std::fs::write(&path, scene).expect("written");
-    let made = json_lines(subcommand("scene simulate").arg(&path).args(["--frames", "4", "--json"]));
+    let made = json_lines(command!("scene simulate --json", &path, "--frames 4"));
     assert_eq!(made[0]["frames"], 4);
 }
 
@@ -65,9 +65,7 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
 fn a_simulated_copy_of_the_recording_breathes_as_strongly_and_as_far_away() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let scene = fixture("scenes/desk-person.toml");
-    let lines = json_lines(
-        subcommand("scene calibrate").arg(recording).arg("--scene").arg(scene).args(["--people", "1", "--json"]),
-    );
+    let lines = json_lines(command!("scene calibrate --json", recording, "--scene", scene, "--people 1"));
     let (answer, line) = (&lines[0], &lines[0]["line"]);
     let real = &line["real"];
     // reference/hardware.md section 6: bins 12 and 13, corrected 0.36 to 0.39 m, 0.20 to 0.25 Hz.
@@ -101,15 +99,10 @@ fn corridor(folder: &Path, seed: u64, frames: u32) -> std::path::PathBuf {
 fn levels_and_jitter_of_what_stands_still_are_found_again() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = corridor(folder.path(), 3, 130);
-    let lines = json_lines(
-        subcommand("scene calibrate")
-            .arg(recording)
-            .arg("--scene")
-            .arg(fixture("scenes/corridor.toml"))
-            .arg("--base")
-            .arg(fixture("receivers/typical.toml"))
-            .args(["--people", "0", "--copies", "1", "--json"]),
-    );
+    let (scene, base) = (fixture("scenes/corridor.toml"), fixture("receivers/typical.toml"));
+    let calibrate =
+        command!("scene calibrate --json --people 0 --copies 1", recording, "--scene", scene, "--base", base);
+    let lines = json_lines(calibrate);
     let (gain, clutter) = (&lines[0]["gain"], &lines[0]["clutter"]);
     assert!(number(&gain["bins"]) >= 20.0, "{gain}");
     assert!((number(&gain["gain_db"]) - 5.0).abs() < 3.0 * number(&gain["error_db"]), "{gain}");
@@ -124,8 +117,7 @@ fn several_recordings_are_fitted_together_and_drawn_anew() {
     let folder = tempfile::tempdir().expect("a folder");
     let recordings = [1, 2, 3].map(|seed| corridor(folder.path(), seed, 40));
     let file = folder.path().join("receiver.toml");
-    let lines =
-        json_lines(subcommand("scene calibrate").args(&recordings).args(["--copies", "1", "--json", "-o"]).arg(&file));
+    let lines = json_lines(command!("scene calibrate --json", ..&recordings, "--copies 1 -o", &file));
     let answer = &lines[0];
     assert_eq!((&answer["frames_fitted"], &answer["frames_judged"]), (&Value::from(60), &Value::from(60)));
     assert_eq!(answer["resampled"], "recordings");
@@ -136,7 +128,7 @@ fn several_recordings_are_fitted_together_and_drawn_anew() {
     assert!(text.contains("corridor-1: 20 of 40 frames; corridor-2: 20 of 40 frames"), "{text}");
     // All recordings must have the same waveform.
     let Some(other) = shared("data/recordings/breathing-person-20260106") else { return };
-    fails_with(subcommand("scene calibrate").args(&recordings).arg(other), &["another waveform", "hint:"]);
+    fails_with(command!("scene calibrate", ..&recordings, other), &["another waveform", "hint:"]);
 }
 
 #[test]
@@ -144,7 +136,7 @@ fn recordings_are_judged_by_their_labels() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let model = fixture("models/desk-hqnn.safetensors");
     let labelled = |label: &str| format!("{}={label}", recording.display());
-    let lines = json_lines(subcommand("model evaluate").arg("--model").arg(&model).arg(labelled("one")).arg("--json"));
+    let lines = json_lines(command!("model evaluate --json --model", &model, labelled("one")));
     let (answer, judged) = (&lines[0], &lines[0]["recordings"][0]);
     assert_eq!(judged["label"], "one");
     let frames = number(&judged["frames"]);
@@ -158,11 +150,11 @@ fn recordings_are_judged_by_their_labels() {
         (vec![alone], "no label"),
         (vec!["nowhere=one".to_owned(), labelled("one")], "nowhere"),
     ] {
-        let said = failure(subcommand("model evaluate").arg("--model").arg(&model).args(&inputs));
+        let said = failure(command!("model evaluate --model", &model, ..&inputs));
         assert!(said.contains(expected), "{inputs:?}: {said}");
     }
     let other = fixture("models/paper-hqnn.safetensors");
-    let said = failure(subcommand("model evaluate").arg("--model").arg(other).arg(labelled("one")));
+    let said = failure(command!("model evaluate --model", other, labelled("one")));
     assert!(said.contains("256 samples") && said.contains("64 samples"), "{said}");
 }
 
@@ -179,20 +171,20 @@ fn a_receiver_of_any_name_can_be_read() {
         "#     radome scene calibrate corridor-3.mcap --name 'a\"b?c' --copies 1 --part 0.5 -o 'my receiver.toml'\n";
     assert!(text.contains(made), "{text}");
     assert_eq!(radome_sim::load_receiver(&file).expect("a receiver").name, "a\"b\nc");
-    fails_with(subcommand("scene calibrate").arg(&recording).args(["--people", "2"]), &["--people needs --scene"]);
-    let part = failure(subcommand("scene calibrate").arg(&recording).args(["--part", "0.99"]));
+    fails_with(command!("scene calibrate", &recording, "--people 2"), &["--people needs --scene"]);
+    let part = failure(command!("scene calibrate", &recording, "--part 0.99"));
     assert!(part.contains("hint: choose a --part nearer to 0.5"), "{part}");
     let hall = fixture("scenes/desk.toml");
-    let other = failure(subcommand("scene calibrate").arg(&recording).arg("--scene").arg(hall));
+    let other = failure(command!("scene calibrate", &recording, "--scene", hall));
     assert!(other.contains("desk.toml") && other.contains("hint: ") && !other.contains("model"), "{other}");
 }
 
 #[test]
 fn what_cannot_be_calibrated_is_refused() {
-    fails_with(subcommand("scene calibrate").arg("nowhere.mcap"), &["nowhere.mcap"]);
+    fails_with(subcommand("scene calibrate nowhere.mcap"), &["nowhere.mcap"]);
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
-    fails_with(subcommand("scene calibrate").arg(&recording).args(["--part", "1.5"]), &["between 0 and 1"]);
-    fails_with(subcommand("scene calibrate").arg(&recording).args(["--part", "0.02"]), &["to judge by", "hint:"]);
+    fails_with(command!("scene calibrate", &recording, "--part 1.5"), &["between 0 and 1"]);
+    fails_with(command!("scene calibrate", &recording, "--part 0.02"), &["to judge by", "hint:"]);
     let corridor = fixture("scenes/corridor.toml");
-    fails_with(subcommand("scene calibrate").arg(&recording).arg("--scene").arg(corridor), &["waveform"]);
+    fails_with(command!("scene calibrate", &recording, "--scene", corridor), &["waveform"]);
 }

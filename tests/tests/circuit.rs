@@ -1,9 +1,9 @@
 //! Tests of `radome bench circuit` with circuits other than the paper's.
 
-use radome_tests::{fails_with, json_lines, outcome, subcommand};
+use radome_tests::{command, fails_with, json_lines, outcome, subcommand};
 
 fn circuit(arguments: &str) -> serde_json::Value {
-    json_lines(subcommand("bench circuit").args(arguments.split(' ')).arg("--json")).remove(0)
+    json_lines(command!("bench circuit --json", ..arguments.split(' '))).remove(0)
 }
 
 fn numbers(value: &serde_json::Value) -> Vec<f64> {
@@ -26,9 +26,7 @@ fn angles_that_add_up_are_cosines() {
 /// qubits at the depth that scrambles most.
 #[test]
 fn gradients_shrink_with_qubits() {
-    let bench = |arguments: &str| {
-        json_lines(subcommand("bench trainability").args(arguments.split(' ')).arg("--json")).remove(0)
-    };
+    let bench = |arguments: &str| json_lines(command!("bench trainability --json", ..arguments.split(' '))).remove(0);
     let one = &bench("--qubits 1 --depths 0 --points 4000")[0];
     for (key, want) in [("angle_gradient_square", 0.25), ("input_gradient_square", 1.0)] {
         let got = one[key].as_f64().expect("a number");
@@ -75,9 +73,9 @@ mod hard_cases {
             ("--qubits 8 --depolarising-two-qubit 0.1 --x 1 --theta 1", "at most 6 with depolarising gates"),
             ("--x nan,2 --theta 1,2,3,4", "must be finite"),
         ] {
-            fails_with(subcommand("bench circuit").args(arguments.split(' ')), &[part]);
+            fails_with(command!("bench circuit", ..arguments.split(' ')), &[part]);
         }
-        let (status, ..) = outcome(&mut subcommand("bench circuit --x 1,2 --theta 1,2,3,4 --seed 3"));
+        let (status, ..) = outcome(subcommand("bench circuit --x 1,2 --theta 1,2,3,4 --seed 3"));
         assert_eq!(status, Some(2), "a seed of nothing");
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, radome, simulate, subcommand, success};
+use radome_tests::{command, fails_with, failure, fixture, fixture_text, json_lines, radome, simulate, success};
 use serde_json::Value;
 
 /// Writes the hall scene without its reverberation, with which the detector counts one walker as two.
@@ -27,7 +27,7 @@ fn the_detector_judges_recordings_in_place_of_a_model() {
         simulate(&hall, &format!("--people {people} --seed 200001 --frames 150"), &path);
         format!("{}={label}", path.display())
     });
-    let answer = &json_lines(subcommand("model evaluate").args(["--model", "cfar", "--json"]).args(labelled))[0];
+    let answer = &json_lines(command!("model evaluate --model cfar --json", ..labelled))[0];
     let recordings = answer["recordings"].as_array().expect("a list");
     assert_eq!(recordings[0]["majority"], "empty", "{answer}");
     assert!(recordings[0]["share"].as_f64().expect("number") > 0.95, "{answer}");
@@ -47,7 +47,7 @@ fn the_detector_watches_any_source() {
 #[test]
 fn the_detector_wants_frames_and_not_maps() {
     let folder = tempfile::tempdir().expect("a folder");
-    fails_with(subcommand("model evaluate").args(["--model", "cfar"]).arg(folder.path()), &["raw frames", "hint:"]);
+    fails_with(command!("model evaluate --model cfar", folder.path()), &["raw frames", "hint:"]);
 }
 
 /// Writes the corridor scene with `rest` after its furniture, in place of its people or before them.
@@ -70,7 +70,7 @@ fn azimuth_is_on_the_side_on_which_somebody_walks() {
             "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [2.0, {y_m}] }}, {{ walk_to_m = [5.0, {y_m}], speed_m_per_s = 1.0 }}]\n"
         );
         let path = scene(folder.path(), "walk.toml", &walk);
-        let frames = json_lines(subcommand("recording echoes").args(["--frames", "30", "--json"]).arg(path));
+        let frames = json_lines(command!("recording echoes --frames 30 --json", path));
         let strongest = frames.iter().filter_map(|frame| frame["echoes"].get(0));
         let sides: Vec<f64> = strongest.filter_map(|echo| echo["azimuth_deg"].as_f64()).collect();
         let right = sides.iter().filter(|azimuth| *azimuth * sign > 0.0).count();
@@ -84,7 +84,7 @@ fn echoes_of_a_recording_go_on_to_its_end() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("long.mcap");
     simulate(&fixture("scenes/desk.toml"), "--frames 110", &path);
-    let frames = json_lines(subcommand("recording echoes --json").arg(&path));
+    let frames = json_lines(command!("recording echoes --json", &path));
     assert_eq!((frames.len(), &frames[109]["sequence"]), (110, &Value::from(109)));
 }
 
@@ -101,20 +101,15 @@ fn a_reflector_tells_what_receivers_are_unlike_in() {
     for phase in ["azimuth_phase_rad", "elevation_phase_rad"] {
         assert!(told[phase].as_f64().expect("number").abs() < 0.35, "{told}");
     }
-    json_lines(
-        subcommand("recording echoes")
-            .args(["--frames", "5", "--people", "0", "--json", "--angles"])
-            .arg(&angles)
-            .arg(&path),
-    );
+    json_lines(command!("recording echoes --frames 5 --people 0 --json --angles", &angles, &path));
     std::fs::write(&angles, "format = 7\n").expect("writable");
-    let said = failure(subcommand("recording echoes").args(["--frames", "5", "--angles"]).arg(&angles).arg(&path));
+    let said = failure(command!("recording echoes --frames 5 --angles", &angles, &path));
     assert!(said.contains("hint:") && said.contains("angles.toml"), "{said}");
 }
 
 #[test]
 fn a_source_without_echoes_is_said_to_have_none() {
     let empty = fixture("scenes/corridor.toml");
-    let (told, said) = success(subcommand("recording echoes --frames 5 --people 0").arg(empty));
+    let (told, said) = success(command!("recording echoes --frames 5 --people 0", empty));
     assert!(told.is_empty() && said.contains("no echo stands out of the noise in 5 frames"), "{told}{said}");
 }

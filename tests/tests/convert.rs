@@ -8,8 +8,8 @@ use std::time::Duration;
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource};
 use radome_tests::{
-    convert, fails_with, failure, fixture, frames, json_lines_of, labels_of, limited, radome, shared, simulate,
-    subcommand, success,
+    command, convert, fails_with, failure, fixture, frames, json_lines_of, labels_of, limited, radome, shared,
+    simulate, subcommand, success,
 };
 use serde_json::Value;
 
@@ -32,7 +32,7 @@ fn a_simulation_becomes_a_folder_and_a_text_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     simulated(&at("x.mcap"), "15");
-    let (told, said) = success(subcommand("recording convert").args([at("x.mcap"), at("session/")]).arg("--json"));
+    let (told, said) = success(command!("recording convert --json", at("x.mcap"), at("session/")));
     assert!(said.contains("truth of 15 frames"), "{said}");
     let report: Value = serde_json::from_str(&told).expect("JSON");
     assert_eq!((&report["frames"], &report["gaps"], &report["lost"]), (&15.into(), &0.into(), &0.into()));
@@ -75,9 +75,7 @@ fn a_recording_cut_in_two_is_repaired() {
     let (whole, _) = read(&cut);
     let bytes = std::fs::read(&cut).expect("reads");
     std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("writes");
-    let mut repair = subcommand("recording repair");
-    repair.arg(&cut).arg("-o").arg(&fixed).arg("--json");
-    let report = json_lines_of(&mut repair, &[3]).remove(0);
+    let report = json_lines_of(command!("recording repair --json", &cut, "-o", &fixed), &[3]).remove(0);
     let (frames, _) = read(&fixed);
     assert!(frames.len() >= 10 && frames == whole[..frames.len()]);
     assert_eq!((&report["frames"], &report["was_finished"]), (&frames.len().into(), &false.into()));
@@ -187,7 +185,7 @@ mod hard_cases {
             assert_eq!(names, [Some("empty"), Some("one")], "{input}");
         }
         // A format that cannot hold them says so.
-        let (_, said) = success(subcommand("recording convert").args([at("session"), at("z.txt")]));
+        let (_, said) = success(command!("recording convert", at("session"), at("z.txt")));
         assert!(said.contains("not held by this format: 2 labels"), "{said}");
     }
 
@@ -198,20 +196,16 @@ mod hard_cases {
         let at = |name: &str| folder.path().join(name);
         simulated(&at("x.mcap"), "6");
         convert(&at("x.mcap"), &at("y.txt"));
-        let converted = || {
-            let mut command = subcommand("recording convert");
-            command.args([at("y.txt"), at("z.mcap")]);
-            command
-        };
+        let converted = || command!("recording convert", at("y.txt"), at("z.mcap"));
         std::fs::write(at("y.label"), "no labels").expect("writes");
-        fails_with(&mut converted(), &["the labels of", "hint: ", "y.label", "move it away"]);
+        fails_with(converted(), &["the labels of", "hint: ", "y.label", "move it away"]);
         assert!(!at("z.mcap").exists());
         std::fs::write(
             at("y.label"),
             "Time(Seconds),Length(Seconds),Label(string),Confidence(double),Comment(string)\n0,1000,one,,\n",
         )
         .expect("writes");
-        let (_, said) = success(&mut converted());
+        let (_, said) = success(converted());
         assert!(said.contains("the label 'one' from 0 to 1000 s is out of range"), "{said}");
         assert_eq!(labels_of(&at("z.mcap")).len(), 1);
     }
@@ -225,7 +219,7 @@ mod hard_cases {
         for (name, samples) in [("y.txt", "y.txt"), ("session", "session/RadarIfxAvian_00/radar.npy")] {
             convert(&at("x.mcap"), &at(name));
             let info = || {
-                let info = json_lines_of(subcommand("recording info --json").arg(at(name)), &[0]).remove(0);
+                let info = json_lines_of(command!("recording info --json", at(name)), &[0]).remove(0);
                 (info["finished"].as_bool(), info["frames"].as_u64())
             };
             assert_eq!(info(), (Some(true), Some(4)), "{name}");
@@ -233,9 +227,8 @@ mod hard_cases {
             std::fs::write(at(samples), &bytes[..bytes.len() - 100]).expect("writes");
             assert_eq!(info(), (Some(false), Some(3)), "{name}");
             // Nothing is converted by halves, but the frames before the cut are not lost.
-            let mut cut = subcommand("recording convert");
-            fails_with(cut.args([at(name), at("z.mcap")]), &["cut short", "hint: radome record"]);
-            failure(subcommand("record --overwrite -o").arg(at("kept.mcap")).arg(at(name)));
+            fails_with(command!("recording convert", at(name), at("z.mcap")), &["cut short", "hint: radome record"]);
+            failure(command!("record --overwrite -o", at("kept.mcap"), at(name)));
             assert_eq!(read(&at("kept.mcap")).0.len(), 3, "{name}");
         }
     }
@@ -263,7 +256,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let output = folder.path().join("v.mcap");
         let input = fixture("formats/judged.mcap");
-        let said = failure(&mut limited(0, subcommand("recording convert --to viewers").arg(input).arg(&output)));
+        let said = failure(limited(0, subcommand("recording convert --to viewers").arg(input).arg(&output)));
         assert!(said.contains("cannot write the file for viewers") && !said.contains("internal error"), "{said}");
         assert!(left_over(folder.path()).is_empty());
     }
@@ -273,7 +266,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
         simulated(&at("x.mcap"), "25");
-        let refused = |from: &str, to: &str| failure(subcommand("recording convert").args([at(from), at(to)]));
+        let refused = |from: &str, to: &str| failure(command!("recording convert", at(from), at(to)));
         assert!(refused("x.mcap", "x.mcap").contains("input and output"));
         assert!(refused("x.mcap", "y.wav").contains("--to"));
         assert!(refused("x.mcap", "absent/y.mcap").contains("mkdir"));
@@ -281,8 +274,10 @@ mod hard_cases {
         std::fs::create_dir(at("full")).expect("creates");
         std::fs::write(at("full/thesis.tex"), "x").expect("writes");
         assert!(refused("x.mcap", "full").contains("not empty"));
-        let mut over = subcommand("recording convert --overwrite");
-        fails_with(over.args([at("x.mcap"), at("full")]), &["not empty", "--overwrite replaces files, never folders"]);
+        fails_with(
+            command!("recording convert --overwrite", at("x.mcap"), at("full")),
+            &["not empty", "--overwrite replaces files, never folders"],
+        );
 
         let mut bytes = std::fs::read(at("x.mcap")).expect("reads");
         let middle = bytes.len() / 2;
@@ -290,7 +285,7 @@ mod hard_cases {
         std::fs::write(at("x.mcap"), bytes).expect("writes");
         let said = refused("x.mcap", "session");
         assert!(said.contains("at byte") && said.contains("radome recording repair"), "{said}");
-        let said = failure(subcommand("recording repair").arg(at("full/thesis.tex")).arg("-o").arg(at("y.mcap")));
+        let said = failure(command!("recording repair", at("full/thesis.tex"), "-o", at("y.mcap")));
         assert!(said.contains("not an MCAP file"), "{said}");
         let mut left = left_over(folder.path());
         left.sort();

@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{
-    add_signal, convert, fails_with, failure, fixture, fixture_text, frames, json_lines, labels_of,
-    model_of_one_waveform, npy, radome, simulate, subcommand, success,
+    add_signal, command, convert, fails_with, failure, fixture, fixture_text, frames, json_lines, labels_of,
+    model_of_one_waveform, npy, outcome, radome, simulate, subcommand, success,
 };
 
 /// TOML section for maps of one channel in decibels.
@@ -53,9 +53,7 @@ every = 100
 }
 
 fn build(spec: &Path, output: &Path) -> Command {
-    let mut command = subcommand("dataset build");
-    command.arg(spec).arg("-o").arg(output).arg("--json");
-    command
+    command!("dataset build --json", spec, "-o", output)
 }
 
 /// Contents of all files of a dataset, by name.
@@ -88,7 +86,7 @@ fn a_build_killed_over_and_over_gives_the_bytes_of_one_that_was_not() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     let spec = spec(folder.path(), 8, "");
-    let said = json_lines(&mut build(&spec, &path("whole"))).remove(0);
+    let said = json_lines(build(&spec, &path("whole"))).remove(0);
     assert_eq!(
         (said["maps"].as_u64(), said["units"].as_u64(), said["units_found"].as_u64()),
         (Some(38), Some(10), Some(0))
@@ -102,15 +100,15 @@ fn a_build_killed_over_and_over_gives_the_bytes_of_one_that_was_not() {
         // A changed spec is refused with an error, and no unit is lost.
         let text = std::fs::read_to_string(&spec).expect("reads");
         std::fs::write(&spec, text.replace("every = 50", "every = 25")).expect("writable");
-        let said = failure(&mut build(&spec, &path("again")));
+        let said = failure(build(&spec, &path("again")));
         assert!(said.contains("again.parts holds the beginning of another build, made from another spec"), "{said}");
         std::fs::write(&spec, text).expect("writable");
-        let said = json_lines(&mut build(&spec, &path("again"))).remove(0);
+        let said = json_lines(build(&spec, &path("again"))).remove(0);
         assert!(said["units_found"].as_u64() >= Some(3), "{said}");
     }
     assert_eq!(files(&path("again")), files(&path("whole")));
     assert_eq!(names(folder.path()), ["again", "spec.toml", "whole"], "nothing else is left");
-    fails_with(&mut build(&spec, &path("again")), &["again exists already"]);
+    fails_with(build(&spec, &path("again")), &["again exists already"]);
 }
 
 #[test]
@@ -118,7 +116,7 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     let spec = spec(folder.path(), 16, "split = { by = \"sequence\", test = 0.25, validation = 0.25 }");
-    json_lines(&mut build(&spec, &path("single")));
+    json_lines(build(&spec, &path("single")));
     let shard = |index: usize| {
         let mut command = build(&spec, &path("shards"));
         command.args(["--shard", "auto/8"]).env("SLURM_ARRAY_TASK_ID", index.to_string());
@@ -126,26 +124,23 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
     };
     // Shards run out of order, as in array jobs. One of them is killed, and one is started twice.
     for index in [3, 0, 7, 5, 1, 6, 2] {
-        json_lines(&mut shard(index));
+        json_lines(shard(index));
     }
     kill_midway(&mut shard(4), &path("shards/shard-00004-of-00008.parts"), 1);
     let all = |skip: Option<usize>| {
         let shards = (0..8).filter(move |i| Some(*i) != skip);
         shards.map(|i| folder.path().join(format!("shards/shard-{i:05}-of-00008"))).collect::<Vec<_>>()
     };
-    let merge = |parts: &[PathBuf], output: &str| {
-        let mut command = subcommand("dataset merge");
-        command.args(["--json"]).args(parts).arg("-o").arg(folder.path().join(output));
-        command
-    };
+    let merge =
+        |parts: &[PathBuf], output: &str| command!("dataset merge --json", ..parts, "-o", folder.path().join(output));
     if !path("shards/shard-00004-of-00008").exists() {
-        fails_with(&mut merge(&all(Some(4)), "merged"), &["shards 4 of 8 are missing", "--shard 4/8"]);
+        fails_with(merge(&all(Some(4)), "merged"), &["shards 4 of 8 are missing", "--shard 4/8"]);
     }
-    json_lines(&mut shard(4));
-    assert_eq!(json_lines(&mut shard(2)).remove(0)["units_found"], 2, "a shard that is there is not made again");
-    json_lines(&mut merge(&all(None), "merged"));
+    json_lines(shard(4));
+    assert_eq!(json_lines(shard(2)).remove(0)["units_found"], 2, "a shard that is there is not made again");
+    json_lines(merge(&all(None), "merged"));
     assert_eq!(files(&path("merged")), files(&path("single")));
-    let report = json_lines(subcommand("dataset verify").arg("--json").arg(path("merged"))).remove(0);
+    let report = json_lines(command!("dataset verify --json", path("merged"))).remove(0);
     assert!(
         report["maps"] == 70 && report["split_maps"].as_array().is_some_and(|n| n.iter().all(|n| *n != 0)),
         "{report}"
@@ -155,14 +150,14 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
     let mut doubled = all(None);
     doubled.push(path("copy"));
     assert!(Command::new("cp").arg("-r").arg(&doubled[6]).arg(path("copy")).status().expect("cp").success());
-    fails_with(&mut merge(&doubled, "no"), &["copy are both shard 6/8"]);
+    fails_with(merge(&doubled, "no"), &["copy are both shard 6/8"]);
     let other = folder.path().join("other.toml");
     let text = std::fs::read_to_string(&spec).expect("reads");
     std::fs::write(&other, text.replace("seeds = [5, 6]", "seeds = [6, 7]")).expect("writable");
     json_lines(build(&other, &path("other")).args(["--shard", "6/8"]));
     let mut foreign = all(Some(6));
     foreign.push(path("other/shard-00006-of-00008"));
-    fails_with(&mut merge(&foreign, "no"), &["shard-00006-of-00008 is no shard of the build of", "another spec"]);
+    fails_with(merge(&foreign, "no"), &["shard-00006-of-00008 is no shard of the build of", "another spec"]);
     assert!(!path("no").exists());
 }
 
@@ -171,22 +166,18 @@ fn two_builds_at_once_in_one_place_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     let spec = spec(folder.path(), 400, "");
-    let _first = Running::start(&mut build(&spec, &path("set")));
+    let _first = Running::start(build(&spec, &path("set")));
     wait_for("a plan", || path("set.parts/plan.json").exists().then_some(()));
-    fails_with(&mut build(&spec, &path("set")), &["set.parts: another process is at work here"]);
+    fails_with(build(&spec, &path("set")), &["set.parts: another process is at work here"]);
 }
 
 #[test]
 fn a_zero_sigma_is_not_hidden() {
     let folder = tempfile::tempdir().expect("a folder");
     let spec = spec(folder.path(), 4, "");
-    json_lines(&mut build(&spec, &folder.path().join("set")));
-    let stats = |set: &Path| {
-        let mut command = subcommand("dataset stats");
-        command.args(["--json"]).arg(set);
-        command
-    };
-    let table = json_lines(&mut stats(&folder.path().join("set"))).remove(0);
+    json_lines(build(&spec, &folder.path().join("set")));
+    let stats = |set: &Path| command!("dataset stats --json", set);
+    let table = json_lines(stats(&folder.path().join("set"))).remove(0);
     let row = |scene: &str, class: &str| {
         let rows = table.as_array().expect("a list");
         rows.iter().find(|r| r["scene"] == scene && r["class"] == class).unwrap_or_else(|| panic!("{scene} {class}"))
@@ -207,13 +198,12 @@ fn a_zero_sigma_is_not_hidden() {
     // Without receiver noise, as in the paper, every cell of an empty map lies at the floor.
     let text = std::fs::read_to_string(&spec).expect("reads");
     std::fs::write(&spec, text.replace("floor_db = -200.0", "floor_db = 50.0")).expect("writable");
-    json_lines(&mut build(&spec, &folder.path().join("flat")));
-    let output = stats(&folder.path().join("flat")).output().expect("runs");
-    let (table, said) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
-    assert!(output.status.code() == Some(1) && table.contains("\"sigma_db\":0.0"), "{table}");
+    json_lines(build(&spec, &folder.path().join("flat")));
+    let (status, table, said) = outcome(stats(&folder.path().join("flat")));
+    assert!(status == Some(1) && table.contains("\"sigma_db\":0.0"), "{table}");
     assert!(said.contains("sigma is zero in sim corridor empty (all cells at 50.00 dB)"), "{said}");
     // `dataset verify` reports that these maps are identical.
-    fails_with(subcommand("dataset verify").arg(folder.path().join("flat")), &["1 groups of duplicates"]);
+    fails_with(command!("dataset verify", folder.path().join("flat")), &["1 groups of duplicates"]);
 }
 
 /// Statistics of all maps were refused where a sequence is in two splits, and those of a split did not say how the maps were divided.
@@ -221,16 +211,12 @@ fn a_zero_sigma_is_not_hidden() {
 fn statistics_ask_for_splits_only_where_one_is_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let set = folder.path().join("set");
-    json_lines(&mut build(&spec(folder.path(), 4, ""), &set));
-    let stats = |more: &[&str]| {
-        let mut command = subcommand("dataset stats");
-        command.arg("--json").arg(&set).args(more);
-        command
-    };
+    json_lines(build(&spec(folder.path(), 4, ""), &set));
+    let stats = |more: &[&str]| command!("dataset stats --json", &set, ..more);
     let rule =
         "no split of their own: their sequences are divided by the default rule of trainings, 15 % for validation";
-    assert!(success(&mut stats(&["--split", "train"])).1.contains(rule));
-    let (all, said) = success(&mut stats(&[]));
+    assert!(success(stats(&["--split", "train"])).1.contains(rule));
+    let (all, said) = success(stats(&[]));
     assert!(!said.contains("split"), "{said}");
     // The first two maps are of one run.
     let manifest = std::fs::read_to_string(set.join("manifest.jsonl")).expect("reads");
@@ -241,15 +227,15 @@ fn statistics_ask_for_splits_only_where_one_is_named() {
     };
     let leaking: String = manifest.lines().enumerate().map(with_split).collect();
     std::fs::write(set.join("manifest.jsonl"), leaking).expect("writable");
-    assert_eq!(success(&mut stats(&[])).0, all);
-    fails_with(&mut stats(&["--split", "train"]), &["is in two splits"]);
+    assert_eq!(success(stats(&[])).0, all);
+    fails_with(stats(&["--split", "train"]), &["is in two splits"]);
 }
 
 /// Writes a session with a few simulated frames in the format of Radar Fusion GUI.
 fn session(folder: &Path, frames: u32) -> PathBuf {
     let (recording, session) = (folder.join("made.mcap"), folder.join("made"));
     simulate(&fixture("scenes/corridor.toml"), &format!("--frames {frames}"), &recording);
-    json_lines(subcommand("recording convert").arg(&recording).arg(&session).args(["--to", "infineon", "--json"]));
+    json_lines(command!("recording convert --json", &recording, &session, "--to infineon"));
     session
 }
 
@@ -350,7 +336,7 @@ scene = "home"
 "#
     );
     std::fs::write(&spec, &text).expect("writable");
-    let said = json_lines(&mut build(&spec, &path("set"))).remove(0);
+    let said = json_lines(build(&spec, &path("set"))).remove(0);
     let frames = u64::from(frames);
     let counts = ["empty", "one", "two", "maps", "units"].map(|key| said[key].as_u64().expect("a number"));
     assert_eq!(counts, [2 * frames + 5, 2 * frames + 4, 4 * frames, 8 * frames + 9, 9], "{said}");
@@ -369,7 +355,7 @@ scene = "home"
     let alone = path("alone.toml");
     std::fs::write(&alone, text.replace("folders = \"data\"", "folders = \"single\"").replace("{scene}/", ""))
         .expect("writable");
-    assert_eq!(json_lines(&mut build(&alone, &path("alone"))).remove(0)["two"], frames);
+    assert_eq!(json_lines(build(&alone, &path("alone"))).remove(0)["two"], frames);
     let manifest = std::fs::read_to_string(path("alone/manifest.jsonl")).expect("reads");
     let row: serde_json::Value =
         manifest.lines().next().and_then(|line| serde_json::from_str(line).ok()).expect("a row");
@@ -377,10 +363,10 @@ scene = "home"
 
     // Folders that match no rule, or two, are named in the error.
     copy(&made, &path("data/home/nobody_knows"));
-    fails_with(&mut build(&spec, &path("set2")), &["'home/nobody_knows' fits none of the patterns"]);
+    fails_with(build(&spec, &path("set2")), &["'home/nobody_knows' fits none of the patterns"]);
     std::fs::write(&spec, text.replace("\"calibration\" =", "\"*y_*\" = \"empty\", \"calibration\" ="))
         .expect("writable");
-    let said = failure(&mut build(&spec, &path("set2")));
+    let said = failure(build(&spec, &path("set2")));
     assert!(said.contains("'home/empty_20260106-151615' fits two patterns") || said.contains("empty_gui"), "{said}");
     assert_eq!(names(folder.path()).iter().filter(|name| name.starts_with("set2")).count(), 0);
 }
@@ -393,11 +379,7 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
         let options = format!("--frames 150 --seed 100021 --people {people}");
         simulate(&fixture("scenes/corridor.toml"), &options, &path(name))
     };
-    let label = |name: &str| {
-        let mut command = subcommand("recording label");
-        command.args(["--json"]).arg(path(name));
-        command
-    };
+    let label = |name: &str| command!("recording label --json", path(name));
     simulate("one.mcap", "1");
     let truth = json_lines(label("one.mcap").args(["--propose", "truth", "-o"]).arg(path("truth.label"))).remove(0);
     let spans = truth.as_array().expect("a list");
@@ -451,7 +433,7 @@ fn a_spec_that_contradicts_itself_is_refused_before_units_are_made() {
     let sound = std::fs::read_to_string(spec(folder.path(), 2, "")).expect("reads");
     let refused = |text: &str, expected: &str| {
         std::fs::write(path("odd.toml"), text).expect("writable");
-        fails_with(&mut build(&path("odd.toml"), &path("set")), &[expected]);
+        fails_with(build(&path("odd.toml"), &path("set")), &[expected]);
         assert!(!path("set.parts").exists(), "{expected}");
     };
     let split = |rule: &str| sound.replacen("format = 1", &format!("format = 1\nsplit = {rule}"), 1);
@@ -477,11 +459,11 @@ fn a_build_without_labels_says_what_is_missing_and_can_be_repeated() {
         std::fs::write(path("spec.toml"), text.replace("LABEL", label)).expect("writable");
         path("spec.toml")
     };
-    let said = failure(&mut build(&spec("spans"), &path("set")));
+    let said = failure(build(&spec("spans"), &path("set")));
     assert!(said.contains("no source gave a map") && said.contains("hint: frames need a label"), "{said}");
     assert!(said.contains("none: no frame, and so no map"), "{said}");
     assert!(!path("set.parts").exists(), "{said}");
-    assert_eq!(json_lines(&mut build(&spec("empty"), &path("set"))).remove(0)["empty"], 3);
+    assert_eq!(json_lines(build(&spec("empty"), &path("set"))).remove(0)["empty"], 3);
 }
 
 #[test]
@@ -497,7 +479,7 @@ fn a_build_by_subjects_names_recordings_of_people_without_one() {
     let text = "format = 1\nsplit = { by = \"subject\" }\n[[recorded]]\nfolders = \"captures\"\n\
                 labels = { \"{subject}/one*\" = \"one\", \"one_x\" = \"one\", \"empty*\" = \"empty\" }\n";
     std::fs::write(path("spec.toml"), text).expect("writable");
-    let (_, said) = success(&mut build(&path("spec.toml"), &path("set")));
+    let (_, said) = success(build(&path("spec.toml"), &path("set")));
     assert!(said.contains("warning: 1 sequences with people have no subject: 'one_x'"), "{said}");
 }
 
@@ -556,7 +538,7 @@ fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
         std::fs::write(path("spec.toml"), format!("format = 1\n[map]\n{axes}\n{sources}")).expect("writable");
         path("spec.toml")
     };
-    let said = json_lines(&mut build(&write(axes, &["own", "short", "slow"]), &path("set"))).remove(0);
+    let said = json_lines(build(&write(axes, &["own", "short", "slow"]), &path("set"))).remove(0);
     assert_eq!((said["maps"].as_u64(), said["units"].as_u64()), (Some(24), Some(12)), "{said}");
     let header = std::fs::read_to_string(path("set/dataset.json")).expect("reads");
     let header: serde_json::Value = serde_json::from_str(&header).expect("JSON");
@@ -564,9 +546,9 @@ fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
     assert_eq!(header["rdm_spec"]["physical_axes"]["velocity_bins"], 64);
     assert_eq!(header["shape"], serde_json::json!({ "rx": 1, "doppler": 64, "range": 64 }));
 
-    let said = failure(&mut build(&write(axes, &["own", "narrow"]), &path("no")));
+    let said = failure(build(&write(axes, &["own", "narrow"]), &path("no")));
     assert!(said.contains("the sampled band is 0.2") && said.contains("0.300 GHz or more"), "{said}");
-    let said = failure(&mut build(&write("", &["own", "short"]), &path("no")));
+    let said = failure(build(&write("", &["own", "short"]), &path("no")));
     assert!(
         said.contains("sources of one dataset must agree")
             && said.contains("waveforms differ in map size")
@@ -591,8 +573,8 @@ fn a_spec_gives_a_scene_another_waveform() {
             .expect("writable");
         build(&path("spec.toml"), &path(name))
     };
-    json_lines(&mut built("short", "", "expected"));
-    json_lines(&mut built("own", "waveform = { samples_per_chirp = 64, chirps_per_frame = 16 }", "given"));
+    json_lines(built("short", "", "expected"));
+    json_lines(built("own", "waveform = { samples_per_chirp = 64, chirps_per_frame = 16 }", "given"));
     let (expected, given) = (files(&path("expected")), files(&path("given")));
     assert_eq!(expected.keys().collect::<Vec<_>>(), given.keys().collect::<Vec<_>>());
     let maps = expected.keys().find(|name| name.starts_with("maps")).expect("maps");
@@ -600,7 +582,7 @@ fn a_spec_gives_a_scene_another_waveform() {
     let samples = std::fs::read_to_string(path("given").join("dataset.json")).expect("reads");
     assert!(samples.contains("\"samples_per_chirp\": 64"), "{samples}");
 
-    fails_with(&mut built("own", "waveform = { chirps = 16 }", "no"), &["own.toml", "unknown field `chirps`"]);
+    fails_with(built("own", "waveform = { chirps = 16 }", "no"), &["own.toml", "unknown field `chirps`"]);
 }
 
 #[test]
@@ -615,7 +597,7 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
         command.args(["model", "evaluate", "--json", "--thermal-snr-db=10,-40", "--model"]).arg(model).arg(input);
         command
     };
-    let (told, said) = success(&mut evaluate(&fixture("models/room-cnn.safetensors")));
+    let (told, said) = success(evaluate(&fixture("models/room-cnn.safetensors")));
     let answer: serde_json::Value = serde_json::from_str(&told).expect("JSON");
     assert_eq!(answer["recordings"][0]["frames"], 6, "{answer}");
     // Frames whose samples strong noise drives to the ends of the ADC were left out of the scores, and it was taken for a fault.
@@ -628,5 +610,5 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
     assert_eq!(said.matches("brought onto its axes").count(), 1, "{said}");
     assert!(said.contains("velocity resolution is 0.39 m/s, not 0.10 m/s"), "{said}");
 
-    fails_with(&mut evaluate(&model_of_one_waveform(folder.path())), &["waveforms differ in map size", "hint: "]);
+    fails_with(evaluate(&model_of_one_waveform(folder.path())), &["waveforms differ in map size", "hint: "]);
 }

@@ -1,19 +1,19 @@
 //! Tests of the findings of `radome doctor`.
 
+use std::borrow::BorrowMut;
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
 use std::net::TcpListener;
 use std::path::Path;
+use std::process::Command;
 
 use radome_driver::{Recorder, RecordingHeader};
 use radome_dsp::{Frame, Gap, GapReason, Waveform, WaveformRequest};
-use radome_tests::{convert, fixture, help, json_lines, limited, radome, subcommand, success};
+use radome_tests::{command, convert, fixture, help, json_lines, limited, outcome, radome, subcommand, success};
 use serde_json::Value;
 
-fn doctor() -> std::process::Command {
-    let mut command = radome();
-    command.args(["doctor", "--json", "--record-to"]).arg(std::env::temp_dir());
-    command
+fn doctor() -> Command {
+    command!("doctor --json --record-to", std::env::temp_dir())
 }
 
 fn named<'a>(checks: &'a [Value], name: &str) -> &'a Value {
@@ -21,12 +21,10 @@ fn named<'a>(checks: &'a [Value], name: &str) -> &'a Value {
 }
 
 /// Checks of a run that fails, and its stderr.
-fn failing(command: &mut std::process::Command) -> (Vec<Value>, String) {
-    let output = command.output().expect("runs");
-    assert_eq!(output.status.code(), Some(1), "{command:?}");
-    let lines =
-        String::from_utf8_lossy(&output.stdout).lines().map(|l| serde_json::from_str(l).expect("JSON")).collect();
-    (lines, String::from_utf8_lossy(&output.stderr).into_owned())
+fn failing(command: impl BorrowMut<Command>) -> (Vec<Value>, String) {
+    let (status, told, said) = outcome(command);
+    assert_eq!(status, Some(1), "{said}");
+    (told.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect(), said)
 }
 
 #[test]
@@ -198,7 +196,7 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
         assert!(!said.contains("hunter2") && !broker.to_string().contains("hunter2"), "{said} {broker}");
     }
 
-    let (checks, _) = failing(radome().args(["doctor", "--json", "--record-to", "/no/such/folder"]));
+    let (checks, _) = failing(subcommand("doctor --json --record-to /no/such/folder"));
     assert_eq!(named(&checks, "space")["verdict"], "fail");
 }
 
@@ -233,7 +231,7 @@ fn findings_about_a_recording_are_not_those_of_a_board() {
 /// Regression test: the hint for a disk without room was to name a folder that the user may write.
 #[test]
 fn the_remedy_for_a_write_that_fails_is_that_of_its_cause() {
-    let (checks, _) = failing(&mut limited(1000, &doctor()));
+    let (checks, _) = failing(limited(1000, &doctor()));
     let speed = named(&checks, "speed");
     assert!(
         speed["verdict"] == "fail" && speed["hint"].as_str().is_some_and(|hint| hint.contains("ulimit")),
@@ -246,7 +244,7 @@ fn the_remedy_for_a_write_that_fails_is_that_of_its_cause() {
 fn the_packaged_rules_are_the_programs_and_the_unit_names_options_that_exist() {
     let read =
         |name: &str| std::fs::read_to_string(radome_tests::root().join("packaging").join(name)).expect("packaged");
-    let (printed, _) = success(subcommand("board list").arg("--udev-rules"));
+    let (printed, _) = success(subcommand("board list --udev-rules"));
     assert_eq!(printed.trim(), read("udev/70-radome.rules").trim());
     let unit = read("systemd/radome@.service");
     let help = help("live");

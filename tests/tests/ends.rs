@@ -9,7 +9,7 @@ use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 use radome_tests::running::{Running, emulated_board, unplug, wait_for};
 use radome_tests::{
-    fails_with, failure, fixture, frames, json_lines, limited, outcome, radome, simulate, skip, subcommand,
+    command, fails_with, failure, fixture, frames, json_lines, limited, outcome, radome, simulate, skip, subcommand,
 };
 use serde_json::Value;
 
@@ -187,9 +187,8 @@ fn maps_of_a_recording_that_are_stopped_replace_no_array() {
     let folder = tempfile::tempdir().expect("a folder");
     let maps = folder.path().join("maps.npy");
     std::fs::write(&maps, "whole").expect("writes");
-    let mut command = subcommand("recording maps");
-    command.arg(fixture("scenes/desk.toml")).args(["--frames", "1000000", "--overwrite", "-o"]).arg(&maps);
-    let mut run = Running::start(&mut command);
+    let desk = fixture("scenes/desk.toml");
+    let mut run = Running::start(command!("recording maps", desk, "--frames 1000000 --overwrite -o", &maps));
     let part = folder.path().join(".maps.npy.partial");
     wait_for("maps", || std::fs::metadata(&part).is_ok_and(|file| file.len() > 100_000).then_some(()));
     run.signal("TERM");
@@ -202,7 +201,7 @@ fn maps_of_a_recording_that_are_stopped_replace_no_array() {
 #[test]
 fn a_recording_says_how_many_frames_it_lacks() {
     let folder = tempfile::tempdir().expect("a folder");
-    let info = json_lines(subcommand("recording info").arg(with_a_gap(folder.path())).arg("--json")).remove(0);
+    let info = json_lines(command!("recording info --json", with_a_gap(folder.path()))).remove(0);
     assert_eq!((&info["frames"], &info["gaps"], &info["missing"]), (&17.into(), &1.into(), &3.into()), "{info}");
 }
 
@@ -210,7 +209,7 @@ fn a_recording_says_how_many_frames_it_lacks() {
 fn a_port_that_is_not_there_is_a_failure() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("run.mcap");
-    let said = failure(radome().args(["record", "serial:/dev/no-such-port", "-o"]).arg(&recording));
+    let said = failure(command!("record serial:/dev/no-such-port -o", &recording));
     assert!(said.contains("/dev/no-such-port") && !recording.exists(), "{said}");
 }
 
@@ -230,24 +229,19 @@ fn a_closed_stdout_ends_every_command_quietly() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     desk(40, &at("desk.mcap"));
-    let quiet = |command: &mut Command, lines: usize| {
-        let (status, said) = closed_after(command, lines);
+    let quiet = |mut command: Command, lines: usize| {
+        let (status, said) = closed_after(&mut command, lines);
         assert_eq!(status, Some(0), "{command:?}: {said}");
         assert!(!said.contains("panic") && !said.contains("error"), "{command:?}: {said}");
     };
-    quiet(
-        subcommand("scene simulate").arg(fixture("scenes/desk.toml")).args(["--frames", "3", "-o"]).arg(at("x.mcap")),
-        0,
-    );
-    quiet(subcommand("recording answers").arg(fixture("formats/judged.mcap")), 1);
-    quiet(radome().args(["completions", "bash"]), 0);
-    quiet(subcommand("model list").arg("--json"), 0);
-    quiet(radome().arg("record").arg(at("desk.mcap")).arg("-o").arg(at("y.mcap")), 0);
+    quiet(command!("scene simulate", fixture("scenes/desk.toml"), "--frames 3 -o", at("x.mcap")), 0);
+    quiet(command!("recording answers", fixture("formats/judged.mcap")), 1);
+    quiet(subcommand("completions bash"), 0);
+    quiet(subcommand("model list --json"), 0);
+    quiet(command!("record", at("desk.mcap"), "-o", at("y.mcap")), 0);
     for (lines, arguments) in [(0, &[] as &[&str]), (1, &[]), (3, &["--json"])] {
         let name = format!("night-{}-{lines}.mcap", arguments.len());
-        let mut live = radome();
-        live.arg("live").arg(at("desk.mcap")).args(["--model", "cfar"]).args(arguments);
-        quiet(live.arg("-o").arg(at(&name)), lines);
+        quiet(command!("live", at("desk.mcap"), "--model cfar", ..arguments, "-o", at(&name)), lines);
         // If stdout closes before the first frame, there may be no recording; an existing recording is complete.
         assert!(!at(&name).exists() || read(&at(&name)).0, "{name}");
     }
@@ -267,8 +261,7 @@ fn a_repair_that_drops_a_chunk_ends_with_3_and_one_that_loses_nothing_with_0() {
     let at = |name: &str| folder.path().join(name);
     desk(40, &at("whole.mcap"));
     let repair = |from: &str| {
-        let (status, _, said) =
-            outcome(subcommand("recording repair").arg(at(from)).arg("-o").arg(at(&format!("fixed-{from}"))));
+        let (status, _, said) = outcome(command!("recording repair", at(from), "-o", at(format!("fixed-{from}"))));
         (status, said)
     };
     assert_eq!(repair("whole.mcap").0, Some(0));
@@ -315,12 +308,10 @@ fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
     let mut recorder = Recorder::create(&away, &header).expect("a file");
     recorder.gap(&Gap { first_sequence: 0, frames: 0, reason: GapReason::Disconnected }).expect("written");
     recorder.finish().expect("finished");
-    let mut record = radome();
-    record.arg("record").arg(&away).args(["--allow-loss", "--max-dropped", "9", "-o"]).arg(&again);
-    let (status, told, said) = outcome(&mut record);
+    let (status, told, said) = outcome(command!("record", &away, "--allow-loss --max-dropped 9 -o", &again));
     assert!(status == Some(1) && told.contains("unknown number") && said.contains("at most 9"), "{told}{said}");
     // Without a recording, lost frames do not change the exit status.
-    assert_eq!(outcome(radome().arg("live").arg(&holed).args(["--model", "cfar"])).0, Some(0));
+    assert_eq!(outcome(command!("live", &holed, "--model cfar")).0, Some(0));
 }
 
 #[test]
@@ -337,7 +328,7 @@ fn wrong_use_ends_with_2() {
         &["--allow-loss"],
         &["--keep-last-s", "5"],
     ] {
-        let (status, _, said) = outcome(radome().args(["live", "x.mcap"]).args(arguments));
+        let (status, _, said) = outcome(command!("live x.mcap", ..arguments));
         assert!(status == Some(2) && said.contains("required"), "{arguments:?}: {said}");
     }
     // Options of the broker are checked before the source is opened, which may be a board.
@@ -346,13 +337,13 @@ fn wrong_use_ends_with_2() {
         (&["--mqtt", "mqtt://x", "--mqtt-discovery-prefix", "#"], "--mqtt-discovery-prefix"),
         (&["--mqtt", "mqtt://x", "--mqtt-ca", "x.pem"], "--mqtt-ca is for"),
     ] {
-        let (status, _, said) = outcome(radome().args(["live", "serial:/dev/no-such-port"]).args(arguments));
+        let (status, _, said) = outcome(command!("live serial:/dev/no-such-port", ..arguments));
         assert!(status == Some(2) && said.contains(reason) && said.contains("hint:"), "{arguments:?}: {said}");
     }
     for option in ["--on-delay-s", "--off-delay-s", "--speed"] {
         for value in ["nan", "inf", "-3"] {
             let argument = format!("{option}={value}");
-            let (status, _, said) = outcome(radome().args(["live", "x.mcap", &argument]));
+            let (status, _, said) = outcome(command!("live x.mcap", &argument));
             assert!(status == Some(2) && said.contains("0 or more"), "{argument}: {said}");
         }
     }
@@ -451,7 +442,7 @@ mod full_disk {
             let full = folder.path().join(format!("full-{blocks}.mcap"));
             let mut record = radome();
             record.arg("record").arg(&fed).args(["--json", "-o"]).arg(&full);
-            let (status, told, said) = outcome(&mut limited(blocks, &record));
+            let (status, told, said) = outcome(limited(blocks, &record));
             assert_eq!(status, Some(1), "{said}");
             first_cause(&said, &full);
             assert!(said.contains("hint: radome recording repair"), "{said}");
@@ -471,7 +462,7 @@ mod full_disk {
         desk(FRAMES, &fed);
         let mut live = radome();
         live.arg("live").arg(&fed).args(["--model", "cfar", "--json", "-o"]).arg(&full);
-        let (status, told, said) = outcome(&mut limited(BLOCKS, &live));
+        let (status, told, said) = outcome(limited(BLOCKS, &live));
         assert_eq!(status, Some(1), "{said}");
         first_cause(&said, &full);
         assert!(said.contains("marked unfinished") && said.contains("hint: radome recording repair"), "{said}");

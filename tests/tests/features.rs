@@ -1,6 +1,6 @@
 //! Tests of `dataset stats --features`: features of simulated halls beside those of recordings of walking people.
 
-use radome_tests::{fails_with, fixture, fixture_text, json_lines, subcommand};
+use radome_tests::{command, fails_with, fixture, fixture_text, json_lines};
 
 #[test]
 fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
@@ -9,13 +9,9 @@ fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
     let file = folder.path().join("halls.toml");
     std::fs::write(&file, spec).expect("writable");
     let set = folder.path().join("set");
-    json_lines(subcommand("dataset build").arg("--json").arg(&file).arg("-o").arg(&set));
-    let stats = |more: &[&str]| {
-        let mut command = subcommand("dataset stats");
-        command.args(["--features", "--json"]).arg(&set).args(more);
-        command
-    };
-    let rows = json_lines(&mut stats(&[])).remove(0);
+    json_lines(command!("dataset build --json", &file, "-o", &set));
+    let stats = |more: &[&str]| command!("dataset stats --features --json", &set, ..more);
+    let rows = json_lines(stats(&[])).remove(0);
     let rows = rows.as_array().expect("a list");
     let row = |key: &str| rows.iter().find(|row| row["key"] == key).expect("a row");
     for bin in [3, 10, 20, 30, 40, 50, 60] {
@@ -29,12 +25,12 @@ fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
     // Clutter levels need frames, which a dataset does not hold.
     assert!(row("clutter.level_lsb")["found"].is_null());
     let scene = fixture("scenes/hall.toml");
-    let with_frames = json_lines(&mut stats(&["--frames", scene.to_str().expect("a path")])).remove(0);
+    let with_frames = json_lines(stats(&["--frames", scene.to_str().expect("a path")])).remove(0);
     for key in ["clutter.level_lsb", "clutter.phase_jitter_rad", "clutter.drift_rad", "clutter.amplitude_jitter"] {
         let clutter = with_frames.as_array().expect("a list").iter().find(|row| row["key"] == key).expect("a row");
         assert_eq!(clutter["holds"], true, "{clutter}");
     }
     let measured = folder.path().join("measured.toml");
     std::fs::write(&measured, "[[feature]]\nkey = \"one.peak_db\"\n").expect("writable");
-    fails_with(&mut stats(&["--measured", measured.to_str().expect("a path")]), &["measured.toml", "name"]);
+    fails_with(stats(&["--measured", measured.to_str().expect("a path")]), &["measured.toml", "name"]);
 }

@@ -1,6 +1,6 @@
 //! Tests that former names of commands behave like the present names.
 
-use radome_tests::{help, long_options, outcome, radome};
+use radome_tests::{help, long_options, outcome, radome, subcommand, success};
 
 /// Page with the table of former and present names. A test of the program compares the program's own list with it.
 const PAGE: &str = include_str!("../../docs/commands.md");
@@ -134,8 +134,7 @@ fn former_names_stand_in_no_help() {
 
 #[test]
 fn completions_know_the_groups_and_their_commands() {
-    let output = radome().args(["completions", "bash"]).output().expect("runs");
-    let script = String::from_utf8(output.stdout).expect("text");
+    let (script, _) = success(subcommand("completions bash"));
     for (_, present) in table() {
         let (group, name) = present.split_once(' ').unwrap_or_else(|| panic!("{present} has no group"));
         // Hidden commands are not completed.
@@ -147,8 +146,7 @@ fn completions_know_the_groups_and_their_commands() {
 /// Asserts that file names complete sources, recordings, scenes, models and waveforms.
 #[test]
 fn completions_offer_files_wherever_one_can_be_named() {
-    let output = radome().args(["completions", "zsh"]).output().expect("runs");
-    let script = String::from_utf8(output.stdout).expect("text");
+    let (script, _) = success(subcommand("completions zsh"));
     for named in [":source -- ", ":recording -- ", ":recordings -- ", ":inputs -- ", ":scene -- ", ":waveform -- "] {
         let lines: Vec<&str> = script.lines().filter(|line| line.contains(named)).collect();
         assert!(!lines.is_empty(), "{named}");

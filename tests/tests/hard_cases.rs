@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use radome_tests::{fails_with, failure, fixture, json_lines, limited, npy, radome, subcommand};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, limited, npy, subcommand};
 use serde_json::json;
 
 /// Shape of the made-up recording: frames, channels, chirps, samples.
@@ -27,7 +27,7 @@ fn recording(folder: &Path, samples_per_chirp: usize, code: impl Fn(usize) -> u1
 
 fn maps(folder: &Path) -> (serde_json::Value, Vec<f32>) {
     let output = folder.join("maps.npy");
-    let said = json_lines(subcommand("recording maps").arg(folder).arg("-o").arg(&output).arg("--json"));
+    let said = json_lines(command!("recording maps --json", folder, "-o", &output));
     let file = std::io::BufReader::new(std::fs::File::open(output).expect("written"));
     let values = npyz::NpyFile::new(file).expect("an array").into_vec().expect("f32");
     (said.last().expect("a line").clone(), values)
@@ -37,7 +37,7 @@ fn maps(folder: &Path) -> (serde_json::Value, Vec<f32>) {
 #[test]
 fn targets_that_cannot_be_computed_are_told_in_the_words_of_the_options() {
     let rcs = |option: &str, value: &str, expected: &str| {
-        let said = failure(subcommand("bench rcs sphere").args([option, value]));
+        let said = failure(command!("bench rcs sphere", option, value));
         assert!(said.contains(expected) && !said.contains(" rad") && !said.contains("variant"), "{said}");
     };
     rcs("--azimuth-deg", "1e9", "the azimuth is 1000000000 degrees");
@@ -68,14 +68,16 @@ fn a_configuration_that_disagrees_with_the_data_names_both_shapes() {
     let folder = tempfile::tempdir().expect("a folder");
     recording(folder.path(), 128, |_| 2048);
     let output = folder.path().join("maps.npy");
-    fails_with(subcommand("recording maps").arg(folder.path()).arg("-o").arg(&output), &["128", "64", "config.json"]);
+    fails_with(command!("recording maps", folder.path(), "-o", &output), &["128", "64", "config.json"]);
     assert!(!output.exists());
 }
 
 #[test]
 fn an_output_that_cannot_be_written_is_named_before_any_work() {
-    let mut simulate = subcommand("scene simulate --frames 2 -o /nonexistent/run.mcap");
-    fails_with(simulate.arg(fixture("scenes/desk.toml")), &["/nonexistent"]);
+    fails_with(
+        command!("scene simulate --frames 2 -o /nonexistent/run.mcap", fixture("scenes/desk.toml")),
+        &["/nonexistent"],
+    );
 }
 
 /// Regression test: files of labels, captures of the empty room and files of angles were read whole, however long they were, and
@@ -121,12 +123,14 @@ fn a_damaged_model_is_refused_by_its_path() {
     let bytes = std::fs::read(fixture("models/desk-hqnn.safetensors")).expect("readable");
     let path = folder.path().join("half.safetensors");
     std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writable");
-    let said = failure(radome().args(["live", "nowhere.mcap", "--model"]).arg(&path));
+    let said = failure(command!("live nowhere.mcap --model", &path));
     assert!(said.contains("half.safetensors") && !said.contains("panicked"), "{said}");
 }
 
 #[test]
 fn a_model_and_a_scene_of_other_waveforms_are_not_brought_together() {
-    let mut demo = subcommand("demo --frames 1 --speed 0 --json --scene");
-    fails_with(demo.arg(fixture("scenes/desk.toml")), &["samples", "hint:"]);
+    fails_with(
+        command!("demo --frames 1 --speed 0 --json --scene", fixture("scenes/desk.toml")),
+        &["samples", "hint:"],
+    );
 }

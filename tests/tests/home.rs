@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use radome_tests::running::{Running, emulated_board, free_port, wait_for};
-use radome_tests::{emulated_corridor, fixture, installed, json_lines, labels_of, live_command, skip, subcommand};
+use radome_tests::{command, emulated_corridor, fixture, installed, json_lines, labels_of, live_command, skip};
 use serde_json::Value;
 
 /// Id of the emulated board.
@@ -447,7 +447,7 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
     assert_eq!((first.len(), second.len(), rest.len()), (1, 2, 2));
     let mut labels = Vec::new();
     for path in &third {
-        let answers = json_lines(subcommand("recording answers").arg(path).arg("--json"));
+        let answers = json_lines(command!("recording answers --json", path));
         let times: Vec<u64> = answers.iter().map(|answer| answer["time_ns"].as_u64().expect("a time")).collect();
         // Each report covers three seconds, less the frames that the board lost on a busy machine.
         let span_s = (times[times.len() - 1] - times[0]) as f64 * 1e-9;
@@ -455,7 +455,7 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
         let found = labels_of(path);
         assert_eq!(found.len(), 1, "{found:?}");
         labels.push(found[0]["label"].as_str().expect("a label").to_owned());
-        let frames = json_lines(&mut live_command(path, "--json"));
+        let frames = json_lines(live_command(path, "--json"));
         let judged = frames.iter().filter(|line| line["sequence"].is_u64()).count();
         assert_eq!(judged, answers.len(), "as many frames as answers");
     }

@@ -135,7 +135,7 @@ fn every_key_of_recordings_is_documented() {
         ("recording maps", vec![golden, "-o", text(&at("maps.npy"))]),
         ("record", vec![golden, "-o", text(&at("copy.mcap")), "--allow-loss"]),
     ] {
-        check(&page, command, &json_lines(&mut with(command, &arguments)));
+        check(&page, command, &json_lines(with(command, &arguments)));
     }
 }
 
@@ -155,7 +155,7 @@ fn every_key_of_scenes_answers_and_scores_is_documented() {
         ("live", vec![room]),
         ("model evaluate", vec!["--model", "cfar", labelled.as_str()]),
     ] {
-        check(&page, command, &json_lines(&mut with(command, &arguments)));
+        check(&page, command, &json_lines(with(command, &arguments)));
     }
 }
 
@@ -173,10 +173,10 @@ fn every_key_of_boards_models_and_stages_is_documented() {
         ("bench rcs", vec!["sphere"]),
         ("bench trainability", vec!["--qubits", "2", "--points", "2"]),
     ] {
-        check(&page, command, &json_lines(&mut with(command, &arguments)));
+        check(&page, command, &json_lines(with(command, &arguments)));
     }
     // `doctor` fails where one of its checks fails.
-    check(&page, "doctor", &json_lines_of(&mut with("doctor", &[]), &[0, 1]));
+    check(&page, "doctor", &json_lines_of(with("doctor", &[]), &[0, 1]));
 }
 
 mod hard_cases {

@@ -7,7 +7,8 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
 use radome_tests::{
-    convert, failure, fixture, json_lines, json_lines_of, labels_of, maps_of, radome, simulate, subcommand, success,
+    command, convert, failure, fixture, json_lines, json_lines_of, labels_of, maps_of, radome, simulate, subcommand,
+    success,
 };
 use serde_json::Value;
 use tungstenite::Message;
@@ -20,19 +21,16 @@ fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
     let before = maps_of(&path("run.mcap"));
     std::fs::write(path("track.txt"), "0.500000\t1.250000\tempty\n1.250000\t3.000000\tone\n").expect("writable");
     let import = ["--who", "a test", "--json", "--import"];
-    let spans =
-        json_lines(subcommand("recording labels").arg(path("run.mcap")).args(import).arg(path("track.txt"))).remove(0);
+    let spans = json_lines(command!("recording labels", path("run.mcap"), ..import, path("track.txt"))).remove(0);
     assert_eq!((spans[0]["label"].as_str(), spans[1]["end_s"].as_f64()), (Some("empty"), Some(3.0)));
     assert_eq!(spans[1]["who"], "a test");
-    json_lines(
-        subcommand("recording labels").arg(path("run.mcap")).args(["--json", "--export"]).arg(path("out.label")),
-    );
+    json_lines(command!("recording labels --json", path("run.mcap"), "--export", path("out.label")));
     let text = std::fs::read_to_string(path("out.label")).expect("written");
     assert!(text.starts_with("Time(Seconds),Length(Seconds),") && text.contains("1.250000,1.750000,one,"), "{text}");
     assert!(maps_of(&path("run.mcap")) == before);
 
     std::fs::write(path("bad.txt"), "0.5\tempty\n").expect("writable");
-    let said = failure(subcommand("recording labels").arg(path("run.mcap")).arg("--import").arg(path("bad.txt")));
+    let said = failure(command!("recording labels", path("run.mcap"), "--import", path("bad.txt")));
     assert!(said.contains("bad.txt") && said.contains("line 1"), "{said}");
 }
 
@@ -42,24 +40,20 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     simulate(&fixture("scenes/desk.toml"), "--frames 40", &path("run.mcap"));
-    let label = |name: &str, options: &[&str]| {
-        let mut command = subcommand("recording label");
-        command.arg(path(name)).args(options);
-        command
-    };
+    let label = |name: &str, options: &[&str]| command!("recording label", path(name), ..options);
     // A time before the recording is out of range, and no option of the command.
-    let said = failure(&mut label("run.mcap", &["--span", "-1:2=two"]));
+    let said = failure(label("run.mcap", &["--span", "-1:2=two"]));
     assert!(said.contains("'two' from -1 to 2 s is out of range"), "{said}");
     let file = path("labels.txt").display().to_string();
-    let said = failure(&mut label("run.mcap", &["--span", "0:99=two", "-o", &file]));
+    let said = failure(label("run.mcap", &["--span", "0:99=two", "-o", &file]));
     assert!(said.contains("out of range") && !path("labels.txt").exists(), "{said}");
-    let (_, said) = success(&mut label("run.mcap", &["--span", "0:1=Empty", "--span", "1:2="]));
+    let (_, said) = success(label("run.mcap", &["--span", "0:1=Empty", "--span", "1:2="]));
     assert!(said.contains("'Empty' is kept as free text; the class is written 'empty'"), "{said}");
     assert!(said.contains("the label from 1 to 2 s is empty"), "{said}");
     assert!(!said.contains("no class"), "a word for each label is enough: {said}");
-    let (_, said) = success(&mut label("run.mcap", &["--span", "2:3=three"]));
+    let (_, said) = success(label("run.mcap", &["--span", "2:3=three"]));
     assert!(said.contains("no class, such as 'three'"), "{said}");
-    let said = failure(&mut label("run.mcap", &["--propose", "truth", "--who", "me"]));
+    let said = failure(label("run.mcap", &["--propose", "truth", "--who", "me"]));
     assert!(said.contains("--who names the author") && said.contains("hint: "), "{said}");
     // Files of labels hold no author, which was dropped without a word.
     convert(&path("run.mcap"), &path("run.txt"));
@@ -72,7 +66,7 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     RecordingWriter::create(&path("none.mcap"), Format::Mcap, &header)
         .and_then(RecordingWriter::finish)
         .expect("writes");
-    let said = failure(&mut label("none.mcap", &["--span", "0:1=empty"]));
+    let said = failure(label("none.mcap", &["--span", "0:1=empty"]));
     assert!(said.contains("none.mcap: labels refused: the recording has no frame"), "{said}");
 }
 
@@ -84,16 +78,12 @@ fn labels_are_replaced_and_erased_where_it_is_asked_for() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("run.mcap");
     simulate(&fixture("scenes/desk.toml"), "--frames 40", &recording);
-    let label = |options: &[&str]| {
-        let mut command = subcommand("recording label");
-        command.arg(&recording).args(options);
-        command
-    };
-    success(&mut label(&["--span", "0:3=two", "--span", "1:2=a knock"]));
-    let said = failure(&mut label(&["--span", "1:2=one"]));
+    let label = |options: &[&str]| command!("recording label", &recording, ..options);
+    success(label(&["--span", "0:3=two", "--span", "1:2=a knock"]));
+    let said = failure(label(&["--span", "1:2=one"]));
     assert!(said.contains("overlap") && said.contains("--replace"), "{said}");
     let found = || {
-        let spans = json_lines(&mut label(&["--json"])).remove(0);
+        let spans = json_lines(label(&["--json"])).remove(0);
         let of = |span: &Value| {
             format!("{}-{} {}", span["start_s"], span["end_s"], span["label"].as_str().expect("a label"))
         };
@@ -101,11 +91,11 @@ fn labels_are_replaced_and_erased_where_it_is_asked_for() {
         found.sort();
         found
     };
-    success(&mut label(&["--span", "1:2=one", "--replace"]));
+    success(label(&["--span", "1:2=one", "--replace"]));
     assert_eq!(found(), ["0.0-1.0 two", "1.0-2.0 a knock", "1.0-2.0 one", "2.0-3.0 two"]);
-    success(&mut label(&["--erase", "0.5:1.5"]));
+    success(label(&["--erase", "0.5:1.5"]));
     assert_eq!(found(), ["0.0-0.5 two", "1.5-2.0 a knock", "1.5-2.0 one", "2.0-3.0 two"]);
-    let said = failure(&mut label(&["--span", "0.7:0.7=one"]));
+    let said = failure(label(&["--span", "0.7:0.7=one"]));
     assert!(said.contains("no duration"), "{said}");
 }
 
@@ -115,10 +105,10 @@ fn labels_beside_a_recording_are_its_own() {
     let path = |name: &str| folder.path().join(name);
     simulate(&fixture("scenes/desk.toml"), "--frames 20", &path("run.mcap"));
     for name in ["walk_0.5m", "walk_0.7m", "walk.txt"] {
-        success(subcommand("recording convert --to text").args([path("run.mcap"), path(name)]));
+        success(command!("recording convert --to text", path("run.mcap"), path(name)));
     }
     for (name, labels) in [("walk_0.5m", "walk_0.5m.label"), ("walk.txt", "walk.label")] {
-        success(subcommand("recording label --span 0:1=two").arg(path(name)));
+        success(command!("recording label --span 0:1=two", path(name)));
         assert!(path(labels).exists() && labels_of(&path(name)).len() == 1, "{name}");
     }
     assert!(labels_of(&path("walk_0.7m")).is_empty());
@@ -132,11 +122,11 @@ fn a_label_with_a_line_end_is_one_line_of_the_table() {
     simulate(&fixture("scenes/desk.toml"), "--frames 20", &path);
     success(subcommand("recording label").arg(&path).args(["--span", "0:1=two\npeople\x1b[2J"]));
     assert_eq!(labels_of(&path)[0]["label"], "two\npeople\x1b[2J");
-    let (table, _) = success(subcommand("recording label").arg(&path));
+    let (table, _) = success(command!("recording label", &path));
     assert!(table.lines().count() == 1 && table.contains(r"two\npeople\u{1b}[2J"), "{table}");
-    let (table, _) = success(subcommand("recording labels").arg(&path));
+    let (table, _) = success(command!("recording labels", &path));
     assert!(table.lines().count() == 1 && table.contains(r"two\npeople\u{1b}[2J"), "{table}");
-    let (info, _) = success(subcommand("recording info").arg(&path));
+    let (info, _) = success(command!("recording info", &path));
     assert!(info.contains(r"two\npeople\u{1b}[2J 1.0 s"), "{info}");
 }
 
@@ -146,7 +136,7 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     let folder = tempfile::tempdir().expect("a folder");
     let made = folder.path().join("made.mcap");
     let source = format!("emulated:{}", fixture("scenes/desk.toml").display());
-    let served = Served::start(radome().args(["live", &source, "--model", "cfar", "--speed", "1", "-o"]).arg(&made));
+    let served = Served::start(command!("live", &source, "--model cfar --speed 1 -o", &made));
     let mut socket = page(&served.address);
     // Waits for the first frame, since labels begin at the newest one.
     while !socket.read().expect("a message").is_binary() {}
@@ -178,7 +168,7 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     }
     let repaired = folder.path().join("repaired.mcap");
     // The program may have been killed within a chunk, which is then lost.
-    json_lines_of(subcommand("recording repair").arg(&made).arg("-o").arg(&repaired).arg("--json"), &[0, 3]);
+    json_lines_of(command!("recording repair --json", &made, "-o", &repaired), &[0, 3]);
     assert_eq!(labels_of(&repaired), killed);
 }
 
@@ -190,7 +180,7 @@ fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("it is mine.mcap");
     simulate(&fixture("scenes/hall.toml"), "--people 1 --seed 700101 --frames 60", &recording);
-    let served = Served::start(radome().arg("live").arg(&recording).args(["--speed", "1"]));
+    let served = Served::start(command!("live", &recording, "--speed 1"));
     let mut socket = page(&served.address);
     let mut told_with = |spans: usize, request: Option<&str>| -> Value {
         if let Some(request) = request {

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use radome_tests::{
-    fails_with, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, simulate, subcommand, success,
+    command, fails_with, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, simulate, success,
 };
 use serde_json::Value;
 
@@ -57,7 +57,7 @@ fn frames_are_judged_by_the_span_that_they_lie_in() {
         assert!(by_file[key].is_f64(), "{key}: {by_file}");
     }
 
-    json_lines(subcommand("recording labels").arg(&recording).args(["--json", "--import"]).arg(&track));
+    json_lines(command!("recording labels --json", &recording, "--import", &track));
     let held = json_lines(evaluate("cfar").arg(&recording)).remove(0);
     assert_eq!(held, by_file);
 }
@@ -106,12 +106,8 @@ fn models_are_compared_on_the_same_frames() {
     let rung = rung(folder.path());
     let keep = folder.path().join("kept");
     let model = model_of_one_waveform(folder.path());
-    let ladder = || {
-        let mut command = subcommand("model evaluate");
-        command.args(["--json", "--model"]).arg(&model).args(["--model", "cfar", "--ladder"]).arg(&rung);
-        command
-    };
-    let answer = json_lines(&mut ladder()).remove(0);
+    let ladder = || command!("model evaluate --json --model", &model, "--model cfar --ladder", &rung);
+    let answer = json_lines(ladder()).remove(0);
     let told = &answer["ladder"][0];
     assert_eq!((&told["rung"], &told["about"]), (&"small".into(), &"Few frames.".into()), "{answer}");
     assert_eq!((whole(&told["recordings"]), whole(&told["frames"])), (4, 59), "{answer}");
@@ -162,7 +158,7 @@ fn models_are_compared_on_the_same_frames() {
     assert_eq!(fitted["models"], answer["models"]);
 
     // Prints the same result as a table.
-    let (table, _) = success(subcommand("model evaluate").arg(model).arg("cfar").arg("--ladder").arg(&rung));
+    let (table, _) = success(command!("model evaluate", model, "cfar --ladder", &rung));
     assert!(table.contains("small") && table.contains("1 refused"), "{table}");
 }
 
@@ -191,7 +187,7 @@ mod hard_cases {
     #[test]
     fn what_cannot_be_compared_is_refused() {
         fails_with(evaluate("cfar").args(["--model", "cfar", "x.mcap=one"]), &["2 models", "--ladder"]);
-        fails_with(subcommand("model evaluate").arg("--ladder").arg(fixture("ladder")), &["no model"]);
+        fails_with(command!("model evaluate --ladder", fixture("ladder")), &["no model"]);
         fails_with(evaluate("cfar").args(["--ladder", "nowhere"]), &["nowhere"]);
     }
 }

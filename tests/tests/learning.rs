@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use radome_tests::running::Running;
-use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success};
+use radome_tests::{
+    command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success,
+};
 
 /// Small dataset of halls, made once for all tests. Its rows have the splits of its spec, which no training changes.
 pub fn maps() -> &'static Path {
@@ -19,7 +21,7 @@ fn built(spec_text: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let spec = write(folder.path(), "maps.toml", spec_text);
     let path = folder.path().join("maps");
-    json_lines(subcommand("dataset build").arg("--json").arg(&spec).arg("-o").arg(&path));
+    json_lines(command!("dataset build --json", &spec, "-o", &path));
     (folder, path)
 }
 
@@ -35,21 +37,17 @@ const TRAINING: &str = "epochs = 6\nstarts = 2\nstart_epochs = 2\npooled = [4, 4
 fn a_training_that_is_killed_ends_with_the_same_weights() {
     let folder = tempfile::tempdir().expect("a folder");
     let spec = write(folder.path(), "training.toml", TRAINING);
-    let train = |name: &str| {
-        let mut command = subcommand("model train");
-        command.arg(maps()).arg("--spec").arg(&spec).arg("-o").arg(folder.path().join(name)).arg("--json");
-        command
-    };
-    let told = json_lines(&mut train("whole.safetensors"));
+    let train = |name: &str| command!("model train --json", maps(), "--spec", &spec, "-o", folder.path().join(name));
+    let told = json_lines(train("whole.safetensors"));
     // Two starts of two epochs, four more epochs, and the summary.
     assert_eq!(told.len(), 2 + 6 + 1);
     // Three runs are killed after their first output; the fourth runs to its end.
     for _ in 0..3 {
-        let killed = Running::start(&mut train("killed.safetensors"));
+        let killed = Running::start(train("killed.safetensors"));
         killed.stdout.find(0, "a line", |_| Some(()));
         std::thread::sleep(Duration::from_millis(100));
     }
-    json_lines(&mut train("killed.safetensors"));
+    json_lines(train("killed.safetensors"));
     let bytes = |name: &str| std::fs::read(folder.path().join(name)).expect("a model");
     assert_eq!(bytes("whole.safetensors"), bytes("killed.safetensors"));
     assert!(!folder.path().join("killed.safetensors.checkpoint").exists());
@@ -64,26 +62,19 @@ fn every_network_can_be_trained_by_name_and_says_what_it_is() {
         "epochs = 1\nstarts = 1\nmost_training_maps = 40\nsplit = { by = \"seed\" }\n\
          reference = { over_noise = { skip_range_bins = 3 } }\n",
     );
-    let networks = json_lines(subcommand("model list").arg("--json")).remove(0);
+    let networks = json_lines(subcommand("model list --json")).remove(0);
     for network in networks.as_array().expect("a list") {
         let name = network["name"].as_str().expect("a name");
         let model = folder.path().join(format!("{name}.safetensors"));
-        json_lines(
-            subcommand("model train")
-                .arg(maps())
-                .arg("--spec")
-                .arg(&spec)
-                .args(["--network", name, "--json", "-o"])
-                .arg(&model),
-        );
-        let metrics = json_lines(subcommand("model evaluate").arg(&model).arg(maps()).arg("--json")).remove(0);
+        json_lines(command!("model train --json", maps(), "--spec", &spec, "--network", name, "-o", &model));
+        let metrics = json_lines(command!("model evaluate --json", &model, maps())).remove(0);
         let score = metrics["balanced_accuracy"].as_f64().expect("a score");
         assert!((0.0..=1.0).contains(&score), "{name}: {metrics}");
     }
-    let said = failure(subcommand("model train").arg(maps()).args(["--network", "hqmm", "-o", "x"]));
+    let said = failure(command!("model train", maps(), "--network hqmm -o x"));
     assert!(said.contains("no network 'hqmm'") && said.contains("doppler_net"), "{said}");
     // Descriptors need levels over noise, but the default reference is absolute.
-    let said = failure(subcommand("model train").arg(maps()).args(["--network", "descriptor_linear", "-o", "x"]));
+    let said = failure(command!("model train", maps(), "--network descriptor_linear -o x"));
     assert!(said.contains("reference is absolute") && said.contains("hint: "), "{said}");
 }
 
@@ -98,22 +89,17 @@ fn one_recording_can_be_held_out() {
     let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n");
     let model = folder.path().join("model.safetensors");
     let train = |sequence: &str| {
-        let mut command = subcommand("model train");
-        command
-            .arg(maps())
-            .arg("--spec")
-            .arg(&spec)
-            .args(["--hold-out", sequence, "--json", "--overwrite", "-o"])
-            .arg(&model);
-        command
+        command!("model train --json", maps(), "--spec", &spec, "--hold-out", sequence, "--overwrite -o", &model)
     };
-    let told = json_lines(&mut train(sequence));
+    let told = json_lines(train(sequence));
     let test = &told.last().expect("an answer")["training"]["test"];
     assert_eq!(test["samples"].as_u64(), Some(maps_of), "{test}");
-    let mut evaluate = subcommand("model evaluate");
-    evaluate.arg(&model).arg(maps()).arg("--json");
-    assert_eq!(&json_lines(&mut evaluate).remove(0), test, "evaluate divides the dataset as the training did");
-    assert!(failure(&mut train("nobody")).contains("no sequence 'nobody'"));
+    assert_eq!(
+        &json_lines(command!("model evaluate --json", &model, maps())).remove(0),
+        test,
+        "evaluate divides the dataset as the training did"
+    );
+    assert!(failure(train("nobody")).contains("no sequence 'nobody'"));
 }
 
 #[test]
@@ -125,18 +111,14 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
                 [train]\nepochs = 2\nstarts = 1\nmost_training_maps = 60\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
     let spec = write(folder.path(), "study.toml", text);
     let output = folder.path().join("study");
-    let study = || {
-        let mut command = subcommand("model study");
-        command.arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(&output).arg("--json");
-        command
-    };
-    let killed = Running::start(&mut study());
+    let study = || command!("model study --json", &spec, "--dataset", maps(), "-o", &output);
+    let killed = Running::start(study());
     killed.stdout.find(0, "a training", |_| Some(()));
     drop(killed);
     let partial = json_lines(study().arg("--report-only")).remove(0);
     assert!(partial["done"].as_u64() < Some(8), "{partial}");
 
-    let report = json_lines(&mut study()).pop().expect("a report");
+    let report = json_lines(study()).pop().expect("a report");
     assert_eq!((report["done"].as_u64(), report["planned"].as_u64()), (Some(8), Some(8)));
     let cells = report["cells"].as_array().expect("cells");
     assert_eq!(cells.len(), 4);
@@ -155,9 +137,9 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
         assert!(output.join(&name).exists(), "{name}");
     }
     // No training is repeated, and another study cannot use the folder.
-    assert_eq!(json_lines(&mut study()).len(), 1);
+    assert_eq!(json_lines(study()).len(), 1);
     std::fs::write(&spec, text.replace("seeds = [1, 2]", "seeds = [1, 3]")).expect("writable");
-    assert!(failure(&mut study()).contains("another study"));
+    assert!(failure(study()).contains("another study"));
 }
 
 /// Asserts that augmentation, limit and filter settings reach the model file. Also asserts that ablation replaces parts
@@ -172,13 +154,9 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
                 range_stretch = 0.1\nvelocity_stretch = 0.1\nsuperpose = { probability = 0.2 }\nsway = { probability = 0.7 }\n";
     let spec = write(folder.path(), "training.toml", text);
     let model = folder.path().join("model.safetensors");
-    json_lines(subcommand("model train").arg(maps()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model));
+    json_lines(command!("model train --json", maps(), "--spec", &spec, "-o", &model));
 
-    let on_maps = || {
-        let mut command = subcommand("model evaluate");
-        command.arg(&model).arg(maps());
-        command
-    };
+    let on_maps = || command!("model evaluate", &model, maps());
     let answer = json_lines(on_maps().args(["--ablate", "--json"])).remove(0);
     let rows = answer["ablation"].as_array().expect("rows");
     assert_eq!((&rows[0]["replaced"], &rows[0]["confusion"]), (&"nothing".into(), &answer["confusion"]), "{answer}");
@@ -198,23 +176,19 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
     let plain = json_lines(on_maps().arg("--json")).remove(0);
     assert!(plain.get("ablation").is_none(), "{plain}");
     assert_eq!(plain["balanced_accuracy"], answer["balanced_accuracy"]);
-    let table = String::from_utf8(on_maps().arg("--ablate").output().expect("runs").stdout).expect("text");
+    let (table, _) = success(on_maps().arg("--ablate"));
     assert!(table.contains("replaced by noise") && table.contains("far ranges"), "{table}");
 
     let recording = folder.path().join("one.mcap");
     simulate(&fixture("scenes/hall.toml"), "--people 1 --seed 9 --frames 6", &recording);
     let labelled = format!("{}=one", recording.display());
-    let on_recording = |name: &Path| {
-        let mut command = subcommand("model evaluate");
-        command.arg("--model").arg(name).arg(&labelled).arg("--ablate");
-        command
-    };
+    let on_recording = |name: &Path| command!("model evaluate --model", name, &labelled, "--ablate");
     let answer = json_lines(on_recording(&model).arg("--json")).remove(0);
     let nothing = &answer["ablation"][0];
     assert_eq!(nothing["balanced_accuracy"], answer["balanced_accuracy_by_single_frames"], "{answer}");
     let frames: u64 = nothing["confusion"][1].as_array().expect("a row").iter().filter_map(|n| n.as_u64()).sum();
     assert_eq!((frames, &answer["recordings"][0]["label"]), (6, &"one".into()), "{answer}");
-    fails_with(&mut on_recording(Path::new("cfar")), &["raw frames", "hint:"]);
+    fails_with(on_recording(Path::new("cfar")), &["raw frames", "hint:"]);
 }
 
 /// Asserts that the settings of the shipped models can be read and used for training.
@@ -230,10 +204,9 @@ fn shipped_settings_train_a_model() {
     ] {
         let spec = fixture("datasets").join(format!("{name}-training.toml"));
         let model = folder.path().join(format!("{name}.safetensors"));
-        let mut command = subcommand("model train");
-        command.arg(maps()).arg("--spec").arg(&spec).args(["--network", network]);
-        command.args(["--epochs", "1", "--json", "-o"]).arg(&model);
-        let told = json_lines(&mut command);
+        let train =
+            command!("model train --json --epochs 1", maps(), "--spec", spec, "--network", network, "-o", &model);
+        let told = json_lines(train);
         assert!(told.last().is_some_and(|last| last["training"]["epochs"] == 1), "{name}: {told:?}");
     }
 }
@@ -259,15 +232,12 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n[split]\nseed = 2\ntest = 0.4\n");
         let model = folder.path().join("model.safetensors");
-        let mut train = subcommand("model train");
-        train.arg(undivided()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model);
-        let trained = json_lines(&mut train).pop().expect("an answer")["training"]["test"].take();
-        let evaluate = |model: &Path| {
-            let mut command = subcommand("model evaluate");
-            command.arg(model).arg(undivided()).arg("--json");
-            command
-        };
-        let (told, said) = success(&mut evaluate(&model));
+        let trained = json_lines(command!("model train --json", undivided(), "--spec", &spec, "-o", &model))
+            .pop()
+            .expect("an answer")["training"]["test"]
+            .take();
+        let evaluate = |model: &Path| command!("model evaluate --json", model, undivided());
+        let (told, said) = success(evaluate(&model));
         assert_eq!(serde_json::from_str::<serde_json::Value>(&told).expect("JSON"), trained);
         assert!(!said.contains("default rule"), "{said}");
 
@@ -276,7 +246,7 @@ mod hard_cases {
         older.card.split = None;
         let older_file = folder.path().join("older.safetensors");
         older.save(&older_file).expect("writable");
-        let (told, said) = success(&mut evaluate(&older_file));
+        let (told, said) = success(evaluate(&older_file));
         assert_ne!(serde_json::from_str::<serde_json::Value>(&told).expect("JSON")["samples"], trained["samples"]);
         assert!(said.contains("does not say how its training divided this dataset"), "{said}");
     }
@@ -287,11 +257,11 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\nsplit = { test = 0.0 }\n");
         let model = folder.path().join("model.safetensors");
-        json_lines(
-            subcommand("model train").arg(undivided()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model),
+        json_lines(command!("model train --json", undivided(), "--spec", &spec, "-o", &model));
+        fails_with(
+            command!("model evaluate", &model, undivided()),
+            &["the test split is empty", "12 sequences", "hint: "],
         );
-        let mut evaluate = subcommand("model evaluate");
-        fails_with(evaluate.arg(&model).arg(undivided()), &["the test split is empty", "12 sequences", "hint: "]);
     }
 
     /// A dataset was taken for a model, and a folder of recordings for a dataset.
@@ -299,12 +269,8 @@ mod hard_cases {
     fn inputs_of_another_kind_are_named() {
         let folder = tempfile::tempdir().expect("a folder");
         let model = fixture("models/room-cnn.safetensors");
-        let evaluate = |inputs: &[&Path]| {
-            let mut command = subcommand("model evaluate");
-            command.args(inputs);
-            command
-        };
-        fails_with(&mut evaluate(&[maps()]), &["a folder is no model", "MODEL DATASET"]);
+        let evaluate = |inputs: &[&Path]| command!("model evaluate", ..inputs);
+        fails_with(evaluate(&[maps()]), &["a folder is no model", "MODEL DATASET"]);
         fails_with(
             &mut evaluate(&[&model, folder.path()]),
             &["neither a dataset nor a recording", "name each recording"],
@@ -313,25 +279,22 @@ mod hard_cases {
         fails_with(mixed.arg("run.mcap=one"), &["a dataset is evaluated by itself", "hint: "]);
         // A name that stands for another format is refused, before any work.
         let named = |name: &str| folder.path().join(name);
-        let mut train = subcommand("model train");
-        fails_with(train.arg(maps()).arg("-o").arg(named("a.onnx")), &["a.onnx", "radome model export writes ONNX"]);
-        let mut export = subcommand("model export");
-        fails_with(export.arg(&model).arg("-o").arg(named("a.safetensors")), &["end its name in .onnx"]);
+        fails_with(
+            command!("model train", maps(), "-o", named("a.onnx")),
+            &["a.onnx", "radome model export writes ONNX"],
+        );
+        fails_with(command!("model export", &model, "-o", named("a.safetensors")), &["end its name in .onnx"]);
         std::fs::write(named("a.onnx"), "x").expect("writable");
-        let mut export = subcommand("model export");
-        fails_with(export.arg(named("a.onnx")).arg("-o").arg(named("b.onnx")), &["an ONNX file can only judge"]);
+        fails_with(command!("model export", named("a.onnx"), "-o", named("b.onnx")), &["an ONNX file can only judge"]);
         std::fs::remove_file(named("a.onnx")).expect("removed");
         // The built-in model is found by its name, and has no ONNX form.
-        let mut export = subcommand("model export room-hqnn -o");
-        fails_with(export.arg(named("a.onnx")), &["no ONNX form", "hint: "]);
+        fails_with(command!("model export room-hqnn -o", named("a.onnx")), &["no ONNX form", "hint: "]);
         assert!(!named("a.onnx").exists());
     }
 
     /// Command `radome model train` with options, into `model.safetensors` of a folder.
     fn train(folder: &Path, options: &[&str]) -> std::process::Command {
-        let mut command = subcommand("model train");
-        command.arg(maps()).args(["--epochs", "1"]).args(options).arg("-o").arg(folder.join("model.safetensors"));
-        command
+        command!("model train", maps(), "--epochs 1", ..options, "-o", folder.join("model.safetensors"))
     }
 
     /// A checkpoint beside the output stood for `--overwrite`, and two trainings into one file joined in one checkpoint.
@@ -341,11 +304,11 @@ mod hard_cases {
         let (model, checkpoint) = ("model.safetensors", "model.safetensors.checkpoint");
         let of_other = write(folder.path(), model, "another model");
         write(folder.path(), checkpoint, "another checkpoint");
-        fails_with(&mut train(folder.path(), &[]), &["exists already", "--overwrite"]);
+        fails_with(train(folder.path(), &[]), &["exists already", "--overwrite"]);
         assert_eq!(std::fs::read_to_string(&of_other).expect("reads"), "another model");
         let lock = folder.path().join(format!("{checkpoint}.lock"));
         let held = radome_models::dataset::lock_file(&lock).expect("free");
-        fails_with(&mut train(folder.path(), &["--overwrite"]), &["another process is at work here"]);
+        fails_with(train(folder.path(), &["--overwrite"]), &["another process is at work here"]);
         drop(held);
     }
 
@@ -355,11 +318,11 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let recording = write(folder.path(), "a.mcap", "a recording");
         let named = recording.display().to_string();
-        let said = failure(&mut train(folder.path(), &["--checkpoint", &named]));
+        let said = failure(train(folder.path(), &["--checkpoint", &named]));
         assert!(said.contains("name another file for the checkpoint") && !said.contains("carries on"), "{said}");
         assert_eq!(std::fs::read_to_string(&recording).expect("reads"), "a recording");
         let nowhere = folder.path().join("no/folder.checkpoint").display().to_string();
-        let (_, told, said) = outcome(&mut train(folder.path(), &["--checkpoint", &nowhere]));
+        let (_, told, said) = outcome(train(folder.path(), &["--checkpoint", &nowhere]));
         assert!(told.is_empty() && said.contains("does not exist") && said.contains("mkdir"), "{told}{said}");
     }
 
@@ -378,12 +341,10 @@ mod hard_cases {
             (vec!["--ladder", ladder.as_str(), "--split", "test"], "cannot be used with"),
             (vec!["--ladder", ladder.as_str(), "--empty-hours", "0"], "no number of frames"),
         ] {
-            let mut evaluate = subcommand("model evaluate --model");
-            let (status, told, said) = outcome(evaluate.arg(&model).args(&arguments));
+            let (status, told, said) = outcome(command!("model evaluate --model", &model, ..&arguments));
             assert!(status != Some(0) && told.is_empty() && said.contains(expected), "{arguments:?}: {said}");
         }
-        let mut background = subcommand("model background none.mcap -o none.json --seconds nan");
-        let (status, _, said) = outcome(&mut background);
+        let (status, _, said) = outcome(subcommand("model background none.mcap -o none.json --seconds nan"));
         assert!(status == Some(2) && said.contains("expected a finite number"), "{said}");
     }
 
@@ -399,7 +360,7 @@ mod hard_cases {
         ] {
             let spec = write(folder.path(), "training.toml", &format!("[augmentation]\n{augmentation}\n"));
             let output = folder.path().join("model.safetensors");
-            let said = failure(subcommand("model train").arg(maps()).arg("--spec").arg(&spec).arg("-o").arg(&output));
+            let said = failure(command!("model train", maps(), "--spec", &spec, "-o", &output));
             assert!(said.contains(expected), "{augmentation}: {said}");
             assert!(!output.exists());
         }
@@ -411,7 +372,7 @@ mod hard_cases {
         let output = folder.path().join("study");
         let say = |text: &str| {
             let spec = write(folder.path(), "study.toml", text);
-            failure(subcommand("model study").arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(&output))
+            failure(command!("model study", &spec, "--dataset", maps(), "-o", &output))
         };
         let good = "title = \"T\"\ndataset = \"x.toml\"\nseeds = [1]\nvariants = [{ name = \"hqnn\" }]\n";
         for (from, to, expected) in [

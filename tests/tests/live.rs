@@ -3,13 +3,13 @@
 use radome_tests::browser::{Served, page};
 use radome_tests::running::emulated_board;
 use radome_tests::{
-    fails_with, fixture, fixture_text, json_lines, live_command, radome, shared, subcommand, success, walk,
+    command, fails_with, fixture, fixture_text, json_lines, live_command, shared, subcommand, success, walk,
 };
 use serde_json::Value;
 
 #[test]
 fn demo_counts_people_through_the_emulated_board() {
-    let lines = json_lines(radome().args(["demo", "--frames", "200", "--speed", "0", "--json", "--seed", "100003"]));
+    let lines = json_lines(subcommand("demo --frames 200 --speed 0 --json --seed 100003"));
     let (summary, frames) = lines.split_last().expect("some lines");
     assert_eq!(frames.len(), 200);
     for (i, frame) in frames.iter().enumerate() {
@@ -38,7 +38,7 @@ fn people_are_counted_alike_at_other_gains() {
         let other = corridor.replace("if_gain_db = 40.0", &format!("if_gain_db = {gain_db}"));
         assert_ne!(other, corridor);
         std::fs::write(&scene, other).expect("writable");
-        let lines = json_lines(&mut live_command(&scene, "--frames 200 --seed 100003 --json"));
+        let lines = json_lines(live_command(&scene, "--frames 200 --seed 100003 --json"));
         let summary = &lines.last().expect("some lines")["summary"];
         assert_eq!(summary["dropped"], 0);
         assert!(summary["balanced_accuracy"].as_f64().expect("number") >= 0.85, "{gain_db} dB: {summary}");
@@ -49,7 +49,7 @@ fn people_are_counted_alike_at_other_gains() {
 fn the_real_recording_warms_up_and_is_then_labelled() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let model = fixture("models/desk-hqnn.safetensors");
-    let lines = json_lines(radome().arg("live").arg(recording).arg("--model").arg(model).arg("--json"));
+    let lines = json_lines(command!("live --json", recording, "--model", model));
     let (summary, frames) = lines.split_last().expect("some lines");
     assert_eq!(frames.len(), 256);
     let labelled = frames.iter().filter(|f| !f["label"].is_null()).count();
@@ -65,9 +65,9 @@ fn a_window_that_fills_again_after_a_gap_leaves_the_count_as_it_was() {
     let folder = tempfile::tempdir().expect("a folder");
     let (recording, model) = (folder.path().join("holed.mcap"), fixture("models/desk-hqnn.safetensors"));
     let (_board, port) = emulated_board(&fixture("scenes/desk-person.toml"), &["--speed", "0", "--faults", "drop 160"]);
-    let mut record = subcommand("record --frames 300 --allow-loss --waveform");
-    success(record.arg(&model).arg(format!("serial:{port}")).arg("-o").arg(&recording));
-    let lines = json_lines(radome().arg("live").arg(&recording).arg("--model").arg(&model).arg("--json"));
+    let port = format!("serial:{port}");
+    success(command!("record --frames 300 --allow-loss --waveform", &model, port, "-o", &recording));
+    let lines = json_lines(command!("live --json", &recording, "--model", &model));
     let gap = lines.iter().position(|line| line["gap"].is_object()).expect("a gap");
     let before = &lines[gap - 1];
     assert!(before["people"] == 1 && before["occupied"] == true, "{before}");
@@ -81,7 +81,7 @@ fn a_window_that_fills_again_after_a_gap_leaves_the_count_as_it_was() {
 #[test]
 fn a_model_refuses_frames_of_another_waveform_and_names_both() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
-    fails_with(&mut live_command(recording, ""), &["256 samples", "64 samples", "hint:"]);
+    fails_with(live_command(recording, ""), &["256 samples", "64 samples", "hint:"]);
 }
 
 /// Asserts the sign convention from scene to page: a receding walker has positive velocity in the browser.
@@ -90,7 +90,7 @@ fn who_walks_away_has_positive_velocity_on_the_page() {
     for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {
         let folder = tempfile::tempdir().expect("a folder");
         let scene = walk(folder.path(), from, to);
-        let mut served = Served::start(subcommand("demo --frames 60 --speed 0.5 --json --scene").arg(&scene));
+        let mut served = Served::start(command!("demo --frames 60 --speed 0.5 --json --scene", &scene));
         let mut socket = page(&served.address);
         let (mut with, mut against) = (0, 0);
         while let Ok(message) = socket.read() {

@@ -2,14 +2,14 @@
 
 use std::f64::consts::TAU;
 
-use radome_tests::{fails_with, failure, fixture, json_lines, shared, subcommand};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, shared};
 
 #[test]
 fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let output = folder.path().join("maps.npy");
-    let said = json_lines(subcommand("recording maps").arg(&recording).arg("-o").arg(&output).arg("--json"));
+    let said = json_lines(command!("recording maps --json", &recording, "-o", &output));
     assert_eq!(said[0]["shape"], serde_json::json!([256, 3, 8, 32]));
 
     let read = |path: &std::path::Path| std::io::BufReader::new(std::fs::File::open(path).expect("readable"));
@@ -58,28 +58,26 @@ fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
 fn an_array_on_stdout_is_the_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let (input, path) = (fixture("formats/recording.mcap"), folder.path().join("maps.npy"));
-    json_lines(subcommand("recording maps").args(["--json", "-o"]).args([&path, &input]));
-    let output = subcommand("recording maps").args(["-o", "-"]).arg(&input).output().expect("runs");
+    json_lines(command!("recording maps --json -o", &path, &input));
+    let output = command!("recording maps -o -", &input).output().expect("runs");
     assert!(output.status.success() && String::from_utf8_lossy(&output.stderr).contains("8 maps"));
     assert!(output.stdout == std::fs::read(&path).expect("reads"));
     let array = npyz::NpyFile::new(output.stdout.as_slice()).expect("npy");
     assert_eq!(array.shape(), [8, 2, 2, 4]);
     let picture = folder.path().join("map.png");
     for wrong in [["--frame", "100"], ["--across-frames", "1000"], ["--frames", "0"]] {
-        let said = failure(subcommand("recording maps").args(wrong).arg(&input).arg("--png").arg(&picture));
+        let said = failure(command!("recording maps", ..wrong, &input, "--png", &picture));
         assert!(said.contains("map") && said.contains("frames") && said.contains("hint"), "{said}");
         assert!(!picture.exists(), "{wrong:?}");
     }
     // Messages had the program's own index in place of the number that was given.
     for rx in ["0", "4"] {
-        let said = failure(subcommand("recording maps --rx").arg(rx).arg(&input).arg("--png").arg(&picture));
+        let said = failure(command!("recording maps --rx", rx, &input, "--png", &picture));
         assert!(said.contains(&format!("--rx {rx}: frames have 2 receive channels")), "{said}");
     }
     // An array is no picture, and a picture no array.
-    let mut array_as_picture = subcommand("recording maps");
-    fails_with(array_as_picture.arg(&input).arg("-o").arg(&picture), &["map.png", "--png writes a picture"]);
-    let mut picture_as_array = subcommand("recording maps --overwrite");
-    fails_with(picture_as_array.arg(&input).arg("--png").arg(&path), &["maps.npy", "-o writes the array"]);
+    fails_with(command!("recording maps", &input, "-o", &picture), &["map.png", "--png writes a picture"]);
+    fails_with(command!("recording maps --overwrite", &input, "--png", &path), &["maps.npy", "-o writes the array"]);
     assert!(!picture.exists());
-    fails_with(subcommand("recording maps").args(["--json", "-o", "-"]).arg(&input), &["--json", "stdout"]);
+    fails_with(command!("recording maps --json -o -", &input), &["--json", "stdout"]);
 }

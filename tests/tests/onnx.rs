@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{fails_with, failure, fixture, json_lines, radome, simulate, skip, subcommand};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, simulate, skip, subcommand};
 use serde_json::Value;
 
 /// Shipped models that have an ONNX form, each with a scene of its waveform.
@@ -10,7 +10,7 @@ const MODELS: [(&str, &str); 3] = [("paper-hqnn", "corridor"), ("desk-hqnn", "de
 
 fn export(model: &Path, folder: &Path) -> PathBuf {
     let file = folder.join(model.with_extension("onnx").file_name().expect("a name"));
-    let lines = json_lines(subcommand("model export").arg(model).arg("-o").arg(&file).arg("--json"));
+    let lines = json_lines(command!("model export --json", model, "-o", &file));
     assert_eq!(lines[0]["bytes"].as_u64(), std::fs::metadata(&file).map(|of| of.len()).ok(), "{lines:?}");
     file
 }
@@ -18,8 +18,7 @@ fn export(model: &Path, folder: &Path) -> PathBuf {
 /// Whether onnxruntime is installed, according to the program's message about an ONNX file. Counts the test as skipped
 /// where it is not.
 fn is_installed(onnx: &Path) -> bool {
-    let output = subcommand("model evaluate").arg("--model").arg(onnx).arg("nowhere=one").output().expect("runs");
-    let said = String::from_utf8_lossy(&output.stderr);
+    let said = failure(command!("model evaluate --model", onnx, "nowhere=one"));
     let installed = !said.contains("onnxruntime");
     if !installed {
         assert!(said.contains("pip install") && said.contains("ORT_DYLIB_PATH"), "{said}");
@@ -67,8 +66,7 @@ fn exported_models_answer_as_the_models() {
         // More frames than the window of the desk's maps holds.
         simulate(&scene, "--frames 140 --people 1", &recording);
         // Probabilities of every frame from `live`.
-        let live =
-            |model: &Path| json_lines(radome().arg("live").arg(&recording).arg("--model").arg(model).arg("--json"));
+        let live = |model: &Path| json_lines(command!("live --json", &recording, "--model", model));
         let (ours, theirs) = (live(&native), live(&onnx));
         assert!(ours.len() > 140 && ours.len() == theirs.len(), "{model}: {} {}", ours.len(), theirs.len());
         assert!(ours.iter().any(|answer| answer["probabilities"]["one"].is_number()), "{model}");
@@ -76,9 +74,7 @@ fn exported_models_answer_as_the_models() {
             assert_alike(&without_latency(a), &without_latency(b));
         }
         let labelled = format!("{}=one", recording.display());
-        let evaluate = |model: &Path| {
-            json_lines(subcommand("model evaluate").arg("--model").arg(model).args([&labelled, "--json"]))
-        };
+        let evaluate = |model: &Path| json_lines(command!("model evaluate --json --model", model, &labelled));
         assert_alike(&evaluate(&native)[0], &evaluate(&onnx)[0]);
     }
 }
@@ -89,7 +85,7 @@ fn the_waveform_travels_along() {
     let folder = tempfile::tempdir().expect("a folder");
     let native = fixture("models/paper-hqnn.safetensors");
     let onnx = export(&native, folder.path());
-    let config = |path: &Path| json_lines(subcommand("board config").arg(path).arg("--json"));
+    let config = |path: &Path| json_lines(command!("board config --json", path));
     assert_eq!(config(&native), config(&onnx));
 }
 
@@ -100,7 +96,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("some.onnx");
         std::fs::write(&path, bytes).expect("writable");
-        failure(radome().args(["live", "nowhere.mcap", "--model"]).arg(&path))
+        failure(command!("live nowhere.mcap --model", &path))
     }
 
     fn exported() -> Vec<u8> {
@@ -131,7 +127,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("renamed.safetensors");
         std::fs::write(&path, whole).expect("writable");
-        fails_with(radome().args(["live", "nowhere.mcap", "--model"]).arg(&path), &["safetensors"]);
+        fails_with(command!("live nowhere.mcap --model", &path), &["safetensors"]);
     }
 
     /// Asserts that files of another user in the working folder do not count as an installation.
@@ -167,9 +163,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let onnx = export(&fixture("models/paper-hqnn.safetensors"), folder.path());
         for (library, expected) in [("/nowhere", "/nowhere"), ("Cargo.toml", "cannot be loaded")] {
-            let said = failure(
-                subcommand("model evaluate").arg("--model").arg(&onnx).arg("x=one").env("ORT_DYLIB_PATH", library),
-            );
+            let said = failure(command!("model evaluate --model", &onnx, "x=one").env("ORT_DYLIB_PATH", library));
             assert!(said.contains(expected) && said.contains("pip install"), "{said}");
         }
     }

@@ -11,7 +11,7 @@ use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, WaveformRequest, sou
 use radome_models::Model;
 use radome_tests::browser::{Served, page};
 use radome_tests::running::{Running, emulated_board, wait_up_to};
-use radome_tests::{fixture, json_lines, live_command, radome, simulate, subcommand};
+use radome_tests::{command, fixture, json_lines, live_command, radome, simulate};
 
 fn setting(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |value| value.parse().unwrap_or_else(|e| panic!("{name}={value}: {e}")))
@@ -210,7 +210,7 @@ fn a_label_comes_within_two_milliseconds_of_the_last_sample_at_the_papers_pace()
     let summary = &summary["summary"];
     eprintln!("latency {}, pages saw {seen:?} pictures, {summary}", summary["latency_ms"]);
     assert_eq!((&summary["frames"], &summary["dropped"]), (&frames.into(), &0.into()));
-    let kept = json_lines(subcommand("recording answers").arg(&night).arg("--json"));
+    let kept = json_lines(command!("recording answers --json", &night));
     assert_eq!(kept.len() as u64, frames);
     assert!(seen.iter().all(|seen| *seen as u64 > frames / 2), "{seen:?}");
     let latency = |quantile: &str| summary["latency_ms"][quantile].as_f64().expect("a number");

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_sim::people::motion::{Motion, MotionBuilder, Person};
-use radome_tests::{fails_with, failure, fixture, fixture_text, json_lines, shared, simulate, subcommand, success};
+use radome_tests::{command, fails_with, failure, fixture, fixture_text, json_lines, shared, simulate, success};
 use serde_json::Value;
 
 /// Path of a walker: way-points, and the speed towards each. A repeated way-point is a pause of two seconds.
@@ -45,9 +45,7 @@ fn record(scene: &Path, frames: u64, seed: u64) -> PathBuf {
 }
 
 fn pair(recording: &Path, scene: &Path, output: &Path) -> Command {
-    let mut command = subcommand("scene pair");
-    command.arg(recording).arg(scene).arg("--json").arg("-o").arg(output);
-    command
+    command!("scene pair --json", recording, scene, "-o", output)
 }
 
 fn numbers(value: &Value) -> [f64; 2] {
@@ -154,7 +152,7 @@ fn a_walker_is_recovered_within_ten_centimetres_where_visible() {
         let recording = record(&scene, frames, seed);
         let set = folder.path().join("set");
         // The command takes only the room from the scene file, whose people are others.
-        let said = json_lines(&mut pair(&recording, &fixture(name), &set)).remove(0);
+        let said = json_lines(pair(&recording, &fixture(name), &set)).remove(0);
         let errors = Errors::of(&set, 1, &motion(path), radar, frames as usize, &turns(path));
         let told = format!("{name} seed {seed}: {}", errors.said());
         assert!(errors.visible as f64 >= least_visible * frames as f64, "{told}");
@@ -179,7 +177,7 @@ fn two_who_pass_each_other_are_both_recovered() {
     let scene = scene(folder.path(), "scenes/corridor.toml", &[to, fro]);
     let recording = record(&scene, 100, 3);
     let set = folder.path().join("set");
-    json_lines(&mut pair(&recording, &scene, &set));
+    json_lines(pair(&recording, &scene, &set));
     for path in [to, fro] {
         let of = |person| Errors::of(&set, person, &motion(path), CORRIDOR, 100, &turns(path));
         let errors = [of(1), of(2)].into_iter().min_by(|a, b| rms(&a.place).total_cmp(&rms(&b.place)));
@@ -206,7 +204,7 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
         command.args(["--map", "paper", "--subject", "somebody", "--name", "walk-1"]);
         command
     };
-    let said = json_lines(&mut make(&set)).remove(0);
+    let said = json_lines(make(&set)).remove(0);
     assert_eq!((said["maps"].as_u64(), said["pair"].as_str()), (Some(60), Some("walk-1")));
     let manifest = std::fs::read_to_string(set.join("manifest.jsonl")).expect("a manifest");
     let rows: Vec<Value> = manifest.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
@@ -219,22 +217,22 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
         assert_ne!(a["recording"], b["recording"]);
         assert_ne!(a["hash"], b["hash"]);
     }
-    let verified = json_lines(subcommand("dataset verify").arg("--json").arg(&set)).remove(0);
+    let verified = json_lines(command!("dataset verify --json", &set)).remove(0);
     assert_eq!((verified["pairs"].as_u64(), verified["sequences"].as_u64()), (Some(1), Some(1)));
     assert_eq!(verified["unpaired"], Value::Array(Vec::new()));
-    json_lines(subcommand("dataset stats").arg("--json").arg(&set));
+    json_lines(command!("dataset stats --json", &set));
     // The mirrored scene gives the same number of frames again.
-    let again = json_lines(subcommand("scene simulate --json --frames 30").arg(set.join("mirror.toml")));
+    let again = json_lines(command!("scene simulate --json --frames 30", set.join("mirror.toml")));
     assert_eq!(again[0]["frames"], 30);
     let twice = folder.path().join("twice");
-    json_lines(&mut make(&twice));
+    json_lines(make(&twice));
     for file in ["manifest.jsonl", "mirror.toml", "track.jsonl", "maps-00000.npy"] {
         let read = |set: &Path| std::fs::read(set.join(file)).expect("a file");
         let (a, b) = (read(&set), read(&twice));
         // Only the folder's name in the header of `mirror.toml` differs.
         assert!(a == b || file == "mirror.toml" && a.len() == b.len() + "set".len() - "twice".len(), "{file}");
     }
-    fails_with(&mut make(&set), &["exists already"]);
+    fails_with(make(&set), &["exists already"]);
     // If labels state two people but one is detected, the error names the missing person.
     let said = failure(make(&folder.path().join("three")).arg("--labels").arg(&labels));
     assert!(said.contains("person 2 is in the room") && said.contains("--waypoints"), "{said}");
@@ -258,7 +256,7 @@ fn visitors_come_and_go_by_doors() {
     let scene = folder.path().join("visits.toml");
     std::fs::write(&scene, text).expect("writable");
     let recording = record(&scene, 150, 2);
-    let said = json_lines(&mut pair(&recording, &scene, &folder.path().join("set"))).remove(0);
+    let said = json_lines(pair(&recording, &scene, &folder.path().join("set"))).remove(0);
     assert!(said["labels_agree"].as_u64() >= Some(135), "{said}");
     assert!(said["people"][0]["followed"].as_u64() > Some(40), "{said}");
 }
@@ -273,7 +271,7 @@ fn one_receiver_tells_distance_alone() {
     let recording = record(&scene, 30, 2);
     // A scene of three receivers is accepted, since the recording determines the waveform.
     let set = folder.path().join("set");
-    let (told, said) = success(&mut pair(&recording, &fixture("scenes/corridor.toml"), &set));
+    let (told, said) = success(pair(&recording, &fixture("scenes/corridor.toml"), &set));
     assert!(said.contains("along the boresight"), "{said}");
     assert!(said.contains("the mirror has the recording's waveform"), "{said}");
     let answer: Value = serde_json::from_str(&told).expect("JSON");
@@ -290,12 +288,12 @@ fn a_real_recording_goes_through_to_the_end() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let scene = fixture("scenes/desk.toml");
-    fails_with(&mut pair(&recording, &scene, &folder.path().join("set")), &["no frame has a label", "--people"]);
+    fails_with(pair(&recording, &scene, &folder.path().join("set")), &["no frame has a label", "--people"]);
     let set = folder.path().join("set");
     let said = json_lines(pair(&recording, &scene, &set).args(["--people", "1", "--seated"])).remove(0);
     assert_eq!((said["frames"].as_u64(), said["maps"].as_u64()), (Some(256), Some(512)));
     assert_eq!(said["labels_agree"], 256);
-    json_lines(subcommand("dataset verify").arg("--json").arg(&set));
+    json_lines(command!("dataset verify --json", &set));
     // Bins 12 and 13: the person's surface is 0.36 to 0.39 m away.
     let person = &said["people"][0];
     assert_eq!(person["followed"], 256, "{said}");
@@ -314,7 +312,7 @@ mod hard_cases {
         let text = std::fs::read_to_string(&scene_file).expect("a scene");
         let (room, _) = text.split_once("[[people.actor]]").expect("people");
         std::fs::write(&scene_file, room).expect("writable");
-        let said = json_lines(&mut pair(&recording, &scene_file, &folder.path().join("set"))).remove(0);
+        let said = json_lines(pair(&recording, &scene_file, &folder.path().join("set"))).remove(0);
         assert_eq!((said["maps"].as_u64(), said["labels_agree"].as_u64()), (Some(24), Some(12)));
         assert_eq!(said["people"], Value::Array(Vec::new()));
     }
@@ -345,10 +343,10 @@ mod hard_cases {
             std::fs::write(&file, text).expect("writable");
             file
         };
-        fails_with(&mut pair(&folder.path().join("nowhere.mcap"), &scene_file, &set), &["nowhere.mcap"]);
-        fails_with(&mut pair(&recording, &folder.path().join("nowhere.toml"), &set), &["nowhere.toml"]);
-        fails_with(&mut pair(&recording, &fixture("scenes/hall.toml"), &set), &["another for each seed", "hint:"]);
-        fails_with(&mut pair(&scene_file, &scene_file, &set), &["--frames"]);
+        fails_with(pair(&folder.path().join("nowhere.mcap"), &scene_file, &set), &["nowhere.mcap"]);
+        fails_with(pair(&recording, &folder.path().join("nowhere.toml"), &set), &["nowhere.toml"]);
+        fails_with(pair(&recording, &fixture("scenes/hall.toml"), &set), &["another for each seed", "hint:"]);
+        fails_with(pair(&scene_file, &scene_file, &set), &["--frames"]);
         fails_with(pair(&recording, &scene_file, &set).args(["--height-m", "17"]), &["0.5 to 2.5 m"]);
         let order = write(
             "order.toml",

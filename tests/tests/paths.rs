@@ -1,6 +1,6 @@
 //! Compares the list of `radome scene paths` with mirror images computed by hand.
 
-use radome_tests::{fails_with, failure, fixture, json_lines, subcommand, success};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, subcommand, success};
 use serde_json::Value;
 
 /// Speed of light, m/s.
@@ -25,9 +25,7 @@ fn scene(folder: &std::path::Path) -> std::path::PathBuf {
 }
 
 fn list(scene: &std::path::Path, arguments: &[&str]) -> Value {
-    let mut command = subcommand("scene paths");
-    command.arg(scene).args(["--margin-db", "60", "--json"]).args(arguments);
-    json_lines(&mut command).remove(0)
+    json_lines(command!("scene paths --json", scene, "--margin-db 60", ..arguments)).remove(0)
 }
 
 fn number(value: &Value) -> f64 {
@@ -99,9 +97,7 @@ fn paths_by_somebody_are_as_long_as_their_corners_are_apart() {
 fn the_list_is_drawn_and_told_in_words() {
     let folder = tempfile::tempdir().expect("a folder");
     let picture = folder.path().join("paths.png");
-    let mut command = subcommand("scene paths");
-    command.arg(fixture("scenes/corridor.toml")).args(["--time", "3", "--preview"]).arg(&picture);
-    let (told, _) = success(&mut command);
+    let (told, _) = success(command!("scene paths", fixture("scenes/corridor.toml"), "--time 3 --preview", &picture));
     assert!(told.contains("length/m") && told.contains("x_high"), "{told}");
     assert!(std::fs::metadata(&picture).expect("a picture").len() > 1000);
 }
@@ -118,7 +114,7 @@ mod hard_cases {
             let said = failure(subcommand(command).arg(&scene).args(["--people", "5", "-o"]).arg(&picture));
             assert!(said.contains("room for at most") && !picture.exists(), "{said}");
         }
-        fails_with(subcommand("scene paths").arg(&scene).args(["--person", "7"]), &["person 7", "hint"]);
-        fails_with(subcommand("scene paths").arg(&scene).args(["--time", "inf"]), &["--time"]);
+        fails_with(command!("scene paths", &scene, "--person 7"), &["person 7", "hint"]);
+        fails_with(command!("scene paths", &scene, "--time inf"), &["--time"]);
     }
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
-use radome_tests::{fails_with, failure, fixture_text, json_lines, radome, simulate, subcommand, success};
+use radome_tests::{command, fails_with, failure, fixture_text, json_lines, simulate, success};
 use serde_json::Value;
 
 /// Writes the scene `fixtures/scenes/rooms.toml` with other values for these keys of the waveform.
@@ -50,7 +50,7 @@ fn changed(from: &Path, name: &str, skipped: usize, mut change: impl FnMut(usize
 
 /// Answers of the built-in model, one a frame, and the program's stderr.
 fn live(recording: &Path) -> (Vec<Value>, String) {
-    let (text, said) = success(radome().arg("live").arg(recording).arg("--json"));
+    let (text, said) = success(command!("live --json", recording));
     let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
     // The last line is a summary.
     let answers: Vec<Value> = lines.filter(|line| line.get("sequence").is_some()).collect();
@@ -114,10 +114,10 @@ fn a_band_below_the_limit_is_refused_with_the_limit() {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = rooms(folder.path(), &[("end_frequency_hz", "60.75e9")]);
     let recording = simulated(&scene, 0, 731_012, 2);
-    let said = failure(radome().arg("live").arg(&recording).arg("--json"));
+    let said = failure(command!("live --json", &recording));
     assert!(said.contains("sampled band is 0.238 GHz") && said.contains("0.300 GHz or more"), "{said}");
     assert!(said.contains("hint: capture with a waveform within this limit"), "{said}");
-    fails_with(subcommand("model evaluate").arg("room-hqnn").arg(&recording), &["sampled band is 0.238 GHz", "hint:"]);
+    fails_with(command!("model evaluate room-hqnn", &recording), &["sampled band is 0.238 GHz", "hint:"]);
 }
 
 /// Codes of the receiver with this index.
@@ -195,7 +195,7 @@ fn frames_without_a_signal_get_no_answer_and_change_none() {
         assert!(said.contains("warning: receiver 1 of 1") && said.contains("get no answer"), "{said}");
         // A recording with dead frames only is refused, without other messages.
         let nothing = changed(&dead, "nothing.mcap", 50, |_, _| ());
-        let said = failure(subcommand("model evaluate").arg("room-hqnn").arg(format!("{}=one", nothing.display())));
+        let said = failure(command!("model evaluate room-hqnn", format!("{}=one", nothing.display())));
         assert!(said.contains("no frame of it can be judged") && said.contains("no signal"), "{name}: {said}");
         std::fs::remove_file(nothing).expect("removable");
     }
@@ -273,29 +273,25 @@ fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
     let text = "format = 1\nname = \"rooms\"\nabout = \"Few frames.\"\n[[scene]]\npath = \"scene.toml\"\n\
                 seeds = [731010, 731011]\npeople = 2\nframes = 5\n";
     std::fs::write(&rung, text).expect("writable");
-    let ladder = |hours: &str| {
-        let mut command = subcommand("model evaluate");
-        command.args(["--model", "room-hqnn", "--json", "--empty-hours", hours, "--ladder"]).arg(&rung);
-        command
-    };
-    let answer = json_lines(&mut ladder("0.005")).remove(0);
+    let ladder =
+        |hours: &str| command!("model evaluate --model room-hqnn --json --empty-hours", hours, "--ladder", &rung);
+    let answer = json_lines(ladder("0.005")).remove(0);
     let row = &answer["models"][0]["rungs"][0];
     assert!(row["empty_s"].as_f64().is_some_and(|seconds| (17.9..18.3).contains(&seconds)), "{row}");
     assert_eq!((&row["recordings"][0]["label"], &row["recordings_judged"]), (&"empty".into(), &1.into()), "{row}");
     assert_eq!(row["recordings"][0]["recording"], "rooms-scene-seed731012-empty");
     assert_eq!((&row["false_alarms"], &row["false_alarm_share"]), (&0.into(), &0.0.into()), "{row}");
     assert_eq!(row["false_alarms_per_hour"], 0.0, "{row}");
-    fails_with(&mut ladder("1e6"), &["--empty-hours", "hint:"]);
+    fails_with(ladder("1e6"), &["--empty-hours", "hint:"]);
 
     // A person walks through a room that is labelled empty.
     let walked = simulated(&scene, 1, 731_012, 60);
     let empty = format!("{}=empty", walked.display());
-    let answer = json_lines(subcommand("model evaluate").args(["--json", "room-hqnn"]).arg(&empty)).remove(0);
+    let answer = json_lines(command!("model evaluate --json room-hqnn", &empty)).remove(0);
     assert!(answer["empty_s"].as_f64().is_some_and(|seconds| (5.9..6.1).contains(&seconds)), "{answer}");
     assert!(answer["false_alarms"].as_u64().is_some_and(|alarms| alarms > 0), "{answer}");
     assert!(answer["false_alarms_per_hour"].as_f64().is_some_and(|rate| rate > 500.0), "{answer}");
     assert!(answer["false_alarm_share"].as_f64().is_some_and(|share| (0.5..1.0).contains(&share)), "{answer}");
-    let output = subcommand("model evaluate").arg("room-hqnn").arg(&empty).output().expect("runs");
-    let table = String::from_utf8(output.stdout).expect("text");
+    let (table, _) = success(command!("model evaluate room-hqnn", &empty));
     assert!(table.contains("false alarms") && table.contains("an hour"), "{table}");
 }

@@ -3,19 +3,19 @@
 use std::path::Path;
 use std::process::Stdio;
 
-use radome_tests::{fails_with, failure, fixture, json_lines, radome, simulate, subcommand, success};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, radome, simulate, subcommand, success};
 use serde_json::json;
 
 #[test]
 fn models_lists_the_hqnn_with_its_parameters() {
-    let lists = json_lines(subcommand("model list").arg("--json"));
+    let lists = json_lines(subcommand("model list --json"));
     let hqnn = lists[0].as_array().expect("a list").iter().find(|n| n["name"] == "hqnn").expect("hqnn");
     assert_eq!(hqnn["parameters"], 66_447);
 }
 
 #[test]
 fn config_derives_axes_from_the_sampled_band() {
-    let paper = &json_lines(subcommand("board config").args(["paper", "--json"]))[0];
+    let paper = &json_lines(subcommand("board config paper --json"))[0];
     let resolution = paper["range_resolution_m"].as_f64().expect("number");
     assert!((resolution - 0.171).abs() < 0.003, "{resolution}");
     let velocity = paper["max_velocity_m_per_s"].as_f64().expect("number");
@@ -26,7 +26,7 @@ fn config_derives_axes_from_the_sampled_band() {
 /// halves of the FIFO.
 #[test]
 fn config_reports_what_the_registers_hold_instead_and_how_frames_are_sliced() {
-    let paper = &json_lines(subcommand("board config").args(["paper", "--json"]))[0];
+    let paper = &json_lines(subcommand("board config paper --json"))[0];
     let nearest = paper["nearest"].as_array().expect("a list");
     let gain = nearest.iter().find(|n| n["name"] == "IF gain").expect("48 dB is no step");
     assert_eq!((gain["requested"].as_f64(), gain["realised"].as_f64()), (Some(48.0), Some(50.0)));
@@ -45,21 +45,21 @@ fn config_names_what_it_cannot_use() {
     let keys = "start_frequency_hz = 10e9\nend_frequency_hz = 61.5e9\nsamples_per_chirp = 128\nchirps_per_frame = 64\n\
                 sample_rate_hz = 2e6\nchirp_interval_s = 400e-6\nframe_interval_s = 0.1\n";
     std::fs::write(&file, keys).expect("writes");
-    fails_with(subcommand("board config").arg(&file), &["far.toml", "start_frequency_hz"]);
-    let said = failure(subcommand("board config").arg(folder.path()));
+    fails_with(command!("board config", &file), &["far.toml", "start_frequency_hz"]);
+    let said = failure(command!("board config", folder.path()));
     assert!(said.contains("not a recording") && !said.contains("write its content"), "{said}");
 }
 
 #[test]
 fn errors_say_what_and_what_to_do() {
-    let said = failure(radome().args(["live", "nowhere.mcap", "--model", "nothing.safetensors"]));
+    let said = failure(subcommand("live nowhere.mcap --model nothing.safetensors"));
     assert!(said.starts_with("error: ") && said.contains("nothing.safetensors"), "{said}");
-    fails_with(subcommand("recording maps").args(["/nonexistent", "-o", "/tmp/never.npy"]), &["/nonexistent"]);
+    fails_with(subcommand("recording maps /nonexistent -o /tmp/never.npy"), &["/nonexistent"]);
 }
 
 #[test]
 fn devices_answers_on_a_machine_without_usb() {
-    json_lines(subcommand("board list").arg("--json"));
+    json_lines(subcommand("board list --json"));
 }
 
 #[test]
@@ -67,13 +67,13 @@ fn a_recording_says_its_waveform_its_length_and_its_labels() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("run.mcap");
     simulate(&fixture("scenes/hall.toml"), "--people 0 --frames 20", &recording);
-    let info = json_lines(subcommand("recording info").arg("--json").arg(&recording)).remove(0);
+    let info = json_lines(command!("recording info --json", &recording)).remove(0);
     assert_eq!(
         (&info["format"], &info["frames"], &info["labelled_s"]),
         (&"mcap".into(), &20.into(), &json!({})),
         "{info}"
     );
-    let of_recording = json_lines(subcommand("board config").arg("--json").arg(&recording)).remove(0);
+    let of_recording = json_lines(command!("board config --json", &recording)).remove(0);
     assert_eq!(of_recording["waveform"], info["waveform"]);
 
     let label = ["recording", "label", "--json"];
@@ -86,7 +86,7 @@ fn a_recording_says_its_waveform_its_length_and_its_labels() {
     let track = folder.path().join("track.txt");
     json_lines(radome().args(label).arg(&recording).arg("-o").arg(&track));
     assert!(std::fs::read_to_string(&track).is_ok_and(|text| text.contains("empty")));
-    let info = json_lines(subcommand("recording info").arg("--json").arg(&recording)).remove(0);
+    let info = json_lines(command!("recording info --json", &recording)).remove(0);
     assert_eq!(info["labelled_s"], json!({ "empty": 1.0 }), "{info}");
 }
 
@@ -94,16 +94,11 @@ fn a_recording_says_its_waveform_its_length_and_its_labels() {
 fn a_preview_is_drawn_and_replaces_no_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let picture = folder.path().join("scene.png");
-    let draw = || {
-        let mut command = subcommand("scene preview");
-        command.args(["--frames", "20", "--json", "-o"]).arg(&picture);
-        command.arg(fixture("scenes/corridor.toml"));
-        command
-    };
-    let drawn = json_lines(&mut draw()).remove(0);
+    let draw = || command!("scene preview --frames 20 --json -o", &picture, fixture("scenes/corridor.toml"));
+    let drawn = json_lines(draw()).remove(0);
     assert_eq!(drawn["preview"], picture.display().to_string(), "{drawn}");
     assert!(std::fs::read(&picture).is_ok_and(|bytes| bytes.starts_with(b"\x89PNG")));
-    assert!(failure(&mut draw()).contains("exists already"));
+    assert!(failure(draw()).contains("exists already"));
     let by_former_option = folder.path().join("former.png");
     let former = ["scene", "simulate", "fixtures/scenes/corridor.toml", "--frames", "20", "--json", "--preview"];
     json_lines(radome().args(former).arg(&by_former_option));
@@ -153,7 +148,7 @@ fn an_output_that_is_a_folder_is_refused_before_any_work() {
         fails_with(command.arg(fixture(input)).arg("-o").arg(folder.path()), &["is a folder", "hint: "]);
     }
     let judged = fixture("formats/judged.mcap");
-    fails_with(radome().args(["recording", "answers"]).arg(&judged).args(["-o", "-"]), &["does not go to stdout"]);
+    fails_with(command!("recording answers", &judged, "-o -"), &["does not go to stdout"]);
 }
 
 #[test]
@@ -161,15 +156,11 @@ fn labels_beside_a_text_recording_do_not_become_those_of_another() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     simulate(&fixture("scenes/desk.toml"), "--frames 20", &at("desk.mcap"));
-    let convert = || {
-        let mut command = subcommand("recording convert");
-        command.arg(at("desk.mcap")).arg(at("old.txt")).arg("--overwrite");
-        command
-    };
-    success(&mut convert());
-    success(subcommand("recording label").arg(at("old.txt")).args(["--span", "0:1=two"]));
+    let convert = || command!("recording convert", at("desk.mcap"), at("old.txt"), "--overwrite");
+    success(convert());
+    success(command!("recording label", at("old.txt"), "--span 0:1=two"));
     let before = [at("old.txt"), at("old.label")].map(|path| std::fs::read(path).expect("readable"));
-    fails_with(&mut convert(), &["old.label holds the labels of", "hint: move it away"]);
+    fails_with(convert(), &["old.label holds the labels of", "hint: move it away"]);
     let after = [at("old.txt"), at("old.label")].map(|path| std::fs::read(path).expect("readable"));
     assert!(before == after);
 }
@@ -178,20 +169,10 @@ fn labels_beside_a_text_recording_do_not_become_those_of_another() {
 fn a_background_of_another_waveform_is_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let background = folder.path().join("empty.json");
-    let mut capture = subcommand("model background");
-    capture.arg(fixture("scenes/desk.toml")).args(["--frames", "100", "--model", "cfar", "-o"]).arg(&background);
-    success(&mut capture);
-    let live = |scene: &str| {
-        let mut command = radome();
-        command
-            .arg("live")
-            .arg(fixture(scene))
-            .args(["--frames", "5", "--model", "cfar", "--background"])
-            .arg(&background);
-        command
-    };
-    success(&mut live("scenes/desk.toml"));
-    fails_with(&mut live("scenes/hall.toml"), &["was captured with another waveform", "hint: "]);
+    success(command!("model background", fixture("scenes/desk.toml"), "--frames 100 --model cfar -o", &background));
+    let live = |scene: &str| command!("live", fixture(scene), "--frames 5 --model cfar --background", &background);
+    success(live("scenes/desk.toml"));
+    fails_with(live("scenes/hall.toml"), &["was captured with another waveform", "hint: "]);
 }
 
 /// A stderr that cannot be written, as that of a service whose journal is full.

@@ -4,9 +4,7 @@ use std::path::Path;
 
 use radome_driver::McapReader;
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{
-    convert, emulated_corridor, fails_with, failure, json_lines, live_command, radome, skip, subcommand, success,
-};
+use radome_tests::{command, convert, emulated_corridor, fails_with, failure, json_lines, live_command, skip, success};
 use serde_json::Value;
 
 /// Runs `live` on this number of frames of the simulated corridor and records them; returns its JSON lines.
@@ -15,7 +13,7 @@ fn live(output: &Path, frames: &str) -> Vec<Value> {
 }
 
 fn results(path: &Path) -> Vec<Value> {
-    json_lines(subcommand("recording answers").arg(path).arg("--json"))
+    json_lines(command!("recording answers --json", path))
 }
 
 #[test]
@@ -34,15 +32,15 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
         assert_eq!(kept["probabilities"], Value::from(vec![p("empty"), p("one"), p("two")]));
     }
     // The frames equal those of a recording without answers.
-    let judged_again = json_lines(&mut live_command(at("night.mcap"), "--json"));
+    let judged_again = json_lines(live_command(at("night.mcap"), "--json"));
     assert!(judged_again.iter().zip(said).all(|(again, said)| again["probabilities"] == said["probabilities"]));
 
     convert(&at("night.mcap"), &at("copy.mcap"));
     assert_eq!(results(&at("copy.mcap")), kept);
     // Frames that are recorded again keep their board, and the answers are said to stay behind.
-    let (_, said) = success(radome().arg("record").arg(at("night.mcap")).arg("-o").arg(at("again.mcap")));
+    let (_, said) = success(command!("record", at("night.mcap"), "-o", at("again.mcap")));
     assert!(said.contains("answers of") && said.contains("recording convert"), "{said}");
-    json_lines(&mut live_command(at("night.mcap"), &format!("--json -o {}", at("judged.mcap").display())));
+    json_lines(live_command(at("night.mcap"), &format!("--json -o {}", at("judged.mcap").display())));
     let header = |name: &str| McapReader::open(&at(name)).expect("a recording").header().clone();
     let first = header("night.mcap");
     assert!(first.board.is_some() && !first.registers.is_empty());
@@ -50,16 +48,16 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
         let header = header(name);
         assert_eq!((&header.board, &header.registers), (&first.board, &first.registers), "{name}");
     }
-    json_lines(subcommand("recording repair").arg(at("night.mcap")).arg("-o").arg(at("fixed.mcap")).arg("--json"));
+    json_lines(command!("recording repair --json", at("night.mcap"), "-o", at("fixed.mcap")));
     assert_eq!(results(&at("fixed.mcap")), kept);
     let track = at("track.txt");
     std::fs::write(&track, "0.5\t1.5\tone\n").expect("writable");
-    json_lines(subcommand("recording labels").arg(at("copy.mcap")).arg("--import").arg(&track).arg("--json"));
+    json_lines(command!("recording labels --json", at("copy.mcap"), "--import", &track));
     assert_eq!(results(&at("copy.mcap")), kept);
 
-    let (_, said) = success(subcommand("recording convert").args([at("night.mcap"), at("folder/")]));
+    let (_, said) = success(command!("recording convert", at("night.mcap"), at("folder/")));
     assert!(said.contains("what was said about 40 frames"), "{said}");
-    fails_with(subcommand("recording answers").arg(at("folder")), &["holds no results", "hint:"]);
+    fails_with(command!("recording answers", at("folder")), &["holds no results", "hint:"]);
 }
 
 #[test]
@@ -67,7 +65,7 @@ fn csv_has_a_line_a_frame_or_one_a_change() {
     let folder = tempfile::tempdir().expect("a folder");
     let (night, table) = (folder.path().join("night.mcap"), folder.path().join("night.csv"));
     let said = live(&night, "80");
-    let (told, named) = success(subcommand("recording answers").arg(&night).arg("--csv").arg(&table));
+    let (told, named) = success(command!("recording answers", &night, "--csv", &table));
     assert!(told.is_empty() && named.contains("paper-hqnn.safetensors"), "{told}{named}");
     let table = std::fs::read_to_string(&table).expect("a table");
     let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split(',').collect()).collect();
@@ -78,12 +76,11 @@ fn csv_has_a_line_a_frame_or_one_a_change() {
         assert_eq!(row[column("label")], said["label"].as_str().expect("a label"));
         assert_eq!(row[column("people")], said["people"].to_string());
     }
-    let changes = subcommand("recording answers").arg(&night).arg("--changes").output().expect("runs");
-    let changes = String::from_utf8_lossy(&changes.stdout).lines().count();
+    let (changes, _) = success(command!("recording answers", &night, "--changes"));
     let people: Vec<_> = said[..80].iter().map(|said| said["people"].as_u64()).collect();
     let expected = 1 + people.windows(2).filter(|pair| pair[0] != pair[1]).count();
     assert!(expected > 1, "somebody comes");
-    assert_eq!(changes, expected + 1, "and a line with the names of the columns");
+    assert_eq!(changes.lines().count(), expected + 1, "and a line with the names of the columns");
 }
 
 #[test]
@@ -126,7 +123,7 @@ mod hard_cases {
             skip("/dev/full", "a device of Linux");
             return;
         }
-        let told = failure(&mut live_command(emulated_corridor(), "--frames 60 --json -o /dev/full"));
+        let told = failure(live_command(emulated_corridor(), "--frames 60 --json -o /dev/full"));
         assert!(told.contains("/dev/full"), "{told}");
     }
 

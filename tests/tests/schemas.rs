@@ -3,7 +3,7 @@
 
 use std::fs;
 
-use radome_tests::{fixture, radome, root, success};
+use radome_tests::{command, fixture, root, success};
 use serde_json::Value;
 
 const KINDS: [&str; 6] = ["dataset", "receiver", "scene", "study", "training", "waveform"];
@@ -18,7 +18,7 @@ const FOLDERS: [(&str, &str); 5] = [
 ];
 
 fn printed(kind: &str) -> Value {
-    serde_json::from_str(&success(radome().args(["schema", kind])).0).expect("JSON")
+    serde_json::from_str(&success(command!("schema", kind)).0).expect("JSON")
 }
 
 #[test]

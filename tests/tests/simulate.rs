@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use radome_tests::{
-    fails_with, failure, fixture, fixture_text, frames, json_lines, radome, simulate, subcommand, success,
+    command, fails_with, failure, fixture, fixture_text, frames, json_lines, outcome, radome, simulate, subcommand,
+    success,
 };
 
 fn simulated(folder: &Path, name: &str, threads: &str) -> Vec<u8> {
@@ -32,7 +33,7 @@ fn what_goes_through_the_emulated_board_is_what_was_simulated() {
     simulate(&scene, "--frames 12 --seed 3", &direct);
     let emulated = format!("emulated:{}", scene.display());
     let args = ["--frames", "12", "--seed", "3", "--json", "-o"];
-    let said = json_lines(radome().args(["record", &emulated]).args(args).arg(&recorded));
+    let said = json_lines(command!("record", &emulated, ..args, &recorded));
     assert_eq!((&said[0]["frames"], &said[0]["dropped"]), (&12.into(), &0.into()));
     let codes = |path: &Path| -> Vec<_> {
         frames(path).0.into_iter().map(|frame| (frame.sequence, frame.codes, frame.truth)).collect()
@@ -56,9 +57,7 @@ mod hard_cases {
         let scene = fixture("scenes/desk.toml").display().to_string();
         let recorded = [scene.clone(), format!("emulated:{scene}")].map(|source| {
             let path = folder.path().join(format!("{}.mcap", source.len()));
-            let mut record = radome();
-            record.args(["record", &source, "--frames", "5", "--json", "--waveform"]).arg(&other).arg("-o").arg(&path);
-            json_lines(&mut record);
+            json_lines(command!("record --json", &source, "--frames 5 --waveform", &other, "-o", &path));
             frames(&path).0.into_iter().map(|frame| frame.codes).collect::<Vec<_>>()
         });
         assert!(recorded[0].len() == 5 && recorded[0].iter().all(|codes| codes.len() == 2 * 16 * 32));
@@ -92,9 +91,7 @@ mod hard_cases {
     fn a_device_is_no_recording() {
         let folder = tempfile::tempdir().expect("a folder");
         for source in ["/dev/null", "emulated:/dev/null"] {
-            let mut record = radome();
-            record.args(["record", source, "--waveform", "paper", "-o"]).arg(folder.path().join("x.mcap"));
-            let said = failure(&mut record);
+            let said = failure(command!("record", source, "--waveform paper -o", folder.path().join("x.mcap")));
             assert!(said.contains("/dev/null is a device") && said.contains("serial:/dev/null"), "{said}");
         }
     }
@@ -105,7 +102,7 @@ mod hard_cases {
         let text = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
         let scene = folder.path().join("bad.toml");
         std::fs::write(&scene, text.replace("position_m", "position")).expect("writable");
-        let said = failure(subcommand("scene simulate").arg(&scene).arg("-o").arg(folder.path().join("x.mcap")));
+        let said = failure(command!("scene simulate", &scene, "-o", folder.path().join("x.mcap")));
         assert!(said.contains("bad.toml") && said.contains("position"), "{said}");
         assert!(!folder.path().join("x.mcap").exists());
     }
@@ -125,7 +122,7 @@ mod hard_cases {
         ] {
             let actor = format!("[[people.actor]]\nstep = [{{ walk_to_m = [4.0, 1.0] }}, {goals}]\n");
             std::fs::write(&scene, format!("{room}{wardrobe}[people]\nkeep_off_m = 0.3\n{actor}")).expect("written");
-            let (_, said) = success(subcommand("scene simulate --frames 1").arg(&scene));
+            let (_, said) = success(command!("scene simulate --frames 1", &scene));
             assert!(said.contains(expected) && said.matches("person 0").count() == 1, "{said}");
         }
     }
@@ -135,13 +132,9 @@ mod hard_cases {
     fn a_text_name_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         for options in ["--frames 2", "--frames 2 --shard 0/2"] {
-            let mut command = subcommand("scene simulate");
-            command
-                .arg(fixture("scenes/corridor.toml"))
-                .args(options.split(' '))
-                .arg("-o")
-                .arg(folder.path().join("z.txt"));
-            fails_with(&mut command, &["z", "MCAP only", "hint: "]);
+            let (scene, text) = (fixture("scenes/corridor.toml"), folder.path().join("z.txt"));
+            let simulate = command!("scene simulate", scene, ..options.split(' '), "-o", text);
+            fails_with(simulate, &["z", "MCAP only", "hint: "]);
         }
         assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 0);
     }
@@ -150,18 +143,16 @@ mod hard_cases {
     fn a_shard_of_other_arguments_is_refused_and_its_own_is_found() {
         let folder = tempfile::tempdir().expect("a folder");
         let shard = |options: &str| {
-            let mut command = subcommand("scene simulate --shard 1/2 --people 1 --json");
-            command.arg(fixture("scenes/corridor.toml")).args(options.split_whitespace());
-            command.arg("-o").arg(folder.path().join("a.mcap"));
-            command
+            let (scene, output) = (fixture("scenes/corridor.toml"), folder.path().join("a.mcap"));
+            command!("scene simulate --shard 1/2 --people 1 --json", scene, ..options.split(' '), "-o", output)
         };
-        json_lines(&mut shard("--frames 8 --seed 3"));
-        assert_eq!(json_lines(&mut shard("--frames 8 --seed 3"))[0]["found"], true);
+        json_lines(shard("--frames 8 --seed 3"));
+        assert_eq!(json_lines(shard("--frames 8 --seed 3"))[0]["found"], true);
         for other in ["--frames 8 --seed 4", "--frames 10 --seed 3"] {
-            fails_with(&mut shard(other), &["a-shard-00001-of-00002.mcap", "hint: --overwrite"]);
+            fails_with(shard(other), &["a-shard-00001-of-00002.mcap", "hint: --overwrite"]);
         }
-        json_lines(&mut shard("--frames 8 --seed 4 --overwrite"));
-        assert_eq!(json_lines(&mut shard("--frames 8 --seed 4"))[0]["found"], true);
+        json_lines(shard("--frames 8 --seed 4 --overwrite"));
+        assert_eq!(json_lines(shard("--frames 8 --seed 4"))[0]["found"], true);
     }
 
     #[test]
@@ -171,9 +162,8 @@ mod hard_cases {
         let path = folder.path().join("cut.mcap");
         std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writable");
         let maps = folder.path().join("maps.npy");
-        let output = subcommand("recording maps").arg(&path).arg("-o").arg(maps).output().expect("runs");
-        let said = String::from_utf8_lossy(&output.stderr);
+        let (status, _, said) = outcome(command!("recording maps", &path, "-o", maps));
         assert!(!said.contains("panicked"), "{said}");
-        assert!(output.status.success() || said.contains("cut.mcap"), "{said}");
+        assert!(status == Some(0) || said.contains("cut.mcap"), "{said}");
     }
 }

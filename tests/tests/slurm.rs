@@ -2,18 +2,19 @@
 //! builds a dataset or runs a study. One task is killed and requeued; the merged shards equal the bytes of a single
 //! process.
 
+use std::borrow::BorrowMut;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use radome_tests::running::{Running, free_port};
-use radome_tests::{fixture, installed, json_lines, skip, subcommand, success};
+use radome_tests::{command, fixture, installed, json_lines, outcome, skip, success};
 
 use super::learning::maps;
 use super::study::{STUDY, TRAININGS, progress, report, wait};
 
-fn text_of(command: &mut Command) -> String {
+fn text_of(command: impl BorrowMut<Command>) -> String {
     success(command).0.trim().to_owned()
 }
 
@@ -73,9 +74,8 @@ fn start(folder: &Path) -> ([Running; 3], PathBuf) {
     let controller = spawn("slurmctld", &["-D", "-f", &configuration_text]);
     let node = spawn("slurmd", &["-D", "-f", &configuration_text]);
     wait("the node", || {
-        let output =
-            Command::new("sinfo").args(["-h", "-o", "%T"]).env("SLURM_CONF", &configuration).output().expect("sinfo");
-        String::from_utf8_lossy(&output.stdout).trim() == "idle"
+        let mut info = Command::new("sinfo");
+        outcome(info.args(["-h", "-o", "%T"]).env("SLURM_CONF", &configuration)).1.trim() == "idle"
     });
     ([node, controller, munge], configuration)
 }
@@ -129,8 +129,7 @@ impl Cluster {
     }
 
     fn show(&self, task: &str) -> String {
-        let output = self.command("scontrol").args(["show", "job", task]).output().expect("scontrol");
-        String::from_utf8_lossy(&output.stdout).into_owned()
+        outcome(self.command("scontrol").args(["show", "job", task])).1
     }
 
     /// Kills a task by SIGKILL and waits until it has ended.
@@ -170,9 +169,9 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
          [[simulated]]\nscene = {scene:?}\nseeds = [1, 32]\npeople = [2]\nframes = 200\nevery = 5\n"
     );
     fs::write(&spec, text).expect("writable");
-    json_lines(subcommand("dataset build").arg("--json").arg(&spec).arg("-o").arg(path("single")));
+    json_lines(command!("dataset build --json", &spec, "-o", path("single")));
 
-    let script = text_of(subcommand("dataset slurm").args(["--tasks", "8"]).arg(&spec).arg("-o").arg(path("shards")));
+    let script = text_of(command!("dataset slurm --tasks 8", &spec, "-o", path("shards")));
     let job = cluster.queue(&script);
 
     // Kills the task as soon as it has made a unit, then requeues it.
@@ -198,10 +197,8 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
     let log = fs::read_to_string(path(&format!("radome-spec-{job}_{index}.log"))).expect("a log");
     assert!(log.contains("units are there"), "it went on where it was: {log}");
 
-    let mut merge = subcommand("dataset merge");
-    merge.args(["--json", "-o"]).arg(path("merged"));
-    merge.args((0..8).map(|i| path(&format!("shards/shard-{i:05}-of-00008"))));
-    json_lines(&mut merge);
+    let shards = (0..8).map(|i| path(&format!("shards/shard-{i:05}-of-00008")));
+    json_lines(command!("dataset merge --json -o", path("merged"), ..shards));
     for entry in fs::read_dir(path("single")).expect("a folder").flatten() {
         let other = path("merged").join(entry.file_name());
         assert!(
@@ -222,16 +219,11 @@ fn a_study_with_a_task_killed_and_requeued_reports_the_bytes_of_one_run() {
     let path = |name: &str| cluster.path(name);
     let spec = path("study.toml");
     fs::write(&spec, STUDY).expect("writable");
-    let study = |name: &str| {
-        let mut command = subcommand("model study");
-        command.arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(path(name)).arg("--json");
-        command
-    };
-    json_lines(&mut study("single"));
+    let study = |name: &str| command!("model study --json", &spec, "--dataset", maps(), "-o", path(name));
+    json_lines(study("single"));
 
-    let mut script = subcommand("model slurm");
-    script.args(["--tasks", "6"]).arg(&spec).arg("--dataset").arg(maps());
-    let job = cluster.queue(&text_of(script.arg("-o").arg(path("array"))));
+    let job =
+        cluster.queue(&text_of(command!("model slurm --tasks 6", &spec, "--dataset", maps(), "-o", path("array"))));
     // Two tasks run in parallel, the first before the others.
     wait("the first task to be at work", || progress(&path("array")).iter().any(|count| *count > 0));
     let task = format!("{job}_0");

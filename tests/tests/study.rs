@@ -7,7 +7,7 @@ use std::time::{Duration, SystemTime};
 
 use radome_models::Dataset;
 use radome_tests::running::{Running, wait_up_to};
-use radome_tests::{fails_with, failure, fixture_text, json_lines, radome, subcommand, success, success_at_once};
+use radome_tests::{command, fails_with, failure, fixture_text, json_lines, radome, success, success_at_once};
 
 use super::learning::maps;
 
@@ -37,10 +37,7 @@ impl Place {
 
     /// Command of the study in the folder `name`.
     fn study(&self, name: &str) -> Command {
-        let mut command = subcommand("model study");
-        command.arg(self.at("study.toml")).arg("--dataset").arg(maps());
-        command.arg("--json").arg("-o").arg(self.at(name));
-        command
+        command!("model study --json", self.at("study.toml"), "--dataset", maps(), "-o", self.at(name))
     }
 
     fn shard(&self, name: &str, shard: &str) -> Command {
@@ -105,10 +102,10 @@ pub fn wait(what: &str, mut done: impl FnMut() -> bool) {
 #[test]
 fn shards_with_one_killed_report_the_bytes_of_one_run() {
     let place = Place::new(STUDY);
-    let told = json_lines(&mut place.study("whole"));
+    let told = json_lines(place.study("whole"));
     assert_eq!(told.len(), TRAININGS + 1);
 
-    let first = Running::start(&mut place.shard("shards", "0/4"));
+    let first = Running::start(place.shard("shards", "0/4"));
     // No other shard runs yet, so that the checkpoint belongs to this one.
     wait("a training to be at work", || progress(&place.at("shards"))[1] > 0);
     drop(first);
@@ -129,7 +126,7 @@ fn shards_with_one_killed_report_the_bytes_of_one_run() {
 #[test]
 fn conditions_are_added_without_training_again() {
     let place = Place::new(&few());
-    json_lines(&mut place.study("whole"));
+    json_lines(place.study("whole"));
     let before = place.trainings("whole");
     // Six results, and the models of the three trainings on all labels.
     assert_eq!(before.len(), 6 + 3);
@@ -141,7 +138,7 @@ fn conditions_are_added_without_training_again() {
         command.args(["--condition", &same]);
         command
     };
-    let told = json_lines(&mut judge("whole"));
+    let told = json_lines(judge("whole"));
     // Three networks under two conditions, and the report.
     assert_eq!(told.len(), 3 * 2 + 1);
     assert!(place.trainings("whole") == before, "trainings were done or written again");
@@ -172,7 +169,7 @@ fn conditions_are_added_without_training_again() {
     assert!(clean.rows().iter().zip(noisy.rows()).all(|(clean, noisy)| clean.hash != noisy.hash));
 
     // No work is left; shards give the same result.
-    assert_eq!(json_lines(&mut judge("whole")).len(), 1);
+    assert_eq!(json_lines(judge("whole")).len(), 1);
     success_at_once(["0/2", "1/2"].map(|shard| {
         let mut command = judge("shards");
         command.args(["--shard", shard]);
@@ -193,14 +190,14 @@ fn a_plan_says_what_is_left() {
     for network in before["networks"].as_array().expect("networks") {
         assert!(network["step_seconds"].as_f64() > Some(0.0) && network["steps"].as_u64() > Some(0), "{network}");
     }
-    json_lines(&mut place.study("study"));
+    json_lines(place.study("study"));
     let after = plan();
     assert_eq!((after["done"].as_u64(), after["hours"].as_f64()), (Some(9), Some(0.0)), "{after}");
     let mut command = place.study("study");
     command.arg("--plan");
     let arguments: Vec<_> =
         command.get_args().filter(|argument| *argument != "--json").map(ToOwned::to_owned).collect();
-    let table = String::from_utf8(radome().args(arguments).output().expect("runs").stdout).expect("text");
+    let (table, _) = success(radome().args(arguments));
     assert!(
         table.contains("s a step") && table.contains("estimator_matched") && table.contains("CPU-hours"),
         "{table}"
@@ -218,7 +215,7 @@ fn a_plan_counts_scores_under_conditions() {
     // Three models, trained on all labels.
     assert_eq!([left(&[]), left(&["--condition", &same])], [Some(3), Some(6)]);
     assert!(!place.at("study/conditions").exists());
-    json_lines(&mut place.study("study"));
+    json_lines(place.study("study"));
     assert_eq!([left(&[]), left(&["--condition", &same])], [Some(0), Some(3)]);
 }
 
@@ -226,29 +223,25 @@ fn a_plan_counts_scores_under_conditions() {
 #[test]
 fn the_script_of_an_array_runs_the_study_in_shards() {
     let place = Place::new(STUDY);
-    let script = |arguments: &[&str]| {
-        let mut command = subcommand("model slurm");
-        command.arg(place.at("study.toml")).arg("-o").arg(place.at("out put")).args(arguments);
-        command
-    };
-    let (text, _) = success(&mut script(&["--tasks", "6", "--cpus", "2", "--dataset", "maps"]));
+    let script =
+        |arguments: &[&str]| command!("model slurm", place.at("study.toml"), "-o", place.at("out put"), ..arguments);
+    let (text, _) = success(script(&["--tasks", "6", "--cpus", "2", "--dataset", "maps"]));
     for part in ["--array=0-5", "--cpus-per-task=2", "model study", "--shard auto/6", "--report-only", "out put'"] {
         assert!(text.contains(part), "{part}: {text}");
     }
     let given = place.at("real rooms");
     let given = format!("it's abroad={}", given.display());
-    let output = script(&["--dataset", "maps", "--condition", &given]).output().expect("runs");
-    let with_condition = String::from_utf8(output.stdout).expect("text");
+    let (with_condition, _) = success(script(&["--dataset", "maps", "--condition", &given]));
     // The shards and the final report have the option.
     let word = format!("--condition '{}'", given.replace('\'', "'\\''"));
     assert_eq!(with_condition.matches(&word).count(), 2, "{with_condition}");
     let twice = ["--dataset", "maps", "--condition", &given, "--condition", &given];
-    assert!(failure(&mut script(&twice)).contains("given twice"));
+    assert!(failure(script(&twice)).contains("given twice"));
     let path = place.at("array.sh");
     std::fs::write(&path, &text).expect("writable");
     assert!(Command::new("sh").arg("-n").arg(&path).status().expect("runs").success());
     // Without a dataset the study needs the spec of one.
-    assert!(failure(&mut script(&[])).contains("none.toml"));
+    assert!(failure(script(&[])).contains("none.toml"));
 }
 
 mod hard_cases {
@@ -258,12 +251,12 @@ mod hard_cases {
     #[test]
     fn a_study_killed_within_a_training_repeats_no_other() {
         let place = Place::new(&STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
-        json_lines(&mut place.study("whole"));
-        let killed = Running::start(&mut place.study("killed"));
+        json_lines(place.study("whole"));
+        let killed = Running::start(place.study("killed"));
         wait("a second training", || progress(&place.at("killed")).iter().all(|count| *count > 0));
         drop(killed);
         let [done, _] = progress(&place.at("killed"));
-        let told = json_lines(&mut place.study("killed"));
+        let told = json_lines(place.study("killed"));
         assert_eq!(told.len(), 9 - done + 1, "{done} were done");
         assert_eq!(place.report("killed"), place.report("whole"));
     }
@@ -274,9 +267,7 @@ mod hard_cases {
         let wide = std::fs::read_to_string(maps().with_file_name("maps.toml")).expect("a spec");
         let wide = wide.replace("[map]", "[map]\nrange_fft_length = 256").replace("seeds = [1, 8]", "seeds = [1, 1]");
         std::fs::write(place.at("wide.toml"), wide.replace("every = 5", "every = 55")).expect("writable");
-        json_lines(
-            radome().args(["dataset", "build", "--json"]).arg(place.at("wide.toml")).arg("-o").arg(place.at("wide")),
-        );
+        json_lines(command!("dataset build --json", place.at("wide.toml"), "-o", place.at("wide")));
         let given = format!("office={}", place.at("wide").display());
         let said = failure(place.study("study").args(["--condition", &given]));
         assert!(said.contains("condition 'office': its maps are") && said.contains("hint: "), "{said}");
@@ -289,7 +280,7 @@ mod hard_cases {
             ("{ name = \"a\", dataset = \"maps.toml\", snr = 3 }", "snr"),
         ] {
             place.add_conditions(&few(), conditions);
-            fails_with(&mut place.study("study"), &[expected]);
+            fails_with(place.study("study"), &[expected]);
         }
         // The report leaves out a condition without a dataset.
         place.add_conditions(&few(), NOISE);
@@ -303,9 +294,9 @@ mod hard_cases {
         let place = Place::new(&few());
         let few = few().replace(", { name = \"estimator_matched\" }, { name = \"dequantization\" }", "");
         place.add_conditions(&few, NOISE);
-        json_lines(&mut place.study("study"));
+        json_lines(place.study("study"));
         place.add_conditions(&few, &NOISE.replace("raw_snr_db = 0.0", "raw_snr_db = 3.0"));
-        fails_with(&mut place.study("study"), &["noise_+0_dB", "made from another spec", "hint: "]);
+        fails_with(place.study("study"), &["noise_+0_dB", "made from another spec", "hint: "]);
     }
 
     /// Asserts that a second run in a folder fails with a message, while reports are still possible.
@@ -313,7 +304,7 @@ mod hard_cases {
     fn a_second_run_says_that_the_folder_is_in_use() {
         // The first run must outlast the test, which kills it at the end.
         let place = Place::new(&STUDY.replace("epochs = 3", "epochs = 10000"));
-        let _first = Running::start(&mut place.study("study"));
+        let _first = Running::start(place.study("study"));
         wait("a training", || progress(&place.at("study"))[1] > 0);
         for shard in ["0/1", "1/3"] {
             fails_with(place.study("study").args(["--shard", shard]), &["another process is at work here", "hint: "]);
@@ -329,9 +320,7 @@ mod hard_cases {
         let few = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
         std::fs::write(place.at("maps.toml"), few).expect("writable");
         success_at_once(["0/3", "1/3", "2/3"].map(|shard| {
-            let mut command = subcommand("model study");
-            command.arg(place.at("study.toml")).arg("-o").arg(place.at("study")).args(["--json", "--shard", shard]);
-            command
+            command!("model study --json", place.at("study.toml"), "-o", place.at("study"), "--shard", shard)
         }));
         assert_eq!(progress(&place.at("study")), [9, 0]);
     }
@@ -342,21 +331,17 @@ mod hard_cases {
         let place = Place::new(&few().replace("none.toml", "maps.toml"));
         let spec = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
         std::fs::write(place.at("maps.toml"), &spec).expect("writable");
-        let study = || {
-            let mut command = subcommand("model study");
-            command.arg(place.at("study.toml")).args(["--json", "-o"]).arg(place.at("study"));
-            command
-        };
-        let told = json_lines(&mut study());
+        let study = || command!("model study --json", place.at("study.toml"), "-o", place.at("study"));
+        let told = json_lines(study());
         std::fs::write(place.at("maps.toml"), spec.replace("seeds = [1, 8]", "seeds = [1, 9]")).expect("writable");
-        fails_with(&mut study(), &["study/dataset was made from another spec", "hint: undo the change"]);
+        fails_with(study(), &["study/dataset was made from another spec", "hint: undo the change"]);
         // The report on what was done is still to be had.
         assert_eq!(json_lines(study().arg("--report-only")).last(), told.last());
         std::fs::write(place.at("maps.toml"), spec).expect("writable");
-        assert_eq!(json_lines(&mut study()).last(), told.last());
+        assert_eq!(json_lines(study()).last(), told.last());
         // Where the sources are not at hand, the dataset is named.
         std::fs::remove_file(place.at("maps.toml")).expect("removable");
-        fails_with(&mut study(), &["study/dataset cannot be compared with its sources", "maps.toml"]);
+        fails_with(study(), &["study/dataset cannot be compared with its sources", "maps.toml"]);
         assert!(json_lines(study().arg("--dataset").arg(place.at("study/dataset"))).last().is_some());
     }
 }

@@ -10,7 +10,7 @@ use radome_driver::{McapReader, Reconnect, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, RxMask, SourceEvent, Waveform, WaveformRequest};
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{
-    convert, fails_with, failure, fixture, json_lines, labels_of, radome, root, subcommand, success, success_at_once,
+    command, convert, fails_with, failure, fixture, json_lines, labels_of, radome, root, success, success_at_once,
 };
 
 /// Waveform of one receiver at ten frames a second: 64 KiB a frame.
@@ -134,7 +134,7 @@ fn a_service_that_starts_again_records_to_another_file() {
     let output = format!("{}/", nights.display());
     let mut before: Vec<(PathBuf, Vec<u8>)> = Vec::new();
     for run in 1..=3 {
-        success(&mut service(&source, &["-o", &output]));
+        success(service(&source, &["-o", &output]));
         for (path, bytes) in &before {
             assert!(&std::fs::read(path).expect("readable") == bytes, "{} has changed", path.display());
         }
@@ -145,8 +145,8 @@ fn a_service_that_starts_again_records_to_another_file() {
     }
     // With a file name instead of a folder, the second start of the service is refused.
     let one = folder.path().join("one.mcap").display().to_string();
-    success(&mut service(&source, &["-o", &one]));
-    assert!(failure(&mut service(&source, &["-o", &one])).contains("exists already"));
+    success(service(&source, &["-o", &one]));
+    assert!(failure(service(&source, &["-o", &one])).contains("exists already"));
 }
 
 #[test]
@@ -156,7 +156,7 @@ fn the_time_stands_in_a_name_where_it_is_asked_for() {
     noise(&source, 6);
     let pattern = folder.path().join("night-{time}.mcap");
     for _ in 0..2 {
-        let said = json_lines(radome().arg("record").arg(&source).arg("--json").arg("-o").arg(&pattern)).remove(0);
+        let said = json_lines(command!("record --json", &source, "-o", &pattern)).remove(0);
         let file = PathBuf::from(said["file"].as_str().expect("a name"));
         assert_eq!(readable(&file), 6);
         let name = file.file_name().expect("a name").to_string_lossy().into_owned();
@@ -197,21 +197,20 @@ fn a_second_writer_is_refused_while_the_first_goes_on() {
     let at = |name: &str| folder.path().join(name);
     noise(&at("source.mcap"), 600);
     let made = at("made.mcap");
-    let mut recorder =
-        Running::start(radome().arg("record").arg(at("source.mcap")).args(["--speed", "1", "--json", "-o"]).arg(&made));
+    let mut recorder = Running::start(command!("record --json", at("source.mcap"), "--speed 1 -o", &made));
     wait_for("frames in the file", || (so_far(&made) >= 5).then_some(()));
     let busy = "another program is writing to it";
     let source = at("source.mcap");
-    assert!(failure(radome().arg("record").arg(&source).arg("-o").arg(&made)).contains("exists already"));
-    assert!(failure(radome().arg("record").arg(&source).arg("--overwrite").arg("-o").arg(&made)).contains(busy));
-    assert!(failure(subcommand("recording convert").arg(&source).arg(&made).arg("--overwrite")).contains(busy));
+    assert!(failure(command!("record", &source, "-o", &made)).contains("exists already"));
+    assert!(failure(command!("record", &source, "--overwrite -o", &made)).contains(busy));
+    assert!(failure(command!("recording convert", &source, &made, "--overwrite")).contains(busy));
     std::fs::write(at("track.txt"), "0.0\t0.3\tone\n").expect("writable");
-    fails_with(subcommand("recording labels").arg(&made).arg("--import").arg(at("track.txt")), &[busy, "made.mcap"]);
+    fails_with(command!("recording labels", &made, "--import", at("track.txt")), &[busy, "made.mcap"]);
     recorder.signal("INT");
     assert!(recorder.wait().success(), "{:?}", recorder.stderr.all());
     assert!(is_complete(&made) && readable(&made) >= 5);
     // The waiting writer may now write.
-    json_lines(subcommand("recording labels").arg(&made).args(["--json", "--import"]).arg(at("track.txt")));
+    json_lines(command!("recording labels --json", &made, "--import", at("track.txt")));
     assert_eq!(McapReader::open(&made).expect("opens").labels().expect("labels").len(), 1);
     assert_eq!(files(folder.path()), [made, source, at("track.txt")]);
 }
@@ -227,9 +226,7 @@ fn labels_that_are_imported_at_once_are_all_there() {
         success_at_once((0..8).map(|k| {
             let track = at(&format!("{k}-track.txt"));
             std::fs::write(&track, format!("0.{k}\t0.{k}5\tone\n")).expect("writable");
-            let mut command = subcommand("recording labels");
-            command.arg(at(recording)).args(["--json", "--import"]).arg(track);
-            command
+            command!("recording labels --json", at(recording), "--import", track)
         }));
         let labels = labels_of(&at(recording));
         let mut starts: Vec<f64> = labels.iter().map(|label| label["start_s"].as_f64().expect("a start")).collect();
@@ -256,9 +253,9 @@ fn a_recorder_that_is_killed_leaves_what_it_had_written() {
         assert!(count >= seen && !is_complete(&made), "{count} of {seen}");
         let repaired = at(&format!("repaired-{name}"));
         // The exit status reports that the end was lost.
-        subcommand("recording repair").arg(&made).arg("-o").arg(&repaired).output().expect("runs");
+        command!("recording repair", &made, "-o", &repaired).output().expect("runs");
         assert!(readable(&repaired) == count && is_complete(&repaired));
-        let again = failure(radome().arg("record").arg(at("source.mcap")).arg("-o").arg(&made));
+        let again = failure(command!("record", at("source.mcap"), "-o", &made));
         assert!(again.contains("exists already"), "{again}");
         assert_eq!(readable(&made), count);
     }

@@ -7,7 +7,7 @@ use std::process::Command;
 
 use prost::Message as _;
 use prost_types::{FileDescriptorSet, Timestamp};
-use radome_tests::{fails_with, fixture, json_lines, radome, root, simulate, skip, subcommand, success};
+use radome_tests::{command, fails_with, fixture, json_lines, radome, root, simulate, skip, subcommand, success};
 use serde_json::Value;
 
 /// Host time of the first frame of the golden recording, ns since 1970.
@@ -116,9 +116,7 @@ struct Found {
 
 fn export(input: &Path, folder: &Path) -> PathBuf {
     let output = folder.join("viewers.mcap");
-    let mut convert = subcommand("recording convert");
-    convert.args(["--to", "viewers", "--json"]).args([input, &output]);
-    let said = json_lines(&mut convert).remove(0);
+    let said = json_lines(command!("recording convert --to viewers --json", input, &output)).remove(0);
     assert_eq!(said["written"], std::fs::metadata(&output).expect("a file").len());
     output
 }
@@ -350,9 +348,9 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let input = fixture("formats/judged.mcap");
         let output = export(&input, folder.path());
-        fails_with(subcommand("recording info").arg(&output), &["not one of our recordings"]);
+        fails_with(command!("recording info", &output), &["not one of our recordings"]);
         let before = std::fs::read(&output).expect("reads");
-        fails_with(subcommand("recording convert").args(["--to", "viewers"]).args([&input, &output]), &["--overwrite"]);
+        fails_with(command!("recording convert --to viewers", &input, &output), &["--overwrite"]);
         assert!(std::fs::read(&output).expect("reads") == before);
     }
 

@@ -233,12 +233,12 @@ fn a_token_file_protects_loopback_too_and_is_its_owners_alone() {
     };
     for mode in [0o644, 0o640, 0o606] {
         std::fs::set_permissions(&file, std::fs::Permissions::from_mode(mode)).expect("settable");
-        let said = failure(&mut with_file());
+        let said = failure(with_file());
         assert!(said.contains("chmod 600") && !said.contains(&token), "{said}");
     }
     std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o600)).expect("settable");
     std::fs::write(&file, "short-secret\n").expect("writable");
-    let said = failure(&mut with_file());
+    let said = failure(with_file());
     assert!(said.contains("hint:") && !said.contains("short-secret"), "{said}");
 }
 
@@ -248,7 +248,7 @@ fn labels_that_are_read_only_are_watched_and_downloaded_but_not_changed() {
     let recording = walk(folder.path(), 2.0, 4.0, 20);
     let track = folder.path().join("track.txt");
     std::fs::write(&track, "0.1\t0.5\tempty\n").expect("writable");
-    json_lines(subcommand("recording labels").arg(&recording).args(["--json", "--import"]).arg(&track));
+    json_lines(command!("recording labels --json", &recording, "--import", &track));
     let served = Served::start(watch(&recording, "0").arg("--read-only-labels"));
     let mut socket = page(&served.address);
     assert!(until(&mut socket, |said| said.contains("\"read_only_labels\":true")));
@@ -379,7 +379,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
     // The source is a file and waits for a slow machine. Lost frames would therefore be the page's fault.
     let frames = 60;
     let recording = walk(folder.path(), 2.0, 8.0, frames);
-    let served = Served::start(&mut live_command(recording, "--speed 4 --json"));
+    let served = Served::start(live_command(recording, "--speed 4 --json"));
     let answers = served.program.stdout.clone();
     let address = served.address.clone();
     let ours = format!("Host: {address}\r\n");
@@ -531,7 +531,7 @@ fn labels_that_another_program_has_changed_are_not_overwritten() {
     assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
     let track = folder.path().join("track.txt");
     std::fs::write(&track, "0.1\t0.5\tempty\n").expect("writable");
-    json_lines(subcommand("recording labels").arg(&recording).args(["--json", "--import"]).arg(&track));
+    json_lines(command!("recording labels --json", &recording, "--import", &track));
     socket.send(Message::text("{\"do\":\"add\",\"start_s\":1,\"end_s\":1.5,\"occupancy\":\"one\"}")).expect("sent");
     assert!(until(&mut socket, |said| said.contains("another program")));
     drop(socket);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_tests::browser::{Browser, Served};
-use radome_tests::{fixture, json_lines, labels_of, live_command, maps_of, radome, simulate, subcommand};
+use radome_tests::{command, fixture, json_lines, labels_of, live_command, maps_of, simulate};
 use serde_json::{Value, json};
 
 /// Simulates a recording of a corridor in which one person walks between two ranges.
@@ -21,7 +21,7 @@ fn watch(recording: &Path, speed: &str) -> Command {
 }
 
 fn replay(recording: &Path, speed: &str) -> Served {
-    Served::start(&mut watch(recording, speed))
+    Served::start(watch(recording, speed))
 }
 
 fn labels(recording: &Path) -> Vec<(f64, f64, String)> {
@@ -203,9 +203,8 @@ fn a_simulated_partner_stands_beside_its_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = walk(folder.path(), 2.0, 6.0, 30);
     let pair = folder.path().join("walk-pair");
-    let mut command = subcommand("scene pair");
-    command.arg(&recording).arg(fixture("scenes/corridor.toml")).arg("-o").arg(&pair);
-    json_lines(command.args(["--people", "1", "--corrections", "0", "--json"]));
+    let corridor = fixture("scenes/corridor.toml");
+    json_lines(command!("scene pair --json --people 1 --corrections 0 -o", &pair, &recording, corridor));
     let served = replay(&recording, "1");
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1200) else { return };
     browser.wait_until("window.radome?.hello?.partner && radome.header?.partner");
@@ -221,7 +220,7 @@ fn a_simulated_partner_stands_beside_its_recording() {
 
 #[test]
 fn an_old_answer_is_not_shown_as_the_present_one() {
-    let served = Served::start(&mut live_command(fixture("scenes/corridor.toml"), "--speed 1 --frames 100000"));
+    let served = Served::start(live_command(fixture("scenes/corridor.toml"), "--speed 1 --frames 100000"));
     let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
     let is_blank = "document.getElementById('answer').value === '–' && document.getElementById('occupied').hidden && \
                     !document.getElementById('confidence').textContent && document.body.classList.contains('stale')";
@@ -246,7 +245,7 @@ fn an_old_answer_is_not_shown_as_the_present_one() {
 fn the_title_tells_rooms_apart_and_holds_the_present_answer() {
     for (options, room) in [("", "corridor"), ("--mqtt mqtt://127.0.0.1:1 --mqtt-name Bedroom", "Bedroom")] {
         let options = format!("--speed 1 --frames 100000 {options}");
-        let served = Served::start(&mut live_command(fixture("scenes/corridor.toml"), &options));
+        let served = Served::start(live_command(fixture("scenes/corridor.toml"), &options));
         let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
         browser.wait_until(&format!("/^(empty|one|two) · .*{room}.* · radome$/.test(document.title)"));
         served.program.signal("STOP");
@@ -335,13 +334,9 @@ fn hours_of_frames_leave_no_trace_in_memory() {
     let length_s: f64 = std::env::var("RADOME_PAGE_S").ok().and_then(|s| s.parse().ok()).unwrap_or(1800.0);
     // The desk scene has twenty frames a second and is simulated fast enough.
     let frames = (200.0 * (length_s + 120.0)) as u64;
-    let served = Served::start(
-        radome()
-            .args(["demo", "--frames", &frames.to_string(), "--speed", "10", "--json", "--scene"])
-            .arg(fixture("scenes/desk-person.toml"))
-            .arg("--model")
-            .arg(fixture("models/desk-hqnn.safetensors")),
-    );
+    let (scene, model) = (fixture("scenes/desk-person.toml"), fixture("models/desk-hqnn.safetensors"));
+    let demo = command!("demo --json --speed 10 --frames", frames.to_string(), "--scene", scene, "--model", model);
+    let served = Served::start(demo);
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1100) else { return };
     browser.wait_until("window.radome?.header");
     browser.key("r");
