@@ -4,7 +4,7 @@ use std::path::Path;
 
 use radome_driver::McapReader;
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{command, convert, emulated_corridor, fails_with, failure, json_lines, live_command, skip, success};
+use radome_tests::{command, convert, emulated_corridor, fails_with, json_lines, live_command, success};
 use serde_json::Value;
 
 /// Runs `live` on this number of frames of the simulated corridor and records them; returns its JSON lines.
@@ -111,31 +111,5 @@ fn a_run_that_is_stopped_leaves_a_whole_recording_and_one_that_is_killed_a_reada
             // A chunk spans one second, and answers follow the chunk of their frames.
             assert!(kept.len() + 25 >= said.len() && !kept.is_empty(), "{} of {said:?}", kept.len());
         }
-    }
-}
-
-mod hard_cases {
-    use super::*;
-
-    #[test]
-    fn a_disk_that_is_full_ends_the_run_and_is_named() {
-        if !Path::new("/dev/full").exists() {
-            skip("/dev/full", "a device of Linux");
-            return;
-        }
-        let told = failure(live_command(emulated_corridor(), "--frames 60 --json -o /dev/full"));
-        assert!(told.contains("/dev/full"), "{told}");
-    }
-
-    #[test]
-    fn the_source_is_not_written_over_and_a_folder_that_is_absent_is_named() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let night = folder.path().join("night.mcap");
-        live(&night, "3");
-        let before = std::fs::read(&night).expect("readable");
-        let live = |output: &Path| failure(live_command(&night, "-o").arg(output));
-        assert!(live(&night).contains("input and output at once"));
-        assert!(live(&folder.path().join("no/such/x.mcap")).contains("does not exist"));
-        assert_eq!(std::fs::read(&night).expect("readable"), before);
     }
 }
