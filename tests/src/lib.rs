@@ -59,6 +59,16 @@ pub fn fixture_text(name: &str) -> String {
     })
 }
 
+/// Writes a file into a folder; returns its path.
+///
+/// # Panics
+/// If the file cannot be written.
+pub fn write_file(folder: &Path, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
+    let path = folder.join(name);
+    std::fs::write(&path, content).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    path
+}
+
 /// Simulates a scene into a recording, with options such as `--frames 40 --seed 7`. Replaces an existing recording.
 /// Returns the program's JSON answer.
 ///

@@ -10,6 +10,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_models::ModelCard;
 use radome_tests::{
     add_signal, command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand,
+    write_file,
 };
 use serde_json::Value;
 
@@ -138,11 +139,10 @@ fn the_empty_room_alone_lowers_false_alarms() {
 #[test]
 fn a_curve_tells_accuracy_against_minutes_of_labels() {
     let folder = tempfile::tempdir().expect("a folder");
-    let rooms = folder.path().join("rooms.toml");
     let scene = fixture("scenes/hall.toml").canonicalize().expect("a scene");
     let room = |name: &str, seed: u64| format!("[[room]]\nname = \"{name}\"\nscene = {scene:?}\nseed = {seed}\n");
     let times = "format = 1\nminutes = [0.1, 0.2]\nrecording_s = 1.0\ntest_s = 2.0\n";
-    std::fs::write(&rooms, format!("{times}{}{}", room("a", 800_001), room("b", 800_002))).expect("writable");
+    let rooms = write_file(folder.path(), "rooms.toml", format!("{times}{}{}", room("a", 800_001), room("b", 800_002)));
     let curve = || command!("model adapt --json", made().join("model.safetensors"), "--curve", &rooms);
     let answer = json_lines(curve()).remove(0);
     let curves = answer["curves"].as_array().expect("curves");

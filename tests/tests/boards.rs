@@ -8,7 +8,9 @@ use radome_driver::recording::Recording;
 use radome_driver::{Address, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
 use radome_tests::running::{Running, emulated_board, wait_for};
-use radome_tests::{command, convert, fails_with, failure, fixture, json_lines, outcome, radome, simulate, subcommand};
+use radome_tests::{
+    command, convert, fails_with, failure, fixture, json_lines, outcome, radome, simulate, subcommand, write_file,
+};
 
 const FRAMES: usize = 60;
 
@@ -162,10 +164,9 @@ fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
 
 /// Waveform of another shape than the desk's, and the path of its file.
 fn other_waveform(folder: &Path) -> (Waveform, PathBuf) {
-    let path = folder.join("other.toml");
     let text = "start_frequency_hz = 60e9\nend_frequency_hz = 62e9\nsamples_per_chirp = 32\nchirps_per_frame = 16\n\
         sample_rate_hz = 1e6\nchirp_interval_s = 800e-6\nframe_interval_s = 50e-3\nrx_antennas = [1, 3]\n";
-    std::fs::write(&path, text).expect("writes");
+    let path = write_file(folder, "other.toml", text);
     let request = WaveformRequest {
         start_frequency_hz: 60e9,
         end_frequency_hz: 62e9,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_tests::{command, fails_with, failure, fixture, json_lines, shared, simulate, subcommand};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, shared, simulate, subcommand, write_file};
 use serde_json::Value;
 
 fn number(value: &Value) -> f64 {
@@ -52,8 +52,7 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
     // A scene accepts the written file.
     let scene = std::fs::read_to_string(fixture("scenes/desk.toml")).expect("readable");
     let scene = scene.replace("../receivers/desk.toml", "receiver.toml");
-    let path = folder.path().join("scene.toml");
-    std::fs::write(&path, scene).expect("written");
+    let path = write_file(folder.path(), "scene.toml", scene);
     let made = json_lines(command!("scene simulate --json", &path, "--frames 4"));
     assert_eq!(made[0]["frames"], 4);
 }

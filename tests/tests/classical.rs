@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use radome_tests::{command, fails_with, failure, fixture, fixture_text, json_lines, radome, simulate, success};
+use radome_tests::{
+    command, fails_with, failure, fixture, fixture_text, json_lines, radome, simulate, success, write_file,
+};
 use serde_json::Value;
 
 /// Writes the hall scene without its reverberation, with which the detector counts one walker as two.
@@ -11,9 +13,7 @@ fn hall_without_reverberation(folder: &Path) -> std::path::PathBuf {
     let (points, bounces) = ("diffuse_points = 64\n", "diffuse_bounces = 8\n");
     assert!(hall.contains(points) && hall.contains(bounces), "the hall has other walls now");
     let hall = hall.replace(points, "").replace(bounces, "");
-    let path = folder.join("hall.toml");
-    std::fs::write(&path, hall).expect("writable");
-    path
+    write_file(folder, "hall.toml", hall)
 }
 
 /// Asserts that the detector calls empty halls empty and walkers occupied, with the same filter and metrics as a
@@ -54,10 +54,8 @@ fn the_detector_wants_frames_and_not_maps() {
 fn scene(folder: &Path, name: &str, rest: &str) -> std::path::PathBuf {
     let corridor = fixture_text("scenes/corridor.toml");
     let (head, people) = corridor.split_at(corridor.find("[people").expect("a people table"));
-    let path = folder.join(name);
     let people = if rest.contains("[people") { "" } else { people };
-    std::fs::write(&path, format!("{head}{rest}{people}")).expect("writable");
-    path
+    write_file(folder, name, format!("{head}{rest}{people}"))
 }
 
 /// Asserts that the strongest echo is the walker's: its azimuth is positive on the radar's left and negative on its

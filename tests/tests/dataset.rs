@@ -10,7 +10,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{
     add_signal, command, convert, fails_with, failure, fixture, fixture_text, frames, json_lines, labels_of,
-    model_of_one_waveform, npy, outcome, radome, simulate, subcommand, success,
+    model_of_one_waveform, npy, outcome, radome, simulate, subcommand, success, write_file,
 };
 
 /// TOML section for maps of one channel in decibels.
@@ -27,7 +27,6 @@ floor_db = -200.0"#;
 
 /// Writes a spec with `runs` short runs of each of the paper's two scenes; every unit takes a moment.
 fn spec(folder: &Path, runs: u64, more: &str) -> PathBuf {
-    let path = folder.join("spec.toml");
     let scene = |name: &str| fixture(&format!("scenes/{name}.toml")).canonicalize().expect("a scene");
     let text = format!(
         r#"format = 1
@@ -48,8 +47,7 @@ every = 100
         corridor = scene("corridor"),
         room = scene("room"),
     );
-    std::fs::write(&path, text).expect("writable");
-    path
+    write_file(folder, "spec.toml", text)
 }
 
 fn build(spec: &Path, output: &Path) -> Command {
@@ -151,9 +149,8 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
     doubled.push(path("copy"));
     assert!(Command::new("cp").arg("-r").arg(&doubled[6]).arg(path("copy")).status().expect("cp").success());
     fails_with(merge(&doubled, "no"), &["copy are both shard 6/8"]);
-    let other = folder.path().join("other.toml");
     let text = std::fs::read_to_string(&spec).expect("reads");
-    std::fs::write(&other, text.replace("seeds = [5, 6]", "seeds = [6, 7]")).expect("writable");
+    let other = write_file(folder.path(), "other.toml", text.replace("seeds = [5, 6]", "seeds = [6, 7]"));
     json_lines(build(&other, &path("other")).args(["--shard", "6/8"]));
     let mut foreign = all(Some(6));
     foreign.push(path("other/shard-00006-of-00008"));
@@ -325,7 +322,6 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
         .expect("writable");
     copy(&made, &path("data/home/calibration"));
 
-    let spec = path("spec.toml");
     let text = format!(
         r#"format = 1
 {MAP}
@@ -335,7 +331,7 @@ labels = {{ "empty*" = "empty", "{{scene}}/{{subject}}/one_*" = "one", "{{scene}
 scene = "home"
 "#
     );
-    std::fs::write(&spec, &text).expect("writable");
+    let spec = write_file(folder.path(), "spec.toml", &text);
     let said = json_lines(build(&spec, &path("set"))).remove(0);
     let frames = u64::from(frames);
     let counts = ["empty", "one", "two", "maps", "units"].map(|key| said[key].as_u64().expect("a number"));
@@ -352,9 +348,11 @@ scene = "home"
     assert!(of("home/empty_gui").get("subject").is_none());
     // Neither the filter settings nor the names of the band change the samples. The other receivers do not matter here
     // either.
-    let alone = path("alone.toml");
-    std::fs::write(&alone, text.replace("folders = \"data\"", "folders = \"single\"").replace("{scene}/", ""))
-        .expect("writable");
+    let alone = write_file(
+        folder.path(),
+        "alone.toml",
+        text.replace("folders = \"data\"", "folders = \"single\"").replace("{scene}/", ""),
+    );
     assert_eq!(json_lines(build(&alone, &path("alone"))).remove(0)["two"], frames);
     let manifest = std::fs::read_to_string(path("alone/manifest.jsonl")).expect("reads");
     let row: serde_json::Value =

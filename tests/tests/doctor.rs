@@ -9,7 +9,9 @@ use std::process::Command;
 
 use radome_driver::{Recorder, RecordingHeader};
 use radome_dsp::{Frame, Gap, GapReason, Waveform, WaveformRequest};
-use radome_tests::{command, convert, fixture, help, json_lines, limited, outcome, radome, subcommand, success};
+use radome_tests::{
+    command, convert, fixture, help, json_lines, limited, outcome, radome, subcommand, success, write_file,
+};
 use serde_json::Value;
 
 fn doctor() -> Command {
@@ -57,8 +59,7 @@ fn a_source_that_works_is_examined_and_packed() {
     ] {
         assert!(parts.get(name).is_some_and(|part| !part.is_empty()), "{name}");
     }
-    let path = folder.path().join("frames.mcap");
-    std::fs::write(&path, &parts["frames.mcap"]).expect("writable");
+    let path = write_file(folder.path(), "frames.mcap", &parts["frames.mcap"]);
     assert_eq!(convert(&path, &folder.path().join("copy.mcap"))["frames"], 20);
     wire_is_bytes_with_times_and_directions(&String::from_utf8_lossy(&parts["wire.txt"]));
     let secret = b"hunter2";
@@ -171,8 +172,7 @@ fn wire_is_bytes_with_times_and_directions(text: &str) {
 #[test]
 fn what_does_not_fit_is_a_failure_with_a_hint() {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = folder.path().join("broken.safetensors");
-    std::fs::write(&path, b"nonsense").expect("writable");
+    let path = write_file(folder.path(), "broken.safetensors", b"nonsense");
     let (checks, said) = failing(doctor().arg("--model").arg(&path));
     assert_eq!(named(&checks, "model")["verdict"], "fail");
     assert!(said.contains("failed"), "{said}");

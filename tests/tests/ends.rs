@@ -10,6 +10,7 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 use radome_tests::running::{Running, emulated_board, unplug, wait_for};
 use radome_tests::{
     command, fails_with, failure, fixture, frames, json_lines, limited, outcome, radome, simulate, skip, subcommand,
+    write_file,
 };
 use serde_json::Value;
 
@@ -185,8 +186,7 @@ fn a_stop_while_the_board_is_away_keeps_what_was_taken_by_every_command() {
 #[test]
 fn maps_of_a_recording_that_are_stopped_replace_no_array() {
     let folder = tempfile::tempdir().expect("a folder");
-    let maps = folder.path().join("maps.npy");
-    std::fs::write(&maps, "whole").expect("writes");
+    let maps = write_file(folder.path(), "maps.npy", "whole");
     let desk = fixture("scenes/desk.toml");
     let mut run = Running::start(command!("recording maps", desk, "--frames 1000000 --overwrite -o", &maps));
     let part = folder.path().join(".maps.npy.partial");

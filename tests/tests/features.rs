@@ -1,13 +1,12 @@
 //! Tests of `dataset stats --features`: features of simulated halls beside those of recordings of walking people.
 
-use radome_tests::{command, fails_with, fixture, fixture_text, json_lines};
+use radome_tests::{command, fails_with, fixture, fixture_text, json_lines, write_file};
 
 #[test]
 fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
     let folder = tempfile::tempdir().expect("a folder");
     let spec = fixture_text("datasets/halls.toml").replace("[1, 500]", "[1, 3]");
-    let file = folder.path().join("halls.toml");
-    std::fs::write(&file, spec).expect("writable");
+    let file = write_file(folder.path(), "halls.toml", spec);
     let set = folder.path().join("set");
     json_lines(command!("dataset build --json", &file, "-o", &set));
     let stats = |more: &[&str]| command!("dataset stats --features --json", &set, ..more);
@@ -30,7 +29,6 @@ fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
         let clutter = with_frames.as_array().expect("a list").iter().find(|row| row["key"] == key).expect("a row");
         assert_eq!(clutter["holds"], true, "{clutter}");
     }
-    let measured = folder.path().join("measured.toml");
-    std::fs::write(&measured, "[[feature]]\nkey = \"one.peak_db\"\n").expect("writable");
+    let measured = write_file(folder.path(), "measured.toml", "[[feature]]\nkey = \"one.peak_db\"\n");
     fails_with(stats(&["--measured", measured.to_str().expect("a path")]), &["measured.toml", "name"]);
 }

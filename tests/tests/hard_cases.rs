@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use radome_tests::{command, fails_with, failure, fixture, json_lines, limited, npy, subcommand};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, limited, npy, subcommand, write_file};
 use serde_json::json;
 
 /// Shape of the made-up recording: frames, channels, chirps, samples.
@@ -121,8 +121,7 @@ fn an_output_that_does_not_fit_on_the_disk_is_named() {
 fn a_damaged_model_is_refused_by_its_path() {
     let folder = tempfile::tempdir().expect("a folder");
     let bytes = std::fs::read(fixture("models/desk-hqnn.safetensors")).expect("readable");
-    let path = folder.path().join("half.safetensors");
-    std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writable");
+    let path = write_file(folder.path(), "half.safetensors", &bytes[..bytes.len() / 2]);
     let said = failure(command!("live nowhere.mcap --model", &path));
     assert!(said.contains("half.safetensors") && !said.contains("panicked"), "{said}");
 }

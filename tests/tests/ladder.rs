@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use radome_tests::{
     command, fails_with, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, simulate, success,
+    write_file,
 };
 use serde_json::Value;
 
@@ -34,8 +35,7 @@ fn frames_are_judged_by_the_span_that_they_lie_in() {
     let truth = json_lines(evaluate("cfar").arg(&recording)).remove(0);
     assert!((1..=60).contains(&whole(&truth["recordings"][0]["frames"])), "{truth}");
 
-    let track = folder.path().join("track.txt");
-    std::fs::write(&track, "0\t2\tempty\n2\t4\tone\n4\t5\tsomebody coughs\n").expect("writable");
+    let track = write_file(folder.path(), "track.txt", "0\t2\tempty\n2\t4\tone\n4\t5\tsomebody coughs\n");
     let given = format!("{}={}", recording.display(), track.display());
     let by_file = json_lines(evaluate("cfar").arg(&given)).remove(0);
     let judged = &by_file["recordings"][0];

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use radome_tests::running::Running;
 use radome_tests::{
-    command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success,
+    command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success, write_file,
 };
 
 /// Small dataset of halls, made once for all tests. Its rows have the splits of its spec, which no training changes.
@@ -19,16 +19,10 @@ pub fn maps() -> &'static Path {
 /// Builds a dataset in a folder of its own.
 fn built(spec_text: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
-    let spec = write(folder.path(), "maps.toml", spec_text);
+    let spec = write_file(folder.path(), "maps.toml", spec_text);
     let path = folder.path().join("maps");
     json_lines(command!("dataset build --json", &spec, "-o", &path));
     (folder, path)
-}
-
-fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
-    let path = folder.join(name);
-    std::fs::write(&path, text).expect("writable");
-    path
 }
 
 const TRAINING: &str = "epochs = 6\nstarts = 2\nstart_epochs = 2\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
@@ -36,7 +30,7 @@ const TRAINING: &str = "epochs = 6\nstarts = 2\nstart_epochs = 2\npooled = [4, 4
 #[test]
 fn a_training_that_is_killed_ends_with_the_same_weights() {
     let folder = tempfile::tempdir().expect("a folder");
-    let spec = write(folder.path(), "training.toml", TRAINING);
+    let spec = write_file(folder.path(), "training.toml", TRAINING);
     let train = |name: &str| command!("model train --json", maps(), "--spec", &spec, "-o", folder.path().join(name));
     let told = json_lines(train("whole.safetensors"));
     // Two starts of two epochs, four more epochs, and the summary.
@@ -56,7 +50,7 @@ fn a_training_that_is_killed_ends_with_the_same_weights() {
 #[test]
 fn every_network_can_be_trained_by_name_and_says_what_it_is() {
     let folder = tempfile::tempdir().expect("a folder");
-    let spec = write(
+    let spec = write_file(
         folder.path(),
         "training.toml",
         "epochs = 1\nstarts = 1\nmost_training_maps = 40\nsplit = { by = \"seed\" }\n\
@@ -86,7 +80,7 @@ fn one_recording_can_be_held_out() {
     let row: serde_json::Value = serde_json::from_str(manifest.lines().next().expect("a row")).expect("JSON");
     let sequence = row["sequence"].as_str().expect("a sequence");
     let maps_of = manifest.lines().filter(|line| line.contains(&format!("\"{sequence}\""))).count() as u64;
-    let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n");
+    let spec = write_file(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n");
     let model = folder.path().join("model.safetensors");
     let train = |sequence: &str| {
         command!("model train --json", maps(), "--spec", &spec, "--hold-out", sequence, "--overwrite -o", &model)
@@ -109,7 +103,7 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
                 label_fractions = [1.0, 0.5]\nsnr_db = [20.0]\n\
                 variants = [{ name = \"hqnn\" }, { name = \"linear\", head = { kind = \"linear\" } }]\n\
                 [train]\nepochs = 2\nstarts = 1\nmost_training_maps = 60\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
-    let spec = write(folder.path(), "study.toml", text);
+    let spec = write_file(folder.path(), "study.toml", text);
     let output = folder.path().join("study");
     let study = || command!("model study --json", &spec, "--dataset", maps(), "-o", &output);
     let killed = Running::start(study());
@@ -152,7 +146,7 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
                 [smoothing]\ndwell_s = 60.0\nindependent_s = 1.0\n\
                 [augmentation]\nnoise_db = 1.0\ndoppler_flip = true\necho_gain_db = [-7, 7]\nrange_shift_bins = 6\n\
                 range_stretch = 0.1\nvelocity_stretch = 0.1\nsuperpose = { probability = 0.2 }\nsway = { probability = 0.7 }\n";
-    let spec = write(folder.path(), "training.toml", text);
+    let spec = write_file(folder.path(), "training.toml", text);
     let model = folder.path().join("model.safetensors");
     json_lines(command!("model train --json", maps(), "--spec", &spec, "-o", &model));
 
@@ -230,7 +224,8 @@ mod hard_cases {
     #[test]
     fn a_model_is_evaluated_on_the_test_split_of_its_own_training() {
         let folder = tempfile::tempdir().expect("a folder");
-        let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n[split]\nseed = 2\ntest = 0.4\n");
+        let spec =
+            write_file(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n[split]\nseed = 2\ntest = 0.4\n");
         let model = folder.path().join("model.safetensors");
         let trained = json_lines(command!("model train --json", undivided(), "--spec", &spec, "-o", &model))
             .pop()
@@ -255,7 +250,7 @@ mod hard_cases {
     #[test]
     fn an_empty_split_has_no_score() {
         let folder = tempfile::tempdir().expect("a folder");
-        let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\nsplit = { test = 0.0 }\n");
+        let spec = write_file(folder.path(), "training.toml", "epochs = 1\nstarts = 1\nsplit = { test = 0.0 }\n");
         let model = folder.path().join("model.safetensors");
         json_lines(command!("model train --json", undivided(), "--spec", &spec, "-o", &model));
         fails_with(
@@ -302,8 +297,8 @@ mod hard_cases {
     fn a_training_keeps_to_its_own_files() {
         let folder = tempfile::tempdir().expect("a folder");
         let (model, checkpoint) = ("model.safetensors", "model.safetensors.checkpoint");
-        let of_other = write(folder.path(), model, "another model");
-        write(folder.path(), checkpoint, "another checkpoint");
+        let of_other = write_file(folder.path(), model, "another model");
+        write_file(folder.path(), checkpoint, "another checkpoint");
         fails_with(train(folder.path(), &[]), &["exists already", "--overwrite"]);
         assert_eq!(std::fs::read_to_string(&of_other).expect("reads"), "another model");
         let lock = folder.path().join(format!("{checkpoint}.lock"));
@@ -316,7 +311,7 @@ mod hard_cases {
     #[test]
     fn hints_about_checkpoints_fit() {
         let folder = tempfile::tempdir().expect("a folder");
-        let recording = write(folder.path(), "a.mcap", "a recording");
+        let recording = write_file(folder.path(), "a.mcap", "a recording");
         let named = recording.display().to_string();
         let said = failure(train(folder.path(), &["--checkpoint", &named]));
         assert!(said.contains("name another file for the checkpoint") && !said.contains("carries on"), "{said}");
@@ -358,7 +353,7 @@ mod hard_cases {
             ("sway = { probability = 2.0 }", "sway.probability"),
             ("echo_gain = [-7, 7]", "echo_gain"),
         ] {
-            let spec = write(folder.path(), "training.toml", &format!("[augmentation]\n{augmentation}\n"));
+            let spec = write_file(folder.path(), "training.toml", format!("[augmentation]\n{augmentation}\n"));
             let output = folder.path().join("model.safetensors");
             let said = failure(command!("model train", maps(), "--spec", &spec, "-o", &output));
             assert!(said.contains(expected), "{augmentation}: {said}");
@@ -371,7 +366,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let output = folder.path().join("study");
         let say = |text: &str| {
-            let spec = write(folder.path(), "study.toml", text);
+            let spec = write_file(folder.path(), "study.toml", text);
             failure(command!("model study", &spec, "--dataset", maps(), "-o", &output))
         };
         let good = "title = \"T\"\ndataset = \"x.toml\"\nseeds = [1]\nvariants = [{ name = \"hqnn\" }]\n";

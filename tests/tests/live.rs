@@ -1,7 +1,9 @@
 //! Tests of `radome live` from outside: emulated board, protocol, maps and labels.
 
 use radome_tests::running::emulated_board;
-use radome_tests::{command, fails_with, fixture, fixture_text, json_lines, live_command, shared, subcommand, success};
+use radome_tests::{
+    command, fails_with, fixture, fixture_text, json_lines, live_command, shared, subcommand, success, write_file,
+};
 use serde_json::Value;
 
 #[test]
@@ -31,10 +33,9 @@ fn people_are_counted_alike_at_other_gains() {
     let folder = tempfile::tempdir().expect("a folder");
     let corridor = fixture_text("scenes/corridor.toml");
     for gain_db in ["35.0", "45.0"] {
-        let scene = folder.path().join("corridor.toml");
         let other = corridor.replace("if_gain_db = 40.0", &format!("if_gain_db = {gain_db}"));
         assert_ne!(other, corridor);
-        std::fs::write(&scene, other).expect("writable");
+        let scene = write_file(folder.path(), "corridor.toml", other);
         let lines = json_lines(live_command(&scene, "--frames 200 --seed 100003 --json"));
         let summary = &lines.last().expect("some lines")["summary"];
         assert_eq!(summary["dropped"], 0);

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{command, fails_with, failure, fixture, json_lines, simulate, skip, subcommand};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, simulate, skip, subcommand, write_file};
 use serde_json::Value;
 
 /// Shipped models that have an ONNX form, each with a scene of its waveform.
@@ -94,8 +94,7 @@ mod hard_cases {
 
     fn refusal(bytes: &[u8]) -> String {
         let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("some.onnx");
-        std::fs::write(&path, bytes).expect("writable");
+        let path = write_file(folder.path(), "some.onnx", bytes);
         failure(command!("live nowhere.mcap --model", &path))
     }
 
@@ -125,8 +124,7 @@ mod hard_cases {
         }
         // An ONNX file with a safetensors name is refused too.
         let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("renamed.safetensors");
-        std::fs::write(&path, whole).expect("writable");
+        let path = write_file(folder.path(), "renamed.safetensors", whole);
         fails_with(command!("live nowhere.mcap --model", &path), &["safetensors"]);
     }
 
@@ -140,8 +138,7 @@ mod hard_cases {
         std::fs::write(package.join("__init__.py"), "").expect("writable");
         std::fs::write(package.join("capi/libonnxruntime.so.1"), "planted").expect("writable");
         // Plants a python3, found if PATH names the working folder.
-        let python = folder.path().join("python3");
-        std::fs::write(&python, format!("#!/bin/sh\necho {}\n", package.display())).expect("writable");
+        let python = write_file(folder.path(), "python3", format!("#!/bin/sh\necho {}\n", package.display()));
         std::fs::set_permissions(&python, std::os::unix::fs::PermissionsExt::from_mode(0o755)).expect("settable");
         let path = std::env::var("PATH").unwrap_or_default();
         for (variable, value) in [

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_sim::people::motion::{Motion, MotionBuilder, Person};
-use radome_tests::{command, fails_with, failure, fixture, fixture_text, json_lines, shared, simulate, success};
+use radome_tests::{
+    command, fails_with, failure, fixture, fixture_text, json_lines, shared, simulate, success, write_file,
+};
 use serde_json::Value;
 
 /// Path of a walker: way-points, and the speed towards each. A repeated way-point is a pause of two seconds.
@@ -33,9 +35,7 @@ fn scene(folder: &Path, fixture_name: &str, paths: &[&Path2]) -> PathBuf {
         let steps: Vec<String> = path.iter().enumerate().map(step).collect();
         text += &format!("[[people.actor]]\nstep = [{}]\n", steps.join(", "));
     }
-    let file = folder.join("walk.toml");
-    std::fs::write(&file, text).expect("writable");
-    file
+    write_file(folder, "walk.toml", text)
 }
 
 fn record(scene: &Path, frames: u64, seed: u64) -> PathBuf {
@@ -196,8 +196,7 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
     let scene = scene(folder.path(), "scenes/corridor.toml", &[path]);
     let recording = record(&scene, 30, 2);
     // Labels of a file take precedence over the recording's own truth; half of the frames have no label.
-    let labels = folder.path().join("labels.txt");
-    std::fs::write(&labels, "0.0\t2.0\ttwo\n").expect("writable");
+    let labels = write_file(folder.path(), "labels.txt", "0.0\t2.0\ttwo\n");
     let set = folder.path().join("set");
     let make = |output: &Path| {
         let mut command = pair(&recording, &scene, output);
@@ -237,12 +236,11 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
     let said = failure(make(&folder.path().join("three")).arg("--labels").arg(&labels));
     assert!(said.contains("person 2 is in the room") && said.contains("--waypoints"), "{said}");
     assert!(!folder.path().join("three").exists() && !folder.path().join("three.partial").exists());
-    let points = folder.path().join("points.toml");
-    std::fs::write(
-        &points,
+    let points = write_file(
+        folder.path(),
+        "points.toml",
         "[[person]]\npoint = []\n[[person]]\npoint = [{ time_s = 0.0, position_m = [9.0, 1.0] }]\n",
-    )
-    .expect("writable");
+    );
     let mut command = make(&folder.path().join("three"));
     let said = json_lines(command.arg("--labels").arg(&labels).arg("--waypoints").arg(&points)).remove(0);
     assert_eq!((said["maps"].as_u64(), said["people"].as_array().map(Vec::len)), (Some(60), Some(2)));
@@ -253,8 +251,7 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
 fn visitors_come_and_go_by_doors() {
     let folder = tempfile::tempdir().expect("a folder");
     let text = fixture_text("scenes/corridor.toml").replace("max_people = 2", "max_people = 1");
-    let scene = folder.path().join("visits.toml");
-    std::fs::write(&scene, text).expect("writable");
+    let scene = write_file(folder.path(), "visits.toml", text);
     let recording = record(&scene, 150, 2);
     let said = json_lines(pair(&recording, &scene, &folder.path().join("set"))).remove(0);
     assert!(said["labels_agree"].as_u64() >= Some(135), "{said}");
@@ -324,8 +321,7 @@ mod hard_cases {
         let path: &Path2 = &[([5.0, 1.0], 0.0), ([3.0, 1.0], 1.0)];
         let scene_file = scene(folder.path(), "scenes/corridor.toml", &[path]);
         let recording = record(&scene_file, 12, 1);
-        let labels = folder.path().join("labels.txt");
-        std::fs::write(&labels, "0.0\t0.8\tone\n0.8\t1.2\tempty\n").expect("writable");
+        let labels = write_file(folder.path(), "labels.txt", "0.0\t0.8\tone\n0.8\t1.2\tempty\n");
         let mut command = pair(&recording, &scene_file, &folder.path().join("set"));
         let said = json_lines(command.arg("--labels").arg(&labels).args(["--frames", "6"])).remove(0);
         assert_eq!(said["maps"], 12, "{said}");
@@ -338,11 +334,7 @@ mod hard_cases {
         let scene_file = scene(folder.path(), "scenes/corridor.toml", &[path]);
         let recording = record(&scene_file, 12, 1);
         let set = folder.path().join("set");
-        let write = |name: &str, text: &str| {
-            let file = folder.path().join(name);
-            std::fs::write(&file, text).expect("writable");
-            file
-        };
+        let write = |name: &str, text: &str| write_file(folder.path(), name, text);
         fails_with(pair(&folder.path().join("nowhere.mcap"), &scene_file, &set), &["nowhere.mcap"]);
         fails_with(pair(&recording, &folder.path().join("nowhere.toml"), &set), &["nowhere.toml"]);
         fails_with(pair(&recording, &fixture("scenes/hall.toml"), &set), &["another for each seed", "hint:"]);

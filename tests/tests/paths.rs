@@ -1,6 +1,6 @@
 //! Compares the list of `radome scene paths` with mirror images computed by hand.
 
-use radome_tests::{command, fails_with, failure, fixture, json_lines, subcommand, success};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, subcommand, success, write_file};
 use serde_json::Value;
 
 /// Speed of light, m/s.
@@ -19,9 +19,7 @@ fn scene(folder: &std::path::Path) -> std::path::PathBuf {
          [radar]\nposition_m = [1.5, 2.0, 1.1]\nazimuth_deg = 0.0\ntilt_down_deg = 0.0\n\n[waveform]{waveform}\n\
          [[people.actor]]\nstep = [{{ walk_to_m = [3.0, 2.0] }}, {{ stand_s = 600.0 }}]\n"
     );
-    let path = folder.join("metal.toml");
-    std::fs::write(&path, scene).expect("writable");
-    path
+    write_file(folder, "metal.toml", scene)
 }
 
 fn list(scene: &std::path::Path, arguments: &[&str]) -> Value {

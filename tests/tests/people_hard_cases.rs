@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
-use radome_tests::{command, fails_with, failure, fixture_text, json_lines, simulate, success};
+use radome_tests::{command, fails_with, failure, fixture_text, json_lines, simulate, success, write_file};
 use serde_json::Value;
 
 /// Writes the scene `fixtures/scenes/rooms.toml` with other values for these keys of the waveform.
@@ -18,9 +18,7 @@ fn rooms(folder: &Path, waveform: &[(&str, &str)]) -> PathBuf {
         let lines = text.lines().map(|line| if is_key(line) { format!("{key} = {value}") } else { line.to_owned() });
         text = lines.collect::<Vec<_>>().join("\n");
     }
-    let path = folder.join("scene.toml");
-    std::fs::write(&path, text).expect("writable");
-    path
+    write_file(folder, "scene.toml", text)
 }
 
 /// Simulates a recording of a scene.
@@ -269,10 +267,9 @@ fn people_who_are_there_from_the_first_frame_are_found_within_a_second() {
 fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = rooms(folder.path(), &[]);
-    let rung = folder.path().join("rung.toml");
     let text = "format = 1\nname = \"rooms\"\nabout = \"Few frames.\"\n[[scene]]\npath = \"scene.toml\"\n\
                 seeds = [731010, 731011]\npeople = 2\nframes = 5\n";
-    std::fs::write(&rung, text).expect("writable");
+    let rung = write_file(folder.path(), "rung.toml", text);
     let ladder =
         |hours: &str| command!("model evaluate --model room-hqnn --json --empty-hours", hours, "--ladder", &rung);
     let answer = json_lines(ladder("0.005")).remove(0);

@@ -3,7 +3,9 @@
 use std::path::Path;
 use std::process::Stdio;
 
-use radome_tests::{command, fails_with, failure, fixture, json_lines, radome, simulate, subcommand, success};
+use radome_tests::{
+    command, fails_with, failure, fixture, json_lines, radome, simulate, subcommand, success, write_file,
+};
 use serde_json::json;
 
 #[test]
@@ -41,10 +43,9 @@ fn config_reports_what_the_registers_hold_instead_and_how_frames_are_sliced() {
 #[test]
 fn config_names_what_it_cannot_use() {
     let folder = tempfile::tempdir().expect("a folder");
-    let file = folder.path().join("far.toml");
     let keys = "start_frequency_hz = 10e9\nend_frequency_hz = 61.5e9\nsamples_per_chirp = 128\nchirps_per_frame = 64\n\
                 sample_rate_hz = 2e6\nchirp_interval_s = 400e-6\nframe_interval_s = 0.1\n";
-    std::fs::write(&file, keys).expect("writes");
+    let file = write_file(folder.path(), "far.toml", keys);
     fails_with(command!("board config", &file), &["far.toml", "start_frequency_hz"]);
     let said = failure(command!("board config", folder.path()));
     assert!(said.contains("not a recording") && !said.contains("write its content"), "{said}");

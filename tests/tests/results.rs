@@ -4,7 +4,7 @@ use std::path::Path;
 
 use radome_driver::McapReader;
 use radome_tests::running::{Running, wait_for};
-use radome_tests::{command, convert, emulated_corridor, fails_with, json_lines, live_command, success};
+use radome_tests::{command, convert, emulated_corridor, fails_with, json_lines, live_command, success, write_file};
 use serde_json::Value;
 
 /// Runs `live` on this number of frames of the simulated corridor and records them; returns its JSON lines.
@@ -50,8 +50,7 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
     }
     json_lines(command!("recording repair --json", at("night.mcap"), "-o", at("fixed.mcap")));
     assert_eq!(results(&at("fixed.mcap")), kept);
-    let track = at("track.txt");
-    std::fs::write(&track, "0.5\t1.5\tone\n").expect("writable");
+    let track = write_file(folder.path(), "track.txt", "0.5\t1.5\tone\n");
     json_lines(command!("recording labels --json", at("copy.mcap"), "--import", &track));
     assert_eq!(results(&at("copy.mcap")), kept);
 

@@ -6,7 +6,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::process::{Command, Stdio};
 
 use radome_tests::running::Running;
-use radome_tests::{fixture, live_command, outcome, radome};
+use radome_tests::{fixture, live_command, outcome, radome, write_file};
 
 /// Command that simulates the corridor in real time until stopped, with the most detailed log.
 fn watch(url: &str) -> Command {
@@ -39,8 +39,7 @@ fn a_password_in_the_address_is_refused_and_not_echoed() {
 #[test]
 fn what_a_broker_sends_back_is_not_shown() {
     let folder = tempfile::tempdir().expect("a folder");
-    let file = folder.path().join("password");
-    std::fs::write(&file, "hunter2\n").expect("writable");
+    let file = write_file(folder.path(), "password", "hunter2\n");
     std::fs::set_permissions(&file, PermissionsExt::from_mode(0o600)).expect("settable");
     let broker = TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = broker.local_addr().expect("bound").port();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use radome_tests::{
     command, fails_with, failure, fixture, fixture_text, frames, json_lines, outcome, radome, simulate, subcommand,
-    success,
+    success, write_file,
 };
 
 fn simulated(folder: &Path, name: &str, threads: &str) -> Vec<u8> {
@@ -50,10 +50,9 @@ mod hard_cases {
     #[test]
     fn a_scene_is_simulated_in_the_waveform_that_is_named() {
         let folder = tempfile::tempdir().expect("a folder");
-        let other = folder.path().join("other.toml");
         let keys = "start_frequency_hz = 60e9\nend_frequency_hz = 62e9\nsamples_per_chirp = 32\nchirps_per_frame = 16\n\
                     sample_rate_hz = 1e6\nchirp_interval_s = 800e-6\nframe_interval_s = 50e-3\nrx_antennas = [1, 3]\n";
-        std::fs::write(&other, keys).expect("writes");
+        let other = write_file(folder.path(), "other.toml", keys);
         let scene = fixture("scenes/desk.toml").display().to_string();
         let recorded = [scene.clone(), format!("emulated:{scene}")].map(|source| {
             let path = folder.path().join(format!("{}.mcap", source.len()));
@@ -100,8 +99,7 @@ mod hard_cases {
     fn a_wrong_key_in_a_scene_names_file_line_and_key() {
         let folder = tempfile::tempdir().expect("a folder");
         let text = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
-        let scene = folder.path().join("bad.toml");
-        std::fs::write(&scene, text.replace("position_m", "position")).expect("writable");
+        let scene = write_file(folder.path(), "bad.toml", text.replace("position_m", "position"));
         let said = failure(command!("scene simulate", &scene, "-o", folder.path().join("x.mcap")));
         assert!(said.contains("bad.toml") && said.contains("position"), "{said}");
         assert!(!folder.path().join("x.mcap").exists());
@@ -159,8 +157,7 @@ mod hard_cases {
     fn a_recording_cut_short_gives_its_whole_frames_or_says_where_it_ends() {
         let folder = tempfile::tempdir().expect("a folder");
         let bytes = simulated(folder.path(), "whole.mcap", "2");
-        let path = folder.path().join("cut.mcap");
-        std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writable");
+        let path = write_file(folder.path(), "cut.mcap", &bytes[..bytes.len() / 2]);
         let maps = folder.path().join("maps.npy");
         let (status, _, said) = outcome(command!("recording maps", &path, "-o", maps));
         assert!(!said.contains("panicked"), "{said}");

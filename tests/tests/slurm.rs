@@ -9,7 +9,7 @@ use std::process::Command;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use radome_tests::running::{Running, free_port};
-use radome_tests::{command, fixture, installed, json_lines, outcome, skip, success};
+use radome_tests::{command, fixture, installed, json_lines, outcome, skip, success, write_file};
 
 use super::learning::maps;
 use super::study::{STUDY, TRAININGS, progress, report, wait};
@@ -24,16 +24,14 @@ fn start(folder: &Path) -> ([Running; 3], PathBuf) {
     use std::os::unix::fs::PermissionsExt;
     let at = |name: &str| folder.join(name).display().to_string();
     fs::set_permissions(folder, fs::Permissions::from_mode(0o711)).expect("permissions");
-    let key = folder.join("munge.key");
     let mut bytes = vec![0; 128];
     std::io::Read::read_exact(&mut fs::File::open("/dev/urandom").expect("random"), &mut bytes).expect("random");
-    fs::write(&key, bytes).expect("writable");
+    let key = write_file(folder, "munge.key", bytes);
     fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).expect("permissions");
     for name in ["state", "spool"] {
         fs::create_dir(folder.join(name)).expect("writable");
     }
     let host = text_of(&mut Command::new("hostname"));
-    let configuration = folder.join("slurm.conf");
     let text = format!(
         "ClusterName=t\nSlurmctldHost={host}(127.0.0.1)\nSlurmUser=root\nAuthType=auth/munge\nAuthInfo=socket={socket}\n\
          SlurmctldPort={controller}\nSlurmdPort={node}\nProctrackType=proctrack/linuxproc\nTaskPlugin=task/none\n\
@@ -52,7 +50,7 @@ fn start(folder: &Path) -> ([Running; 3], PathBuf) {
         c = at("slurmctld.log"),
         d = at("slurmd.log"),
     );
-    fs::write(&configuration, text).expect("writable");
+    let configuration = write_file(folder, "slurm.conf", text);
     let spawn = |name: &str, arguments: &[&str]| {
         let program = installed(name).unwrap_or_else(|| panic!("{name} is absent"));
         Running::start(Command::new(program).args(arguments).env("SLURM_CONF", &configuration))
@@ -161,14 +159,13 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
     let Some(cluster) = Cluster::start() else { return };
     let path = |name: &str| cluster.path(name);
     let scene = fixture("scenes/corridor.toml").canonicalize().expect("a scene");
-    let spec = path("spec.toml");
     let text = format!(
         "format = 1\n[map]\nscale = \"minus_one_to_one\"\nchannels = {{ one = 0 }}\nchirp_mean_removal = false\n\
          static_removal = \"slow_time_mean\"\nrange_window = \"hann\"\ndoppler_window = \"hann\"\nslow_time = \"chirps\"\n\
          amplitude = \"unnormalised\"\nfloor_db = -200.0\n\
          [[simulated]]\nscene = {scene:?}\nseeds = [1, 32]\npeople = [2]\nframes = 200\nevery = 5\n"
     );
-    fs::write(&spec, text).expect("writable");
+    let spec = write_file(cluster.folder.path(), "spec.toml", text);
     json_lines(command!("dataset build --json", &spec, "-o", path("single")));
 
     let script = text_of(command!("dataset slurm --tasks 8", &spec, "-o", path("shards")));
@@ -217,8 +214,7 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
 fn a_study_with_a_task_killed_and_requeued_reports_the_bytes_of_one_run() {
     let Some(cluster) = Cluster::start() else { return };
     let path = |name: &str| cluster.path(name);
-    let spec = path("study.toml");
-    fs::write(&spec, STUDY).expect("writable");
+    let spec = write_file(cluster.folder.path(), "study.toml", STUDY);
     let study = |name: &str| command!("model study --json", &spec, "--dataset", maps(), "-o", path(name));
     json_lines(study("single"));
 

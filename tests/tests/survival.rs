@@ -11,6 +11,7 @@ use radome_dsp::{Frame, FrameSource, RxMask, SourceEvent, Waveform, WaveformRequ
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{
     command, convert, fails_with, failure, fixture, json_lines, labels_of, radome, root, success, success_at_once,
+    write_file,
 };
 
 /// Waveform of one receiver at ten frames a second: 64 KiB a frame.
@@ -71,8 +72,7 @@ const RECORDERS: [&[&str]; 2] = [&["record"], &["live", "--model", "cfar", "--js
 #[test]
 fn an_output_that_exists_is_refused_and_stays_as_it_is() {
     let folder = tempfile::tempdir().expect("a folder");
-    let kept = folder.path().join("kept.mcap");
-    std::fs::write(&kept, "a night of frames").expect("writable");
+    let kept = write_file(folder.path(), "kept.mcap", "a night of frames");
     let sources = tempfile::tempdir().expect("a folder");
     noise(&sources.path().join("noise.mcap"), 3);
     let plain = sources.path().join("noise.mcap").display().to_string();

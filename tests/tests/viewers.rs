@@ -7,7 +7,9 @@ use std::process::Command;
 
 use prost::Message as _;
 use prost_types::{FileDescriptorSet, Timestamp};
-use radome_tests::{command, fails_with, fixture, json_lines, radome, root, simulate, skip, subcommand, success};
+use radome_tests::{
+    command, fails_with, fixture, json_lines, radome, root, simulate, skip, subcommand, success, write_file,
+};
 use serde_json::Value;
 
 /// Host time of the first frame of the golden recording, ns since 1970.
@@ -361,8 +363,7 @@ mod hard_cases {
         assert_eq!(of::<RawImage>(&found, "/radome/chirps", "foxglove.RawImage").len(), 8);
         std::fs::remove_file(folder.path().join("viewers.mcap")).expect("removes");
         let bytes = std::fs::read(fixture("formats/judged.mcap")).expect("reads");
-        let cut = folder.path().join("cut.mcap");
-        std::fs::write(&cut, &bytes[..bytes.len() - 40]).expect("writes");
+        let cut = write_file(folder.path(), "cut.mcap", &bytes[..bytes.len() - 40]);
         let found = read(&export(&cut, folder.path()));
         assert_eq!(of::<RawImage>(&found, "/radome/chirps", "foxglove.RawImage").len(), 8);
     }

@@ -246,8 +246,7 @@ fn a_token_file_protects_loopback_too_and_is_its_owners_alone() {
 fn labels_that_are_read_only_are_watched_and_downloaded_but_not_changed() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = walk(folder.path(), 2.0, 4.0, 20);
-    let track = folder.path().join("track.txt");
-    std::fs::write(&track, "0.1\t0.5\tempty\n").expect("writable");
+    let track = write_file(folder.path(), "track.txt", "0.1\t0.5\tempty\n");
     json_lines(command!("recording labels --json", &recording, "--import", &track));
     let served = Served::start(watch(&recording, "0").arg("--read-only-labels"));
     let mut socket = page(&served.address);
@@ -529,8 +528,7 @@ fn labels_that_another_program_has_changed_are_not_overwritten() {
     let served = replay(&recording, "0");
     let mut socket = page(&served.address);
     assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
-    let track = folder.path().join("track.txt");
-    std::fs::write(&track, "0.1\t0.5\tempty\n").expect("writable");
+    let track = write_file(folder.path(), "track.txt", "0.1\t0.5\tempty\n");
     json_lines(command!("recording labels --json", &recording, "--import", &track));
     socket.send(Message::text("{\"do\":\"add\",\"start_s\":1,\"end_s\":1.5,\"occupancy\":\"one\"}")).expect("sent");
     assert!(until(&mut socket, |said| said.contains("another program")));

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_tests::browser::{Browser, Served};
-use radome_tests::{command, fixture, fixture_text, json_lines, labels_of, live_command, maps_of, simulate};
+use radome_tests::{
+    command, fixture, fixture_text, json_lines, labels_of, live_command, maps_of, simulate, write_file,
+};
 use serde_json::{Value, json};
 
 /// Simulates a recording of a corridor in which one person walks between two ranges.
@@ -12,8 +14,7 @@ fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
     let corridor = fixture_text("scenes/corridor.toml");
     let (head, _) = corridor.split_once("[people").expect("a people table");
     let step = format!("{{ walk_to_m = [{from_m}, 1.0] }}, {{ walk_to_m = [{to_m}, 1.0], speed_m_per_s = 1.2 }}");
-    let scene = folder.join("walk.toml");
-    std::fs::write(&scene, format!("{head}[people]\n[[people.actor]]\nstep = [{step}]\n")).expect("writable");
+    let scene = write_file(folder, "walk.toml", format!("{head}[people]\n[[people.actor]]\nstep = [{step}]\n"));
     let recording = folder.join("walk.mcap");
     simulate(&scene, &format!("--frames {frames}"), &recording);
     recording
