@@ -1,8 +1,8 @@
 //! Program that runs while a test observes it.
 
 use std::borrow::BorrowMut;
-use std::io::{BufRead, BufReader, Read};
-use std::net::TcpListener;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream, ToSocketAddrs};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::atomic::{AtomicU16, Ordering};
@@ -72,6 +72,18 @@ pub fn wait_up_to<T>(patience: Duration, what: &str, mut look: impl FnMut() -> O
     }
 }
 
+/// Sends these bytes to a server; returns as much of its answer as arrives.
+pub fn ask(address: impl ToSocketAddrs, request: impl AsRef<[u8]>) -> String {
+    let mut answer = Vec::new();
+    if let Ok(mut socket) = TcpStream::connect(address) {
+        // Whoever waits for an answer can ask again.
+        let _ = socket.set_read_timeout(Some(PATIENCE / 2));
+        let _ = socket.write_all(request.as_ref());
+        let _ = socket.read_to_end(&mut answer);
+    }
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
 /// Program that is killed when the test is over.
 pub struct Running {
     child: Child,
@@ -102,6 +114,16 @@ impl Running {
     /// Process id.
     pub fn id(&self) -> u32 {
         self.child.id()
+    }
+
+    /// Port of its metrics, as it is told on stderr.
+    ///
+    /// # Panics
+    /// If the program serves none.
+    pub fn metrics_port(&self) -> u16 {
+        self.stderr.find(0, "the metrics' address", |line| {
+            line.strip_prefix("metrics: http://")?.strip_suffix("/metrics")?.rsplit(':').next()?.parse().ok()
+        })
     }
 
     /// Whether the program still runs.

@@ -1,14 +1,14 @@
 //! Tests of the home integrations from outside: a real MQTT broker, a metrics client, systemd's socket, and hostile
 //! clients.
 
-use std::io::{Read, Write};
+use std::io::Write;
 use std::net::{TcpListener, TcpStream};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use radome_tests::running::{Running, emulated_board, free_port, wait_for};
+use radome_tests::running::{Running, ask, emulated_board, free_port, wait_for};
 use radome_tests::{command, emulated_corridor, fixture, installed, json_lines, labels_of, live_command, skip};
 use serde_json::Value;
 
@@ -259,29 +259,18 @@ fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_righ
     stop_and_count(live);
 }
 
-/// Sends these bytes to a server; returns as much of the answer as arrives.
-fn ask(port: u16, request: &[u8]) -> String {
-    let mut answer = Vec::new();
-    if let Ok(mut socket) = TcpStream::connect(("127.0.0.1", port)) {
-        let _ = socket.set_read_timeout(Some(Duration::from_secs(20)));
-        let _ = socket.write_all(request);
-        let _ = socket.read_to_end(&mut answer);
-    }
-    String::from_utf8_lossy(&answer).into_owned()
-}
-
 fn get(port: u16, path: &str) -> String {
     get_as(port, path, &format!("127.0.0.1:{port}"), "")
 }
 
 /// Requests a path under this host name, with additional headers.
 fn get_as(port: u16, path: &str, host: &str, headers: &str) -> String {
-    ask(port, format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}\r\n").as_bytes())
+    ask(("127.0.0.1", port), format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}\r\n"))
 }
 
 /// Reports the true class.
 fn report(port: u16, truth: &str) -> String {
-    ask(port, format!("POST /report/{truth} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n").as_bytes())
+    ask(("127.0.0.1", port), format!("POST /report/{truth} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n"))
 }
 
 fn metric(page: &str, name: &str) -> f64 {
@@ -294,16 +283,10 @@ fn scrape(port: u16, until: impl Fn(&str) -> bool) -> String {
     wait_for("metrics", || Some(get(port, "/metrics")).filter(|page| page.starts_with("HTTP/1.1 200") && until(page)))
 }
 
-fn metrics_port(live: &Running) -> u16 {
-    live.stderr.find(0, "the metrics' address", |line| {
-        line.strip_prefix("metrics: http://127.0.0.1:")?.strip_suffix("/metrics")?.parse().ok()
-    })
-}
-
 #[test]
 fn prometheus_reads_counters_gauges_and_a_histogram() {
     let live = Running::start(watch().args(["--metrics", "127.0.0.1:0"]));
-    let port = metrics_port(&live);
+    let port = live.metrics_port();
     let page = scrape(port, |page| page.contains("\nradome_up 1\n"));
     assert!(page.contains("text/plain; version=0.0.4"), "{page}");
     let body = page.split("\r\n\r\n").nth(1).expect("a body");
@@ -389,7 +372,7 @@ fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_
     let heard = ear.hear(Duration::from_secs(4));
     assert!(!heard.iter().any(|line| line == "WATCHDOG=1"), "content with a dead board: {heard:?}");
     // Regression test: the frame rate stayed at that of the last frames.
-    let page = scrape(metrics_port(&live), |page| page.contains("\nradome_up 0\n"));
+    let page = scrape(live.metrics_port(), |page| page.contains("\nradome_up 0\n"));
     assert_eq!(metric(&page, "radome_frame_rate_hertz"), 0.0, "{page}");
     board.signal("CONT");
     ear.wait_for("WATCHDOG=1");
@@ -406,7 +389,7 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
     let mut command = watch();
     command.args(["--mqtt", &broker.url(), "--metrics", "127.0.0.1:0", "--keep-last-s", "3", "--keep-to"]);
     let live = Running::start(command.arg(folder.path().join("reports")));
-    let port = metrics_port(&live);
+    let port = live.metrics_port();
     let hub = broker.listen();
     let found = hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
     let found: Value = serde_json::from_str(&found).expect("JSON");
@@ -480,7 +463,7 @@ mod hard_cases {
         let mut command = watch();
         command.args(["--mqtt", &broker.url(), "--metrics", "127.0.0.1:0", "--keep-to"]);
         let live = Running::start(command.arg(folder.path().join("reports")));
-        let port = metrics_port(&live);
+        let port = live.metrics_port();
         let hub = broker.listen();
         hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
         scrape(port, |page| metric(page, "radome_mqtt_refused_total") >= 1.0 && page.contains("\nradome_up 1\n"));
@@ -507,7 +490,7 @@ mod hard_cases {
     #[test]
     fn a_crowd_before_the_metrics_is_turned_away_and_frames_go_on() {
         let live = Running::start(watch().args(["--metrics", "127.0.0.1:0"]));
-        let port = metrics_port(&live);
+        let port = live.metrics_port();
         scrape(port, |page| page.contains("\nradome_up 1\n"));
         // Ten times two hundred connections that send nothing.
         for _ in 0..10 {
@@ -525,7 +508,7 @@ mod hard_cases {
     #[test]
     fn malformed_requests_and_strange_paths_are_refused_and_counted() {
         let live = Running::start(watch().args(["--metrics", "127.0.0.1:0"]));
-        let port = metrics_port(&live);
+        let port = live.metrics_port();
         let before = metric(&scrape(port, |page| page.contains("\nradome_up 1\n")), "radome_http_refused_total");
         let mut refused = 0.0;
         for path in [
@@ -552,7 +535,7 @@ mod hard_cases {
         for request in
             [long.as_bytes(), many.as_bytes(), slow, b"\x16\x03\x01\x02\x00\x01\x00", b"BREW /pot\r\n\r\n", &[0; 5000]]
         {
-            let answer = ask(port, request);
+            let answer = ask(("127.0.0.1", port), request);
             assert!(!answer.starts_with("HTTP/1.1 200"), "{answer}");
             refused += 1.0;
         }
@@ -562,7 +545,7 @@ mod hard_cases {
             (format!("POST /report/empty HTTP/1.1\r\n{host}Origin: http://evil\r\n\r\n"), "403"),
             (format!("POST /report/empty HTTP/1.1\r\n{host}Origin: http://127.0.0.1:{port}\r\n\r\n"), "403"),
         ] {
-            let answer = ask(port, request.as_bytes());
+            let answer = ask(("127.0.0.1", port), request);
             assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{answer}");
             refused += 1.0;
         }
@@ -576,7 +559,7 @@ mod hard_cases {
     #[test]
     fn metrics_are_not_served_under_names_that_are_not_theirs() {
         let live = Running::start(watch().args(["--metrics", "127.0.0.1:0", "--allow-host", "Radar.example:9100"]));
-        let port = metrics_port(&live);
+        let port = live.metrics_port();
         scrape(port, |page| page.contains("\nradome_up 1\n"));
         for host in ["radar.example:9100", &format!("localhost:{port}"), &format!("[::1]:{port}")] {
             assert!(get_as(port, "/metrics", host, "").starts_with("HTTP/1.1 200"), "{host}");
@@ -594,13 +577,14 @@ mod hard_cases {
                 assert!(answer.starts_with("HTTP/1.1 403"), "{path} at {host}: {answer}");
                 assert!(!answer.contains("radome_") && !answer.contains("labelled"), "{path} at {host}: {answer}");
             }
-            let nameless = ask(port, format!("GET {path} HTTP/1.1\r\n\r\n").as_bytes());
+            let nameless = ask(("127.0.0.1", port), format!("GET {path} HTTP/1.1\r\n\r\n"));
             assert!(nameless.starts_with("HTTP/1.1 403"), "{path}: {nameless}");
             let host = format!("127.0.0.1:{port}");
             let answer = get_as(port, path, &host, "Origin: http://evil.example\r\n");
             assert!(answer.starts_with("HTTP/1.1 403"), "{path}: {answer}");
         }
-        let answer = ask(port, format!("POST /report/one HTTP/1.1\r\nHost: evil.example:{port}\r\n\r\n").as_bytes());
+        let request = format!("POST /report/one HTTP/1.1\r\nHost: evil.example:{port}\r\n\r\n");
+        let answer = ask(("127.0.0.1", port), request);
         assert!(answer.starts_with("HTTP/1.1 403"), "{answer}");
         stop_and_count(live);
     }
@@ -613,9 +597,7 @@ mod hard_cases {
         let file = folder.path().join("token");
         for listen in ["0.0.0.0:0", "127.0.0.1:0"] {
             let live = Running::start(watch().args(["--metrics", listen, "--token-file"]).arg(&file));
-            let port: u16 = live.stderr.find(0, "the metrics' address", |line| {
-                line.strip_prefix("metrics: http://")?.strip_suffix("/metrics")?.rsplit(':').next()?.parse().ok()
-            });
+            let port = live.metrics_port();
             let said = live.stderr.all();
             assert!(!said.iter().any(|line| line.contains("http://0.0.0.0")), "nobody reaches that: {said:?}");
             let token = std::fs::read_to_string(&file).expect("made").trim().to_owned();

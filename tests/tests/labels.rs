@@ -70,8 +70,6 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     assert!(said.contains("none.mcap: labels refused: the recording has no frame"), "{said}");
 }
 
-/// Regression test: labels of a text recording were those of every other whose name was the same up to its last dot. The vendor's SDK
-/// gives its recordings no ending.
 /// Regression test: a wrong label could be taken back on the page alone.
 #[test]
 fn labels_are_replaced_and_erased_where_it_is_asked_for() {
@@ -99,6 +97,8 @@ fn labels_are_replaced_and_erased_where_it_is_asked_for() {
     assert!(said.contains("no duration"), "{said}");
 }
 
+/// Regression test: labels of a text recording were those of every other whose name was the same up to its last dot. The vendor's SDK
+/// gives its recordings no ending.
 #[test]
 fn labels_beside_a_recording_are_its_own() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,7 +1,5 @@
 //! Tests of the throughput and memory of long runs: `tests/long home`. Ignored by default.
 
-use std::io::{Read, Write};
-use std::net::TcpStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -10,7 +8,7 @@ use radome_driver::{EmulatedBoard, EmulatorOptions, Pace, Recorder, RecorderOpti
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, WaveformRequest, source_from_fn};
 use radome_models::Model;
 use radome_tests::browser::{Served, page};
-use radome_tests::running::{Running, emulated_board, wait_up_to};
+use radome_tests::running::{Running, ask, emulated_board, wait_up_to};
 use radome_tests::{command, fixture, json_lines, live_command, radome, simulate};
 
 fn setting(name: &str, default: u64) -> u64 {
@@ -52,11 +50,8 @@ fn resident_kib(process: u32) -> u64 {
 
 /// Numbers of frames judged and lost, according to the metrics.
 fn counted(port: u16) -> (u64, u64) {
-    let mut page = String::new();
-    let mut socket = TcpStream::connect(("127.0.0.1", port)).expect("listens");
     let request = format!("GET /metrics HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n");
-    socket.write_all(request.as_bytes()).expect("takes it");
-    socket.read_to_string(&mut page).expect("answers");
+    let page = ask(("127.0.0.1", port), request);
     let value =
         |line: &str| line.rsplit_once(' ').and_then(|(_, value)| value.parse::<f64>().ok()).unwrap_or(0.0) as u64;
     let sum = |name: &str| page.lines().filter(|line| line.starts_with(name)).map(value).sum();
@@ -87,9 +82,7 @@ fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
     command.args(["--metrics", "127.0.0.1:0", "--keep-last-s", "30", "--keep-to"]).arg(folder.path().join("reports"));
     let start = Instant::now();
     let mut live = Running::start(&mut command);
-    let port = live.stderr.find(0, "the metrics' address", |line| {
-        line.strip_prefix("metrics: http://127.0.0.1:")?.strip_suffix("/metrics")?.parse().ok()
-    });
+    let port = live.metrics_port();
     let mut memory = Vec::new();
     let mut last = (0, Instant::now());
     let (frames, lost) = loop {

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use radome_tests::browser::{Socket, page};
 use radome_tests::failure;
-use radome_tests::running::{PATIENCE, wait_for};
+use radome_tests::running::{PATIENCE, ask, wait_for};
 use tungstenite::Message;
 use tungstenite::client::IntoClientRequest;
 
@@ -46,23 +46,13 @@ fn until(socket: &mut Socket, holds: impl Fn(&str) -> bool) -> bool {
 /// Health report of the program, requested with additional headers.
 fn health(address: &str, headers: &str) -> Value {
     let request = format!("GET /health.json HTTP/1.1\r\nHost: {address}\r\n{headers}\r\n");
-    let text = answer(address, &request);
+    let text = ask(address, &request);
     let body = text.split_once("\r\n\r\n").expect("a body").1;
     serde_json::from_str(body).expect("JSON")
 }
 
 fn refused(address: &str) -> Value {
     health(address, "")["refused"].clone()
-}
-
-/// Complete answer to these bytes, read until the server closes the connection.
-fn answer(address: &str, request: &str) -> String {
-    let mut stream = TcpStream::connect(address).expect("a connection");
-    stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
-    stream.write_all(request.as_bytes()).expect("asks");
-    let mut text = Vec::new();
-    let _ = stream.read_to_end(&mut text);
-    String::from_utf8_lossy(&text).into_owned()
 }
 
 /// Value of a header of an answer.
@@ -125,7 +115,7 @@ fn off_loopback_nothing_is_served_without_the_token() {
     let port = address.rsplit(':').next().expect("a port");
     let asked = |method: &str, path: &str, headers: &str| {
         let upgrade = upgrade(path);
-        answer(&address, &format!("{method} {path} HTTP/1.1\r\nHost: {address}\r\n{upgrade}{headers}\r\n"))
+        ask(&address, format!("{method} {path} HTTP/1.1\r\nHost: {address}\r\n{upgrade}{headers}\r\n"))
     };
 
     let wrong_bearer = "Authorization: Bearer 00000000000000000000000000000000\r\n";
@@ -267,7 +257,7 @@ fn labels_that_are_read_only_are_watched_and_downloaded_but_not_changed() {
     }
     // Viewing still works.
     socket.send(Message::text("{\"do\":\"seek_frame\",\"sequence\":3}")).expect("sent");
-    let text = answer(&served.address, &format!("GET /labels.txt HTTP/1.1\r\nHost: {}\r\n\r\n", served.address));
+    let text = ask(&served.address, format!("GET /labels.txt HTTP/1.1\r\nHost: {}\r\n\r\n", served.address));
     assert!(text.ends_with("\tempty\n"), "{text}");
     drop(socket);
     assert!(served.stop(), "an orderly end");
