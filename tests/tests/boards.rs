@@ -9,7 +9,7 @@ use radome_driver::{Address, Mcu7Board};
 use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
 use radome_tests::running::{Running, emulated_board, wait_for};
 use radome_tests::{
-    command, convert, fails_with, failure, fixture, json_lines, outcome, radome, simulate, subcommand, write_file,
+    command, convert, fails_with, failure, fixture, json_lines, outcome, simulate, subcommand, write_file,
 };
 
 const FRAMES: usize = 60;
@@ -183,12 +183,12 @@ fn other_waveform(folder: &Path) -> (Waveform, PathBuf) {
 
 /// Records this number of frames of a board; none may be missing.
 fn record_frames(port: &str, frames: usize, waveform: Option<&Path>, recorded: &Path) {
-    let mut record = radome();
-    record.args(["record", &format!("serial:{port}"), "--frames", frames.to_string(), "--json", "-o"]).arg(recorded);
+    let port = format!("serial:{port}");
+    let mut record = command!("record --json", port, "--frames", frames.to_string(), "-o", recorded);
     if let Some(waveform) = waveform {
         record.arg("--waveform").arg(waveform);
     }
-    let summary = json_lines(&mut record);
+    let summary = json_lines(record);
     assert_eq!((&summary[0]["frames"], &summary[0]["dropped"]), (&frames.into(), &0.into()));
 }
 

@@ -10,7 +10,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{
     add_signal, command, convert, fails_with, failure, fixture, fixture_text, frames, json_lines, labels_of,
-    model_of_one_waveform, npy, outcome, radome, simulate, subcommand, success, write_file,
+    model_of_one_waveform, npy, outcome, simulate, subcommand, success, write_file,
 };
 
 /// TOML section for maps of one channel in decibels.
@@ -590,10 +590,8 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
     hall_in(&path("short.toml"), &[("samples_per_chirp", "64"), ("chirps_per_frame", "16"), ("rx_antennas", "[1, 3]")]);
     simulate(&path("short.toml"), "--people 1 --frames 6", &path("short.mcap"));
     let evaluate = |model: &Path| {
-        let mut command = radome();
         let input = format!("{}=one", path("short.mcap").display());
-        command.args(["model", "evaluate", "--json", "--thermal-snr-db=10,-40", "--model"]).arg(model).arg(input);
-        command
+        command!("model evaluate --json --thermal-snr-db=10,-40 --model", model, input)
     };
     let (told, said) = success(evaluate(&fixture("models/room-cnn.safetensors")));
     let answer: serde_json::Value = serde_json::from_str(&told).expect("JSON");

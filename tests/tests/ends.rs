@@ -70,9 +70,7 @@ fn a_board_that_is_lost_for_good_ends_a_recording_with_its_cause_and_what_was_ca
         let folder = tempfile::tempdir().expect("a folder");
         let (board, port) = emulate(folder.path(), protocol);
         let recording = folder.path().join("run.mcap");
-        let mut command = radome();
-        command.args(["record", &format!("{scheme}:{port}")]);
-        let mut record = patient(command, &recording);
+        let mut record = patient(command!("record", format!("{scheme}:{port}")), &recording);
         wait_for_frames(&record);
         unplug(&board, &port);
         let status = record.wait();
@@ -104,9 +102,7 @@ fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
     let folder = tempfile::tempdir().expect("a folder");
     let (board, port) = emulate(folder.path(), "mcu7-4");
     let recording = folder.path().join("night.mcap");
-    let mut command = radome();
-    command.args(["live", &format!("serial:{port}"), "--model", "cfar"]);
-    let mut live = patient(command, &recording);
+    let mut live = patient(command!("live --model cfar", format!("serial:{port}")), &recording);
     wait_for_frames(&live);
     // Regression test: the signal for a report ended a run that keeps none.
     live.signal("USR1");
@@ -362,9 +358,7 @@ fn what_is_stopped_by_a_signal_ends_in_order_with_0() {
     let folder = tempfile::tempdir().expect("a folder");
     let (mut board, port) = emulate(folder.path(), "mcu7-4");
     let recording = folder.path().join("run.mcap");
-    let mut command = radome();
-    command.args(["record", &format!("serial:{port}")]);
-    let mut record = patient(command, &recording);
+    let mut record = patient(command!("record", format!("serial:{port}")), &recording);
     wait_for_frames(&record);
     record.signal("TERM");
     // A terminal that closes sends several signals at once.
@@ -396,8 +390,7 @@ fn a_stdout_that_nobody_reads_does_not_keep_live_from_ending() {
     let folder = tempfile::tempdir().expect("a folder");
     let (desk_path, recording) = (folder.path().join("desk.mcap"), folder.path().join("run.mcap"));
     desk(1200, &desk_path);
-    let mut live = radome();
-    live.arg("live").arg(&desk_path).args(["--model", "cfar", "--json", "-o"]).arg(&recording);
+    let mut live = command!("live", &desk_path, "--model cfar --json -o", &recording);
     live.env("RADOME_LOG", "warn,radome_driver::recording=trace").stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = live.spawn().expect("starts");
     // The pipe and the queue hold some hundred answers.
@@ -440,9 +433,8 @@ mod full_disk {
         // The smaller limit has room for no frame.
         for blocks in [8, BLOCKS] {
             let full = folder.path().join(format!("full-{blocks}.mcap"));
-            let mut record = radome();
-            record.arg("record").arg(&fed).args(["--json", "-o"]).arg(&full);
-            let (status, told, said) = outcome(limited(blocks, &record));
+            let record = command!("record", &fed, "--json -o", &full);
+            let (status, told, said) = outcome(limited(blocks, record));
             assert_eq!(status, Some(1), "{said}");
             first_cause(&said, &full);
             assert!(said.contains("hint: radome recording repair"), "{said}");
@@ -460,9 +452,8 @@ mod full_disk {
         let folder = tempfile::tempdir().expect("a folder");
         let (fed, full) = (folder.path().join("fed.mcap"), folder.path().join("full.mcap"));
         desk(FRAMES, &fed);
-        let mut live = radome();
-        live.arg("live").arg(&fed).args(["--model", "cfar", "--json", "-o"]).arg(&full);
-        let (status, told, said) = outcome(limited(BLOCKS, &live));
+        let live = command!("live", &fed, "--model cfar --json -o", &full);
+        let (status, told, said) = outcome(limited(BLOCKS, live));
         assert_eq!(status, Some(1), "{said}");
         first_cause(&said, &full);
         assert!(said.contains("marked unfinished") && said.contains("hint: radome recording repair"), "{said}");

@@ -4,16 +4,13 @@
 use std::path::{Path, PathBuf};
 
 use radome_tests::{
-    command, fails_with, fixture, json_lines, json_lines_of, model_of_one_waveform, radome, simulate, success,
-    write_file,
+    command, fails_with, fixture, json_lines, json_lines_of, model_of_one_waveform, simulate, success, write_file,
 };
 use serde_json::Value;
 
 fn evaluate(model: &str) -> std::process::Command {
-    let mut command = radome();
     let model = if model == "cfar" { PathBuf::from(model) } else { fixture(&format!("models/{model}.safetensors")) };
-    command.args(["model", "evaluate", "--json", "--model"]).arg(model);
-    command
+    command!("model evaluate --json --model", model)
 }
 
 fn whole(value: &Value) -> u64 {

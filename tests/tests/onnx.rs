@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{command, fails_with, failure, fixture, json_lines, simulate, skip, subcommand, write_file};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, simulate, skip, write_file};
 use serde_json::Value;
 
 /// Shipped models that have an ONNX form, each with a scene of its waveform.
@@ -146,11 +146,11 @@ mod hard_cases {
             ("PYTHONPATH", folder.path().display().to_string()),
             ("PATH", format!(".:{path}")),
         ] {
-            let mut command = subcommand("model evaluate");
-            command.args(["--model"]).arg(&onnx).arg("nowhere=one").current_dir(folder.path());
-            command.env_remove("ORT_DYLIB_PATH").env_remove("PYTHONPATH").env(variable, value);
+            let mut command = command!("model evaluate --model", &onnx, "nowhere=one");
+            command.current_dir(folder.path()).env_remove("ORT_DYLIB_PATH");
+            command.env_remove("PYTHONPATH").env(variable, value);
             // Where onnxruntime is installed, the missing recording causes the failure.
-            let said = failure(&mut command);
+            let said = failure(command);
             assert!(!said.contains("cannot be loaded"), "{variable}: {said}");
         }
     }

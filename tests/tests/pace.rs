@@ -9,7 +9,7 @@ use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, WaveformRequest, sou
 use radome_models::Model;
 use radome_tests::browser::{Served, page};
 use radome_tests::running::{Running, ask, emulated_board, wait_up_to};
-use radome_tests::{command, fixture, json_lines, live_command, radome, simulate};
+use radome_tests::{command, fixture, json_lines, live_command, simulate};
 
 fn setting(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |value| value.parse().unwrap_or_else(|e| panic!("{name}={value}: {e}")))
@@ -77,11 +77,10 @@ fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
     let source = small_frames(end, sent.clone());
     let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
     let board = EmulatedBoard::spawn(Box::new(source), options).expect("a board");
-    let mut command = radome();
-    command.arg("live").arg(format!("serial:{}", board.path().display())).arg("--model").arg(&path);
+    let mut command = command!("live", format!("serial:{}", board.path().display()), "--model", &path);
     command.args(["--metrics", "127.0.0.1:0", "--keep-last-s", "30", "--keep-to"]).arg(folder.path().join("reports"));
     let start = Instant::now();
-    let mut live = Running::start(&mut command);
+    let mut live = Running::start(command);
     let port = live.metrics_port();
     let mut memory = Vec::new();
     let mut last = (0, Instant::now());

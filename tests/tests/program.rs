@@ -185,15 +185,13 @@ fn a_full_stderr_stops_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     let to = folder.path().join("a.mcap");
     let full = || std::fs::File::options().write(true).open("/dev/full").expect("a device");
-    let mut record = radome();
-    record.arg("record").arg(fixture("formats/recording.mcap")).arg("-o").arg(&to).arg("--allow-loss");
+    let mut record = command!("record", fixture("formats/recording.mcap"), "-o", &to, "--allow-loss");
     let status = record.stderr(full()).status().expect("runs");
     assert!(status.success(), "{status}");
     let desk = folder.path().join("desk.mcap");
     simulate(&fixture("scenes/desk.toml"), "--frames 20", &desk);
-    let mut live = radome();
-    live.arg("live").arg(&desk).args(["--model", "cfar"]).stderr(full()).stdout(Stdio::null());
-    assert!(live.status().expect("runs").success());
+    let mut live = command!("live", &desk, "--model cfar");
+    assert!(live.stderr(full()).stdout(Stdio::null()).status().expect("runs").success());
 }
 
 #[test]

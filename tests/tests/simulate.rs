@@ -3,15 +3,15 @@
 use std::path::Path;
 
 use radome_tests::{
-    command, fails_with, failure, fixture, fixture_text, frames, json_lines, outcome, radome, simulate, subcommand,
-    success, write_file,
+    command, fails_with, failure, fixture, fixture_text, frames, json_lines, outcome, radome, simulate, success,
+    write_file,
 };
 
 fn simulated(folder: &Path, name: &str, threads: &str) -> Vec<u8> {
     let path = folder.join(name);
-    let mut command = subcommand("scene simulate --frames 40 --seed 7 --people 2 --json");
-    command.env("RAYON_NUM_THREADS", threads).arg(fixture("scenes/corridor.toml"));
-    let lines = json_lines(command.arg("-o").arg(&path));
+    let corridor = fixture("scenes/corridor.toml");
+    let mut command = command!("scene simulate --frames 40 --seed 7 --people 2 --json", corridor, "-o", &path);
+    let lines = json_lines(command.env("RAYON_NUM_THREADS", threads));
     assert_eq!(lines[0]["frames"], 40);
     assert!(lines[0]["seconds"].is_number() && lines[0]["frames_per_second"].is_number());
     std::fs::read(path).expect("written")

@@ -7,9 +7,7 @@ use std::process::Command;
 
 use prost::Message as _;
 use prost_types::{FileDescriptorSet, Timestamp};
-use radome_tests::{
-    command, fails_with, fixture, json_lines, radome, root, simulate, skip, subcommand, success, write_file,
-};
+use radome_tests::{command, fails_with, fixture, json_lines, radome, root, simulate, skip, success, write_file};
 use serde_json::Value;
 
 /// Host time of the first frame of the golden recording, ns since 1970.
@@ -251,9 +249,7 @@ fn a_pixel_of_a_map_is_a_cell() {
     assert_eq!(maps.iter().map(|(time_ns, _)| *time_ns).collect::<Vec<_>>(), [0, 100_000_000, 200_000_000]);
 
     let array = folder.path().join("maps.npy");
-    let mut cells = subcommand("recording maps");
-    cells.args(["--incoherent", "--json", "-o"]).args([&array, &input]);
-    let said = json_lines(&mut cells).remove(0);
+    let said = json_lines(command!("recording maps --incoherent --json -o", &array, &input)).remove(0);
     let shape: Vec<usize> = serde_json::from_value(said["shape"].clone()).expect("lengths");
     let (rows, columns) = (shape[2], shape[3]);
     let file = std::fs::File::open(&array).expect("reads");
