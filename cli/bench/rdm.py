@@ -1,18 +1,16 @@
 #!/usr/bin/env python3
-"""The job of `radome bench rdm` in scipy f32 on one thread: 3 x 128 x 256 codes to dB maps. Needs numpy and scipy.
+"""The job of `radome bench rdm` in scipy f32 on one thread: codes of a shape (3x128x256) to dB maps.
 
-    python3 -m venv .venv && .venv/bin/pip install numpy scipy && .venv/bin/python cli/bench/rdm.py
+    python3 -m venv .venv && .venv/bin/pip install numpy scipy && radome bench rdm --python .venv/bin/python
 
-Runs radome in between, so that both are measured on the machine as it is now, and prints the ratio as JSON. With --peer, and
-perhaps another shape (1x64x128), it prints scipy's time alone: so `radome bench rdm` and `bench scene --python .venv/bin/python` call it.
+`radome bench rdm` and `bench scene` call it with the shape, and measure beside it.
 """
-import json, os, pathlib, subprocess, sys, time
+import json, os, sys, time
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 import numpy as np
 import scipy.fft
 
-shape = sys.argv[sys.argv.index("--peer") + 1:] if "--peer" in sys.argv else []
-R, M, N = map(int, shape[0].split("x")) if shape else (3, 128, 256)
+R, M, N = map(int, sys.argv[1].split("x"))
 rng = np.random.default_rng(1)
 codes = rng.integers(0, 4096, (R, M, N)).astype(np.uint16)
 periodic = lambda n: (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)).astype(np.float32)
@@ -41,12 +39,4 @@ def fastest(rounds=200):
     return best * 1e6
 
 
-if "--peer" in sys.argv:
-    print(json.dumps({"scipy_f32_microseconds": fastest()}))
-    sys.exit()
-root = pathlib.Path(__file__).resolve().parents[2]
-before = fastest()
-ours = json.loads(subprocess.check_output([root / "target/release/radome", "bench", "rdm", "--json"]))
-scipy_us = min(before, fastest())
-print(json.dumps({"scipy_f32_microseconds": scipy_us, "radome": ours,
-                  "times_faster": scipy_us / (1e3 * ours[0]["milliseconds"])}))
+print(json.dumps({"scipy_f32_microseconds": fastest()}))

@@ -99,7 +99,7 @@ pub fn scipy_ms(python: Option<&Path>, shape: FrameShape) -> Option<f64> {
     let FrameShape { rx, chirps, samples } = shape;
     let mut command = Command::new(python.unwrap_or(Path::new("python3")));
     // The script is embedded in the program, so it is found from any working directory.
-    command.args(["-c", include_str!("../../../bench/rdm.py"), "--peer", &format!("{rx}x{chirps}x{samples}")]);
+    command.args(["-c", include_str!("../../../bench/rdm.py"), &format!("{rx}x{chirps}x{samples}")]);
     let said: serde_json::Value = serde_json::from_slice(&command.output().ok()?.stdout).ok()?;
     Some(said.get("scipy_f32_microseconds")?.as_f64()? * 1e-3)
 }
