@@ -257,7 +257,7 @@ fn a_repair_that_drops_a_chunk_ends_with_3_and_one_that_loses_nothing_with_0() {
     let at = |name: &str| folder.path().join(name);
     desk(40, &at("whole.mcap"));
     let repair = |from: &str| {
-        let (status, _, said) = outcome(command!("recording repair", at(from), "-o", at(format!("fixed-{from}"))));
+        let (status, _, said) = outcome(command!("recording repair", at(from), "-o", at(&format!("fixed-{from}"))));
         (status, said)
     };
     assert_eq!(repair("whole.mcap").0, Some(0));

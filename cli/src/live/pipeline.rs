@@ -312,9 +312,11 @@ impl Outlet {
                     delivery = back;
                     let oldest = self.oldest.as_ref().and_then(|oldest| oldest.try_recv().ok());
                     match oldest.map(|delivery| delivery.item) {
-                        Some(Item::Frame(_)) => drop(self.queue.missed.fetch_add(1, Ordering::Relaxed)),
+                        Some(Item::Frame(_)) => {
+                            self.queue.missed.fetch_add(1, Ordering::Relaxed);
+                        }
                         Some(Item::Gap(gap)) => {
-                            drop(self.queue.missed_in_gaps.fetch_add(gap.frames, Ordering::Relaxed))
+                            self.queue.missed_in_gaps.fetch_add(gap.frames, Ordering::Relaxed);
                         }
                         Some(Item::End(_)) | None => {}
                     }
