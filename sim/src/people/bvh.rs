@@ -4,7 +4,8 @@
 //! channels, from the parent outwards (`R = R_1 R_2 R_3` of the joint's own lines).
 
 use glam::{DMat3, DVec3};
-use thiserror::Error;
+
+use crate::file_error::FileError;
 
 /// Content of a BVH file.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -39,18 +40,6 @@ pub enum Channel {
     Rotation(usize),
 }
 
-/// Error in a BVH file.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error("line {line}: {problem}, expected {expected}")]
-pub struct BvhError {
-    /// Line number, from 1.
-    pub line: usize,
-    /// Text that was found.
-    pub problem: String,
-    /// Text that was expected.
-    pub expected: String,
-}
-
 /// Upper limits: number of joints, and number of frames times number of channels. Larger files are refused.
 const MOST_JOINTS: usize = 4096;
 const MOST_NUMBERS: usize = 100_000_000;
@@ -66,6 +55,12 @@ const CHANNELS: [(&str, Channel); 6] = [
     ("Yrotation", Channel::Rotation(1)),
     ("Zrotation", Channel::Rotation(2)),
 ];
+
+/// Error at a line: the text that was found, and the text that was expected.
+fn error(line: usize, found: &str, expected: &str) -> FileError {
+    let problem = format!("{found}, expected {expected}");
+    FileError::new(format!("line {line}"), problem, "export the clip again as BVH, one line a frame")
+}
 
 /// Words of the text with their line numbers.
 struct Words<'a> {
@@ -88,35 +83,35 @@ impl<'a> Words<'a> {
         self.all.get(self.at).map_or(self.last_line, |(line, _)| *line)
     }
 
-    fn fault(&self, expected: impl Into<String>) -> BvhError {
-        let problem = self.peek().map_or("the file ends".to_owned(), |word| format!("found {word:?}"));
-        BvhError { line: self.line(), problem, expected: expected.into() }
+    fn fault(&self, expected: &str) -> FileError {
+        let found = self.peek().map_or("the file ends".to_owned(), |word| format!("found {word:?}"));
+        error(self.line(), &found, expected)
     }
 
-    fn expect(&mut self, word: &str) -> Result<(), BvhError> {
+    fn expect(&mut self, word: &str) -> Result<(), FileError> {
         if self.peek().is_some_and(|w| w.eq_ignore_ascii_case(word)) {
             self.at += 1;
             return Ok(());
         }
-        Err(self.fault(format!("{word:?}")))
+        Err(self.fault(&format!("{word:?}")))
     }
 
     /// Takes the next word as what `parse` makes of it.
-    fn next<T>(&mut self, expected: &str, parse: impl Fn(&'a str) -> Option<T>) -> Result<T, BvhError> {
+    fn next<T>(&mut self, expected: &str, parse: impl Fn(&'a str) -> Option<T>) -> Result<T, FileError> {
         let parsed = self.peek().and_then(parse).ok_or_else(|| self.fault(expected))?;
         self.at += 1;
         Ok(parsed)
     }
 
-    fn number(&mut self, expected: &str) -> Result<f64, BvhError> {
+    fn number(&mut self, expected: &str) -> Result<f64, FileError> {
         self.next(expected, |word| word.parse().ok().filter(|number: &f64| number.is_finite()))
     }
 
-    fn count(&mut self, expected: &str) -> Result<usize, BvhError> {
+    fn count(&mut self, expected: &str) -> Result<usize, FileError> {
         self.next(expected, |word| word.parse().ok())
     }
 
-    fn offset(&mut self) -> Result<DVec3, BvhError> {
+    fn offset(&mut self) -> Result<DVec3, FileError> {
         self.expect("OFFSET")?;
         let mut number = || self.number("three finite numbers after OFFSET");
         Ok(DVec3::new(number()?, number()?, number()?))
@@ -125,12 +120,12 @@ impl<'a> Words<'a> {
 
 /// Parses a BVH file.
 ///
-/// # Errors [`BvhError`] at the first line that is not as expected, for frames that are missing, and for a file beyond
-/// the limits.
-pub fn parse_bvh(text: &str) -> Result<Bvh, BvhError> {
+/// # Errors
+/// [`FileError`] at the first line that is not as expected, for frames that are missing, and for a file beyond the
+/// limits.
+pub fn parse_bvh(text: &str) -> Result<Bvh, FileError> {
     if text.len() > LARGEST_BYTES {
-        let problem = format!("the text has {} bytes", text.len());
-        return Err(BvhError { line: 1, problem, expected: format!("{LARGEST_BYTES} at most") });
+        return Err(error(1, &format!("the text has {} bytes", text.len()), &format!("{LARGEST_BYTES} at most")));
     }
     let mut words = Words::new(text);
     let joints = hierarchy(&mut words)?;
@@ -150,7 +145,7 @@ pub fn parse_bvh(text: &str) -> Result<Bvh, BvhError> {
 }
 
 /// Parses the joints, parents first.
-fn hierarchy(words: &mut Words) -> Result<Vec<BvhJoint>, BvhError> {
+fn hierarchy(words: &mut Words) -> Result<Vec<BvhJoint>, FileError> {
     words.expect("HIERARCHY")?;
     words.expect("ROOT")?;
     let mut joints: Vec<BvhJoint> = Vec::new();
@@ -159,7 +154,7 @@ fn hierarchy(words: &mut Words) -> Result<Vec<BvhJoint>, BvhError> {
     let mut name = joint_name(words);
     loop {
         if joints.len() >= MOST_JOINTS {
-            return Err(words.fault(format!("at most {MOST_JOINTS} joints")));
+            return Err(words.fault(&format!("at most {MOST_JOINTS} joints")));
         }
         words.expect("{")?;
         let end_site = name.is_empty();
@@ -193,31 +188,30 @@ fn hierarchy(words: &mut Words) -> Result<Vec<BvhJoint>, BvhError> {
 }
 
 /// Parses `count` frames of `wide` numbers, one frame a line. The text must end after the last frame.
-fn frames(words: &mut Words, count: usize, wide: usize) -> Result<Vec<Vec<f64>>, BvhError> {
+fn frames(words: &mut Words, count: usize, wide: usize) -> Result<Vec<Vec<f64>>, FileError> {
     if count.saturating_mul(wide) > MOST_NUMBERS {
-        return Err(words.fault(format!("at most {MOST_NUMBERS} numbers in all")));
+        return Err(words.fault(&format!("at most {MOST_NUMBERS} numbers in all")));
     }
     if wide == 0 && count > 0 {
-        let problem = format!("{count} frames of a skeleton without channels");
-        return Err(BvhError { line: words.line(), problem, expected: "a joint with channels".to_owned() });
+        let found = format!("{count} frames of a skeleton without channels");
+        return Err(error(words.line(), &found, "a joint with channels"));
     }
     // No memory is reserved for frames that the text may not contain.
     let mut frames = Vec::new();
     for frame in 0..count {
         let begins = words.line();
-        let row: Result<Vec<f64>, BvhError> =
-            (0..wide).map(|_| words.number(&format!("{wide} finite numbers for frame {frame} of {count}"))).collect();
-        let row = row?;
+        let expected = format!("{wide} finite numbers for frame {frame} of {count}");
+        let row = (0..wide).map(|_| words.number(&expected)).collect::<Result<Vec<f64>, FileError>>()?;
         // A line that is too short would take its numbers from the next line.
         let ends = words.all.get(words.at - 1).map_or(begins, |(line, _)| *line);
-        if wide > 0 && ends != begins {
-            let problem = format!("frame {frame} has too few numbers");
-            return Err(BvhError { line: begins, problem, expected: format!("{wide} on its line") });
+        if ends != begins {
+            let found = format!("frame {frame} has too few numbers");
+            return Err(error(begins, &found, &format!("{wide} on its line")));
         }
         frames.push(row);
     }
     if words.peek().is_some() {
-        return Err(words.fault(format!("the end of the file after {count} frames of {wide} numbers")));
+        return Err(words.fault(&format!("the end of the file after {count} frames of {wide} numbers")));
     }
     Ok(frames)
 }
@@ -233,7 +227,7 @@ fn joint_name(words: &mut Words) -> String {
     if parts.is_empty() { "joint".to_owned() } else { parts.join(" ") }
 }
 
-fn channels(words: &mut Words) -> Result<Vec<Channel>, BvhError> {
+fn channels(words: &mut Words) -> Result<Vec<Channel>, FileError> {
     words.expect("CHANNELS")?;
     let count = words.count("the number of channels")?;
     if count > 6 {

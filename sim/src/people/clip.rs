@@ -70,10 +70,7 @@ impl BodyClip {
     /// # Errors
     /// [`FileError`] if the text is no BVH file, its skeleton has no two legs, or it holds no cycle of steps.
     pub fn parse(text: &str, up: UpAxis, cycle_s: Option<[f64; 2]>) -> Result<Self, FileError> {
-        let bvh = parse_bvh(text).map_err(|e| {
-            let problem = format!("{}, expected {}", e.problem, e.expected);
-            FileError::new(format!("line {}", e.line), problem, "export the clip again as BVH, one line a frame")
-        })?;
+        let bvh = parse_bvh(text)?;
         let sides = [side(&bvh, "left", "l")?, side(&bvh, "right", "r")?];
         let rest = upright(&bvh, up, None);
         let length = |a: usize, b: usize| rest[a].distance(rest[b]);
