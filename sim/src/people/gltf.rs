@@ -7,13 +7,14 @@ use gltf::animation::{Interpolation, Property};
 
 use super::rig::{Between, Clip, Joint, Local, MOST_TRIANGLES, Node, Rig, Track, Values};
 use crate::file_error::FileError;
-use crate::geometry::import::UpAxis;
-use crate::geometry::import::gltf::{GltfFault, GltfFile};
+use crate::geometry::import::gltf::GltfFile;
+use crate::geometry::import::{Damage, UpAxis};
 
-impl From<GltfFault> for FileError {
-    fn from(f: GltfFault) -> Self {
+/// Only actors of glTF files have this error: it says how to export them again.
+impl From<Damage> for FileError {
+    fn from(damage: Damage) -> Self {
         let hint = "export it again as glTF 2.0 (.glb), without compression and with all transforms applied";
-        FileError::new(f.place, f.problem, hint)
+        FileError::new(damage.place, damage.problem, hint)
     }
 }
 

@@ -12,7 +12,7 @@ use gltf::json::validation::Validate;
 use gltf::mesh::Mode;
 use radome_files::{MESH_LIMIT_BYTES, beside, read};
 
-use super::{Mesh, ParseError, Part};
+use super::{Damage, Mesh, ParseError, Part};
 
 /// Largest number of objects in a file's JSON: each takes up to a kilobyte of memory for two bytes of text.
 const MOST_OBJECTS: usize = 200_000;
@@ -29,16 +29,6 @@ pub(crate) struct GltfFile {
     buffers: Vec<Vec<u8>>,
     /// Count of numbers read so far.
     numbers: Cell<usize>,
-}
-
-/// Error in a file, with its place.
-pub(crate) struct GltfFault {
-    pub place: String,
-    pub problem: String,
-}
-
-fn fault(place: impl Into<String>, problem: impl Into<String>) -> GltfFault {
-    GltfFault { place: place.into(), problem: problem.into() }
 }
 
 /// Numbers of an accessor, in rows of `width` numbers.
@@ -62,8 +52,8 @@ impl GltfFile {
     /// Parses a `.glb`, or a `.gltf` whose buffers are embedded or in files in `folder`.
     ///
     /// # Errors
-    /// [`GltfFault`] if the file is malformed, or one of its buffers is absent, too short or too large.
-    pub fn parse(bytes: &[u8], folder: &Path) -> Result<Self, GltfFault> {
+    /// [`Damage`] if the file is malformed, or one of its buffers is absent, too short or too large.
+    pub fn parse(bytes: &[u8], folder: &Path) -> Result<Self, Damage> {
         let (document, mut blob) = document(bytes)?;
         let mut buffers = Vec::new();
         // The limit for one file applies to all buffer files together.
@@ -72,19 +62,19 @@ impl GltfFile {
             let place = format!("buffer {}", buffer.index());
             let bytes = match buffer.source() {
                 gltf::buffer::Source::Bin => {
-                    blob.take().ok_or_else(|| fault(&place, "the file has no binary part, expected one"))?
+                    blob.take().ok_or_else(|| Damage::new(&place, "the file has no binary part, expected one"))?
                 }
                 gltf::buffer::Source::Uri(uri) => match uri.strip_prefix("data:") {
                     Some(data) => {
                         let text = data.split_once("base64,").map_or("", |(_, text)| text);
                         let decoded = base64::engine::general_purpose::STANDARD.decode(text.trim());
-                        decoded.map_err(|e| fault(&place, format!("its data is no base64: {e}")))?
+                        decoded.map_err(|e| Damage::new(&place, format!("its data is no base64: {e}")))?
                     }
                     None => {
                         let bytes = beside(folder, uri).and_then(|path| read(&path, left_bytes)).map_err(|e| {
                             let reason = e.to_string();
                             let reason = reason.split("\n\nhint: ").next().unwrap_or_default();
-                            fault(&place, format!("{uri:?} beside the file cannot be read: {reason}"))
+                            Damage::new(&place, format!("{uri:?} beside the file cannot be read: {reason}"))
                         })?;
                         left_bytes = left_bytes.saturating_sub(bytes.len() as u64);
                         bytes
@@ -94,7 +84,7 @@ impl GltfFile {
             if bytes.len() < buffer.length() {
                 let problem =
                     format!("it has {} bytes, expected {}: the file is cut off", bytes.len(), buffer.length());
-                return Err(fault(place, problem));
+                return Err(Damage::new(place, problem));
             }
             buffers.push(bytes);
         }
@@ -104,13 +94,13 @@ impl GltfFile {
     /// Numbers of an accessor; normalised integers are converted to fractions.
     ///
     /// # Errors
-    /// [`GltfFault`] if the accessor has no buffer, or exceeds it.
-    pub fn rows(&self, accessor: &gltf::Accessor, what: &str) -> Result<Rows, GltfFault> {
+    /// [`Damage`] if the accessor has no buffer, or exceeds it.
+    pub fn rows(&self, accessor: &gltf::Accessor, what: &str) -> Result<Rows, Damage> {
         let place = format!("accessor {} ({what})", accessor.index());
         if accessor.sparse().is_some() {
-            return Err(fault(place, "it is sparse, expected all its values: export without sparse accessors"));
+            return Err(Damage::new(place, "it is sparse, expected all its values: export without sparse accessors"));
         }
-        let view = accessor.view().ok_or_else(|| fault(&place, "it has no buffer view"))?;
+        let view = accessor.view().ok_or_else(|| Damage::new(&place, "it has no buffer view"))?;
         let width = match accessor.dimensions() {
             Dimensions::Scalar => 1,
             Dimensions::Vec2 => 2,
@@ -131,13 +121,13 @@ impl GltfFile {
         let end = (view.offset().saturating_add(view.length())).min(bytes.len());
         if accessor.count() > 0 && first.saturating_add(reach) > end {
             let problem = format!("it reaches to byte {}, but its view ends at {end}", first.saturating_add(reach));
-            return Err(fault(place, problem));
+            return Err(Damage::new(place, problem));
         }
         let read = self.numbers.get().saturating_add(accessor.count().saturating_mul(width));
         if read > MOST_NUMBERS {
             let problem =
                 format!("the file's accessors have more than {MOST_NUMBERS} numbers together: reduce the mesh");
-            return Err(fault(place, problem));
+            return Err(Damage::new(place, problem));
         }
         self.numbers.set(read);
         let mut numbers = Vec::with_capacity(accessor.count() * width);
@@ -157,8 +147,8 @@ impl GltfFile {
     /// Nodes with their parents, parents first.
     ///
     /// # Errors
-    /// [`GltfFault`] if the nodes are not a tree.
-    pub fn tree(&self) -> Result<Vec<(usize, Option<usize>)>, GltfFault> {
+    /// [`Damage`] if the nodes are not a tree.
+    pub fn tree(&self) -> Result<Vec<(usize, Option<usize>)>, Damage> {
         let count = self.document.nodes().count();
         let mut parent: Vec<Option<usize>> = vec![None; count];
         for node in self.document.nodes() {
@@ -167,7 +157,7 @@ impl GltfFile {
                 if let Some(slot @ None) = slot {
                     *slot = Some(node.index());
                 } else {
-                    return Err(fault(format!("node {}", child.index()), "it has two parents, expected a tree"));
+                    return Err(Damage::new(format!("node {}", child.index()), "it has two parents, expected a tree"));
                 }
             }
         }
@@ -185,7 +175,7 @@ impl GltfFile {
             order.extend(children.map(|c| (c, Some(at))));
         }
         if order.len() < count {
-            return Err(fault("nodes", "some are their own ancestors, expected a tree"));
+            return Err(Damage::new("nodes", "some are their own ancestors, expected a tree"));
         }
         Ok(order)
     }
@@ -193,14 +183,14 @@ impl GltfFile {
     /// Positions and triangles of a primitive; empty for points and lines.
     ///
     /// # Errors
-    /// [`GltfFault`] if its positions or indices cannot be read.
-    pub fn triangles(&self, primitive: &gltf::Primitive, what: &str) -> Result<Mesh, GltfFault> {
+    /// [`Damage`] if its positions or indices cannot be read.
+    pub fn triangles(&self, primitive: &gltf::Primitive, what: &str) -> Result<Mesh, Damage> {
         let mode = primitive.mode();
         if !matches!(mode, Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan) {
             return Ok(Mesh::default());
         }
         let Some(positions) = primitive.get(&gltf::Semantic::Positions) else {
-            return Err(fault(what, "it has no positions"));
+            return Err(Damage::new(what, "it has no positions"));
         };
         let vertices = self.rows(&positions, &format!("positions of {what}"))?.vectors();
         let indices: Vec<u32> = match primitive.indices() {
@@ -224,14 +214,14 @@ impl GltfFile {
 }
 
 /// Document of a `.gltf` or `.glb`, validated against the format, and the binary part of a `.glb`.
-fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault> {
+fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), Damage> {
     let (text, blob) = if bytes.starts_with(b"glTF") {
         let stated = bytes.get(8..12).and_then(|length| length.try_into().ok()).map_or(0, u32::from_le_bytes);
         if stated < GLB_HEADER_BYTES {
             let problem = format!("its header states {stated} bytes, expected {GLB_HEADER_BYTES} or more");
-            return Err(fault("glTF", problem));
+            return Err(Damage::new("glTF", problem));
         }
-        let glb = gltf::Glb::from_slice(bytes).map_err(|e| fault("glTF", e.to_string()))?;
+        let glb = gltf::Glb::from_slice(bytes).map_err(|e| Damage::new("glTF", e.to_string()))?;
         (glb.json, glb.bin.map(Cow::into_owned))
     } else {
         (Cow::Borrowed(bytes), None)
@@ -240,18 +230,18 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault
     for (mark, what, most) in [(b'{', "objects", MOST_OBJECTS), (b',', "values", MOST_VALUES)] {
         let count = text.iter().filter(|&&byte| byte == mark).count();
         if count > most {
-            return Err(fault("glTF", format!("its document has {count} {what}, expected {most} at most")));
+            return Err(Damage::new("glTF", format!("its document has {count} {what}, expected {most} at most")));
         }
     }
     let root: gltf::json::Root =
-        gltf::json::deserialize::from_slice(&text).map_err(|e| fault("glTF", e.to_string()))?;
+        gltf::json::deserialize::from_slice(&text).map_err(|e| Damage::new("glTF", e.to_string()))?;
     // The library accesses the accessors of positions before it checks that they exist.
     for (index, primitive) in root.meshes.iter().flat_map(|mesh| &mesh.primitives).enumerate() {
         if let Some(accessor) = primitive.attributes.values().find(|accessor| accessor.value() >= root.accessors.len())
         {
             let (accessor, count) = (accessor.value(), root.accessors.len());
             let problem = format!("it names accessor {accessor}, but there are {count}: index out of bounds");
-            return Err(fault(format!("glTF primitive {index}"), problem));
+            return Err(Damage::new(format!("glTF primitive {index}"), problem));
         }
     }
     // Only the first error is kept: there may be one for each number.
@@ -270,7 +260,7 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault
         }
     }
     match invalid {
-        Some(problem) => Err(fault("glTF", problem)),
+        Some(problem) => Err(Damage::new("glTF", problem)),
         None => Ok((gltf::Document::from_json_without_validation(root), blob)),
     }
 }
@@ -291,14 +281,13 @@ fn number(bytes: &[u8], kind: DataType, normalised: bool) -> f64 {
 /// Parses the static content of a glTF file: a part for each primitive of each node that has a mesh, placed by its
 /// node. Only nodes of the default scene count, or of the first one; all nodes if the file has no scene.
 pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Vec<Part>, ParseError> {
-    let content = |f: GltfFault| ParseError::Place { place: f.place, problem: f.problem };
-    let file = GltfFile::parse(bytes, folder).map_err(content)?;
+    let file = GltfFile::parse(bytes, folder)?;
     let mut world: Vec<DMat4> = vec![DMat4::IDENTITY; file.document.nodes().count()];
     let scene = file.document.default_scene().or_else(|| file.document.scenes().next());
     let mut is_in_scene = vec![scene.is_none(); world.len()];
     scene.iter().flat_map(|scene| scene.nodes()).for_each(|root| is_in_scene[root.index()] = true);
     let mut parts = Vec::new();
-    for (node, parent) in file.tree().map_err(content)? {
+    for (node, parent) in file.tree()? {
         let Some(node) = file.document.nodes().nth(node) else { continue };
         is_in_scene[node.index()] |= parent.is_some_and(|parent| is_in_scene[parent]);
         let local = DMat4::from_cols_array_2d(&node.transform().matrix().map(|c| c.map(f64::from)));
@@ -309,7 +298,7 @@ pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Vec<Part>, Parse
         }
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
             let name = node.name().unwrap_or_default().to_owned();
-            let mut mesh = file.triangles(&primitive, &format!("mesh of node {name:?}")).map_err(content)?;
+            let mut mesh = file.triangles(&primitive, &format!("mesh of node {name:?}"))?;
             mesh.check()?;
             mesh.vertices.iter_mut().for_each(|v| *v = matrix.transform_point3(*v));
             // A mirroring transform reverses the winding.

@@ -192,13 +192,13 @@ fn errors_name_the_line_or_the_byte() {
     assert_eq!(parse_stl(b"solid x\nendsolid x\n"), Err(ParseError::Empty));
     let whole = binary();
     for cut in [0, 50, 84, 133, whole.len() - 2] {
-        let error = parse_stl(&[b"x".as_slice(), &whole[1..=cut]].concat());
-        assert!(matches!(error, Err(ParseError::Byte { .. })), "{cut}: {error:?}");
+        let error = parse_stl(&[b"x".as_slice(), &whole[1..=cut]].concat()).expect_err("cut off").to_string();
+        assert!(error.starts_with("byte "), "{cut}: {error}");
     }
     let mut huge = whole.clone();
     huge[0] = b'x';
     huge[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
-    assert!(matches!(parse_stl(&huge), Err(ParseError::Byte { offset: 284, .. })));
+    assert!(parse_stl(&huge).expect_err("cut off").to_string().starts_with("byte 284: "));
 
     let error = |text: String| parse_obj(text.as_bytes()).expect_err("damaged").to_string();
     assert_eq!(error(CUBE.replace("v 1 1 0\n", "v 1 l 0\n")), "line 6: a vertex is not three numbers");

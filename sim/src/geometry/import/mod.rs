@@ -85,33 +85,28 @@ pub struct Part {
     pub mesh: Mesh,
 }
 
+/// Content that is wrong.
+#[derive(Debug, Error, PartialEq)]
+#[error("{place}: {problem}")]
+pub struct Damage {
+    /// Line from one, byte from zero, or part of the file.
+    pub place: String,
+    /// Content that was found, and the content that was expected.
+    pub problem: String,
+}
+
+impl Damage {
+    pub(crate) fn new(place: impl Into<String>, problem: impl Into<String>) -> Self {
+        Damage { place: place.into(), problem: problem.into() }
+    }
+}
+
 /// Error in a file's content.
 #[derive(Debug, Error, PartialEq)]
 pub enum ParseError {
-    /// Error at a line of a text.
-    #[error("line {line}: {problem}")]
-    Line {
-        /// Line number, from one.
-        line: usize,
-        /// Content that is wrong.
-        problem: String,
-    },
-    /// Error at a byte of a binary file.
-    #[error("byte {offset}: {problem}")]
-    Byte {
-        /// Byte offset, from zero.
-        offset: usize,
-        /// Content that is wrong.
-        problem: String,
-    },
-    /// Error at a part of a structured file.
-    #[error("{place}: {problem}")]
-    Place {
-        /// Part of the file.
-        place: String,
-        /// Content that is wrong.
-        problem: String,
-    },
+    /// Some of the content is wrong.
+    #[error(transparent)]
+    Damage(#[from] Damage),
     /// The content is not a valid mesh.
     #[error(transparent)]
     Mesh(#[from] MeshError),

@@ -8,7 +8,7 @@ use glam::DVec3;
 use tobj::{LoadError, LoadOptions, Material};
 
 use super::lines::Lines;
-use super::{Mesh, ParseError, Part};
+use super::{Damage, Mesh, ParseError, Part};
 use crate::geometry::polygon;
 
 /// Largest accepted file, bytes: a face takes ten times as much memory while it is read.
@@ -24,7 +24,7 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
     if bytes.len() > LARGEST_BYTES {
         let problem =
             format!("the file has {} bytes, expected {LARGEST_BYTES} at most: use binary STL or glTF", bytes.len());
-        return Err(ParseError::Byte { offset: LARGEST_BYTES, problem });
+        return Err(Damage::new(format!("byte {LARGEST_BYTES}"), problem).into());
     }
     let (plain, mut names) = plain(&String::from_utf8_lossy(bytes))?;
     names.sort();
@@ -38,16 +38,16 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
         Ok((all, by_name))
     };
     let loaded = tobj::load_obj_buf(&mut Lines::new(plain.as_bytes(), &count), &options, materials);
-    let (models, _) = loaded.map_err(|error| ParseError::Line {
-        line: count.get().saturating_sub(1),
-        problem: match error {
+    let (models, _) = loaded.map_err(|error| {
+        let problem = match error {
             LoadError::FaceVertexOutOfBounds => {
                 "a face of the object that ends on this line names a vertex that does not exist".to_owned()
             }
             LoadError::PositionParseError => "a vertex is not three numbers".to_owned(),
             LoadError::FaceParseError => "a face is not a list of vertex numbers".to_owned(),
             other => other.to_string(),
-        },
+        };
+        Damage::new(format!("line {}", count.get().saturating_sub(1)), problem)
     })?;
     let mut parts = Vec::new();
     for model in models {
@@ -58,7 +58,7 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
             model.mesh.indices.as_chunks::<3>().0.to_vec()
         } else {
             triangles(&mesh.vertices, &model.mesh.indices, &model.mesh.face_arities)
-                .map_err(|problem| ParseError::Place { place: format!("object {:?}", model.name), problem })?
+                .map_err(|problem| Damage::new(format!("object {:?}", model.name), problem))?
         };
         if !mesh.triangles.is_empty() {
             let material = model.mesh.material_id.and_then(|id| names.get(id).cloned());
@@ -114,7 +114,7 @@ fn triangles(vertices: &[DVec3], mut indices: &[u32], corner_counts: &[u32]) -> 
 
 /// Relevant lines of a text, each at its line number plus one, after an inserted line that requests the materials; and
 /// the material names.
-fn plain(text: &str) -> Result<(String, Vec<String>), ParseError> {
+fn plain(text: &str) -> Result<(String, Vec<String>), Damage> {
     // Only the names of materials are used; the scene defines their properties. A line inserted before the first
     // requests them.
     let mut names: Vec<String> = Vec::new();
@@ -131,8 +131,8 @@ fn plain(text: &str) -> Result<(String, Vec<String>), ParseError> {
             Some("f") => {
                 let corners: Vec<&str> = words.filter_map(|w| w.split('/').next()).collect();
                 if corners.len() < 3 {
-                    let line = plain.lines().count();
-                    return Err(ParseError::Line { line, problem: "a face of fewer than three corners".to_owned() });
+                    let place = format!("line {}", plain.lines().count());
+                    return Err(Damage::new(place, "a face of fewer than three corners"));
                 }
                 plain.push_str(&format!("f {}", corners.join(" ")));
             }

@@ -6,7 +6,7 @@ use std::io::Cursor;
 use glam::DVec3;
 
 use super::lines::Lines;
-use super::{Mesh, ParseError, Part};
+use super::{Damage, Mesh, ParseError, Part};
 
 /// Length of the header and triangle count of a binary file.
 const HEADER_BYTES: usize = 84;
@@ -32,18 +32,22 @@ pub fn parse_stl(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
             Some(claimed) if bytes.len() >= claimed => parse_binary(bytes)?,
             Some(claimed) => {
                 let problem = format!("the file ends here, but its triangles reach to byte {claimed}");
-                return Err(ParseError::Byte { offset: bytes.len(), problem });
+                return Err(at_byte(bytes.len(), problem).into());
             }
             None => {
                 let problem = format!("the file ends within the first {HEADER_BYTES} bytes and is no text");
-                return Err(ParseError::Byte { offset: bytes.len(), problem });
+                return Err(at_byte(bytes.len(), problem).into());
             }
         }
     };
     if part.mesh.triangles.is_empty() { Err(ParseError::Empty) } else { Ok(vec![part]) }
 }
 
-fn parse_binary(bytes: &[u8]) -> Result<Part, ParseError> {
+fn at_byte(offset: usize, problem: impl ToString) -> Damage {
+    Damage::new(format!("byte {offset}"), problem.to_string())
+}
+
+fn parse_binary(bytes: &[u8]) -> Result<Part, Damage> {
     // A header that begins with `solid` would select the text format.
     let mut bytes = bytes.to_vec();
     if let Some(first) = bytes.first_mut() {
@@ -51,20 +55,19 @@ fn parse_binary(bytes: &[u8]) -> Result<Part, ParseError> {
     }
     let mut mesh = Mesh::default();
     let at = |triangle: usize| HEADER_BYTES + TRIANGLE_BYTES * triangle;
-    let problem = |offset, problem: String| ParseError::Byte { offset, problem };
     let mut cursor = Cursor::new(bytes);
-    let reader = stl_io::create_stl_reader(&mut cursor).map_err(|e| problem(0, e.to_string()))?;
+    let reader = stl_io::create_stl_reader(&mut cursor).map_err(|e| at_byte(0, e))?;
     for (index, triangle) in reader.enumerate() {
-        let triangle = triangle.map_err(|e| problem(at(index), e.to_string()))?;
+        let triangle = triangle.map_err(|e| at_byte(at(index), e))?;
         if !triangle.vertices.iter().flat_map(|v| v.0).all(f32::is_finite) {
-            return Err(problem(at(index), format!("triangle {index} has a corner that is no place")));
+            return Err(at_byte(at(index), format!("triangle {index} has a corner that is no place")));
         }
         push(&mut mesh, &triangle);
     }
     Ok(Part { name: String::new(), material: None, mesh })
 }
 
-fn parse_text(bytes: &[u8]) -> Result<Part, ParseError> {
+fn parse_text(bytes: &[u8]) -> Result<Part, Damage> {
     // The reader requires a name after `solid`, and nothing before it.
     let skipped = bytes.len() - bytes.trim_ascii_start().len();
     let before = bytes.iter().take(skipped).filter(|&&b| b == b'\n').count();
@@ -76,7 +79,7 @@ fn parse_text(bytes: &[u8]) -> Result<Part, ParseError> {
 
     let count = Cell::new(0);
     let mut lines = Lines::new(&text, &count);
-    let problem = |e: std::io::Error| ParseError::Line { line: before + count.get(), problem: e.to_string() };
+    let problem = |e: std::io::Error| Damage::new(format!("line {}", before + count.get()), e.to_string());
     let mut mesh = Mesh::default();
     for triangle in stl_io::create_stl_reader(&mut lines).map_err(problem)? {
         push(&mut mesh, &triangle.map_err(problem)?);
