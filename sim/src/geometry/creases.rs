@@ -108,13 +108,9 @@ mod tests {
     #[test]
     fn a_soup_becomes_a_sphere() {
         let sphere = shape::icosphere(DVec3::splat(0.05), 12);
-        let mut soup = Mesh::default();
-        for t in 0..sphere.triangles.len() {
-            let first = soup.vertices.len() as u32;
-            soup.vertices.extend(sphere.corners(t).expect("in range").map(|c| c.0));
-            soup.triangles.push([first, first + 1, first + 2]);
-            soup.triangles.push([first, first, first + 2]);
-        }
+        let mut soup = Mesh::soup(sphere.mesh().all_corners());
+        let flat: Vec<[u32; 3]> = soup.triangles.iter().map(|&[a, _, c]| [a, a, c]).collect();
+        soup.triangles.extend(flat);
         let surface = Surface::from_mesh(&soup, 0.5);
         assert_eq!(surface.vertices.len(), sphere.vertices.len());
         assert_eq!(surface.triangles.len(), sphere.triangles.len());

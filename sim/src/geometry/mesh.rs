@@ -31,14 +31,6 @@ pub enum MeshError {
         /// Position, m.
         position: DVec3,
     },
-    /// A length is not positive and finite.
-    #[error("{what} is {given_m} m, expected a positive number")]
-    Length {
-        /// Purpose of the length.
-        what: &'static str,
-        /// Length that was given, m.
-        given_m: f64,
-    },
 }
 
 /// Triangle mesh with shared vertices, counter-clockwise seen from outside, in metres.
@@ -51,12 +43,23 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// Mesh of triangles that share no vertex.
+    pub(crate) fn soup(triangles: impl IntoIterator<Item = [DVec3; 3]>) -> Self {
+        let vertices: Vec<DVec3> = triangles.into_iter().flatten().collect();
+        let triangles = (0..vertices.len() as u32 / 3).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        Mesh { vertices, triangles }
+    }
+
     /// Checks that every index has a vertex and every vertex a valid position.
     ///
     /// # Errors
     /// [`MeshError::NoSuchVertex`] and [`MeshError::NoPlace`].
     pub fn check(&self) -> Result<(), MeshError> {
-        check_places(&self.vertices)?;
+        // This form of the test rejects NaN.
+        let is_placed = |v: &DVec3| v.is_finite() && v.abs().max_element() <= FARTHEST_M;
+        if let Some((vertex, &position)) = self.vertices.iter().enumerate().find(|(_, v)| !is_placed(v)) {
+            return Err(MeshError::NoPlace { vertex, position });
+        }
         let vertices = self.vertices.len();
         for (triangle, corners) in self.triangles.iter().enumerate() {
             if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertices) {
@@ -110,15 +113,6 @@ impl Mesh {
     /// Signed volume, m^3: positive for a closed mesh whose triangles face outwards (divergence theorem).
     pub fn volume_m3(&self) -> f64 {
         self.all_corners().map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
-    }
-}
-
-/// Checks that every vertex has a valid position.
-fn check_places(vertices: &[DVec3]) -> Result<(), MeshError> {
-    // This form of the test rejects NaN.
-    match vertices.iter().position(|v| !(v.is_finite() && v.abs().max_element() <= FARTHEST_M)) {
-        Some(vertex) => Err(MeshError::NoPlace { vertex, position: vertices.get(vertex).copied().unwrap_or_default() }),
-        None => Ok(()),
     }
 }
 

@@ -210,12 +210,7 @@ mod tests {
     fn seams_are_closed_doubles_dropped_and_tangles_taken_apart() {
         let ball = ball();
         // Every triangle has vertices of its own. The first triangle exists twice, and one edge has a third triangle.
-        let mut soup = Mesh::default();
-        for t in 0..ball.triangles.len() {
-            let first = soup.vertices.len() as u32;
-            soup.vertices.extend(ball.corners(t).expect("a triangle"));
-            soup.triangles.push([first, first + 1, first + 2]);
-        }
+        let mut soup = Mesh::soup(ball.all_corners());
         soup.triangles.push([0, 2, 1]);
         soup.vertices.push(DVec3::splat(0.4));
         soup.triangles.push([0, 1, soup.vertices.len() as u32 - 1]);

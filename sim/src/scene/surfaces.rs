@@ -221,14 +221,8 @@ impl Surfaces {
 
     /// All surfaces as triangles, m. Visibility is tested against them.
     pub fn triangles(&self) -> Mesh {
-        let mut mesh = Mesh::default();
         let faces = self.faces.iter().flat_map(|face| face.polygon.triangulate());
-        for corners in faces.chain(self.small.iter().flat_map(|part| part.mesh.all_corners())) {
-            let first = mesh.vertices.len() as u32;
-            mesh.vertices.extend(corners);
-            mesh.triangles.push([first, first + 1, first + 2]);
-        }
-        mesh
+        Mesh::soup(faces.chain(self.small.iter().flat_map(|part| part.mesh.all_corners())))
     }
 }
 

@@ -53,7 +53,7 @@ fn parse_binary(bytes: &[u8]) -> Result<Part, Damage> {
     if let Some(first) = bytes.first_mut() {
         *first = b' ';
     }
-    let mut mesh = Mesh::default();
+    let mut triangles = Vec::new();
     let at = |triangle: usize| HEADER_BYTES + TRIANGLE_BYTES * triangle;
     let mut cursor = Cursor::new(bytes);
     let reader = stl_io::create_stl_reader(&mut cursor).map_err(|e| at_byte(0, e))?;
@@ -62,9 +62,9 @@ fn parse_binary(bytes: &[u8]) -> Result<Part, Damage> {
         if !triangle.vertices.iter().flat_map(|v| v.0).all(f32::is_finite) {
             return Err(at_byte(at(index), format!("triangle {index} has a corner that is no place")));
         }
-        push(&mut mesh, &triangle);
+        triangles.push(corners(&triangle));
     }
-    Ok(Part { name: String::new(), material: None, mesh })
+    Ok(Part { name: String::new(), material: None, mesh: Mesh::soup(triangles) })
 }
 
 fn parse_text(bytes: &[u8]) -> Result<Part, Damage> {
@@ -80,15 +80,13 @@ fn parse_text(bytes: &[u8]) -> Result<Part, Damage> {
     let count = Cell::new(0);
     let mut lines = Lines::new(&text, &count);
     let problem = |e: std::io::Error| Damage::new(format!("line {}", before + count.get()), e.to_string());
-    let mut mesh = Mesh::default();
+    let mut triangles = Vec::new();
     for triangle in stl_io::create_stl_reader(&mut lines).map_err(problem)? {
-        push(&mut mesh, &triangle.map_err(problem)?);
+        triangles.push(corners(&triangle.map_err(problem)?));
     }
-    Ok(Part { name, material: None, mesh })
+    Ok(Part { name, material: None, mesh: Mesh::soup(triangles) })
 }
 
-fn push(mesh: &mut Mesh, triangle: &stl_io::Triangle) {
-    let first = mesh.vertices.len() as u32;
-    mesh.vertices.extend(triangle.vertices.iter().map(|v| DVec3::from(v.0.map(f64::from))));
-    mesh.triangles.push([first, first + 1, first + 2]);
+fn corners(triangle: &stl_io::Triangle) -> [DVec3; 3] {
+    triangle.vertices.map(|v| DVec3::from(v.0.map(f64::from)))
 }
