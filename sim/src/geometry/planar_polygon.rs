@@ -311,16 +311,10 @@ mod tests {
 
     #[test]
     fn a_wall_with_a_window_keeps_its_corners_only() {
-        // Grid of four by four squares without the one at (1, 1).
-        let side = 5;
-        let vertices =
-            (0..25).map(|i| DVec3::new(f64::from(i % side), 0.0, f64::from(i / side)) * 0.5).collect::<Vec<_>>();
-        let quad = |i: i32| {
-            let a = (i % 4 + i / 4 * side) as u32;
-            let side = side as u32;
-            [[a, a + side + 1, a + 1], [a, a + side, a + side + 1]]
-        };
-        let mesh = Mesh { vertices, triangles: (0..16).filter(|&i| i != 5).flat_map(quad).collect() };
+        // An upright wall of four by four squares without the one at (1, 1).
+        let mut mesh = Mesh::sheet(4, &[5]);
+        mesh.vertices.iter_mut().for_each(|v| *v = DVec3::new(v.x, 0.0, v.y) * 0.5);
+        mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
         let found = planes(&mesh, 1e-6);
         let [plane] = found.planes.as_slice() else { panic!("{:?}", found.planes) };
         let polygons = PlanarPolygon::of_plane(&mesh, plane);
@@ -383,15 +377,8 @@ mod hard_cases {
     /// subtracted.
     #[test]
     fn loops_that_touch_in_a_corner_enclose_what_they_should() {
-        let side = 4u32;
-        let vertices: Vec<DVec3> = (0..16).map(|i| DVec3::new(f64::from(i % side), f64::from(i / side), 0.0)).collect();
-        let quad = |i: u32| {
-            let a = i % 3 + i / 3 * side;
-            [[a, a + 1, a + side + 1], [a, a + side + 1, a + side]]
-        };
         for left_out in [vec![4], vec![0, 4], vec![1, 3], vec![1, 3, 5, 7]] {
-            let triangles: Vec<[u32; 3]> = (0..9).filter(|i| !left_out.contains(i)).flat_map(quad).collect();
-            let mesh = Mesh { vertices: vertices.clone(), triangles };
+            let mesh = Mesh::sheet(3, &left_out);
             let found = planes(&mesh, 1e-6);
             let polygons: Vec<PlanarPolygon> =
                 found.planes.iter().flat_map(|plane| PlanarPolygon::of_plane(&mesh, plane)).collect();

@@ -127,25 +127,19 @@ mod tests {
     use super::*;
     use crate::geometry::isosurface;
 
-    /// Square of `n` by `n` quadrilaterals with one left out, bent along the middle by `bend_m`.
-    fn sheet(n: u32, bend_m: f64) -> Mesh {
-        let side = n + 1;
-        let vertices = (0..side * side)
-            .map(|i| {
-                let (x, y) = (f64::from(i % side) / f64::from(n), f64::from(i / side) / f64::from(n));
-                DVec3::new(x, y, bend_m * (x - 0.5).max(0.0))
-            })
-            .collect();
-        let quad = |i: u32| {
-            let a = i % n + i / n * side;
-            [[a, a + 1, a + side + 1], [a, a + side + 1, a + side]]
-        };
-        Mesh { vertices, triangles: (0..n * n).filter(|&i| i != n + 1).flat_map(quad).collect() }
+    /// Square of 1 m with a window, bent along the middle by `bend_m`.
+    fn sheet(bend_m: f64) -> Mesh {
+        let mut sheet = Mesh::sheet(8, &[9]);
+        for vertex in &mut sheet.vertices {
+            *vertex /= 8.0;
+            vertex.z = bend_m * (vertex.x - 0.5).max(0.0);
+        }
+        sheet
     }
 
     #[test]
     fn a_finely_split_wall_with_a_window_is_one_plane_with_two_outlines() {
-        let found = planes(&sheet(8, 0.0), 1e-6);
+        let found = planes(&sheet(0.0), 1e-6);
         assert_eq!(found.planes.len(), 1);
         let wall = &found.planes[0];
         assert!((wall.area_m2 - 63.0 / 64.0).abs() < 1e-12);
@@ -157,8 +151,8 @@ mod tests {
 
     #[test]
     fn a_bent_wall_is_two_planes_and_a_sphere_is_none() {
-        assert_eq!(planes(&sheet(8, 1e-3), 1e-6).planes.len(), 2);
-        assert_eq!(planes(&sheet(8, 1e-7), 1e-6).planes.len(), 1);
+        assert_eq!(planes(&sheet(1e-3), 1e-6).planes.len(), 2);
+        assert_eq!(planes(&sheet(1e-7), 1e-6).planes.len(), 1);
         let ball = isosurface(DVec3::splat(-0.15), DVec3::splat(0.15), 0.015, |p| p.length() - 0.1);
         let found = planes(&ball, 1e-6);
         assert!(found.planes.len() as f64 > 0.98 * ball.triangles.len() as f64, "{} planes", found.planes.len());

@@ -198,11 +198,7 @@ mod tests {
         assert_eq!(sphere.triangles.len(), 20 * 32 * 32);
         // Euler: V - E + F = 2 with E = 3 F / 2.
         assert_eq!(sphere.vertices.len(), 2 + sphere.triangles.len() / 2);
-        let torso = ellipsoid(DVec3::new(0.12, 0.17, 0.3), 0.014);
-        let triangles = (0..torso.triangles.len()).filter_map(|t| torso.corners(t));
-        let edges_m: Vec<f64> =
-            triangles.flat_map(|c| [(0, 1), (1, 2), (2, 0)].map(|(i, j)| c[i].0.distance(c[j].0))).collect();
-        let mean_m = edges_m.iter().sum::<f64>() / edges_m.len() as f64;
+        let mean_m = ellipsoid(DVec3::new(0.12, 0.17, 0.3), 0.014).mean_edge_m();
         assert!((mean_m / 0.014 - 1.0).abs() < 0.1, "{mean_m}");
     }
 }

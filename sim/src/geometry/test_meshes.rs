@@ -12,6 +12,18 @@ impl Mesh {
         Mesh { vertices, triangles: quads.into_iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]]).collect() }
     }
 
+    /// Sheet `0..n` by `0..n` of unit squares in the plane z = 0, facing +z, without some of the squares. Squares and
+    /// vertices are numbered along x first.
+    pub(crate) fn sheet(n: u32, left_out: &[u32]) -> Self {
+        let side = n + 1;
+        let vertices = (0..side * side).map(|i| DVec3::new(f64::from(i % side), f64::from(i / side), 0.0)).collect();
+        let square = |i: u32| {
+            let a = i % n + i / n * side;
+            [[a, a + 1, a + side + 1], [a, a + side + 1, a + side]]
+        };
+        Mesh { vertices, triangles: (0..n * n).filter(|i| !left_out.contains(i)).flat_map(square).collect() }
+    }
+
     /// Joins two meshes, the triangles of this one before those of the other.
     pub(crate) fn joined(&self, other: &Mesh) -> Self {
         let first = self.vertices.len() as u32;
