@@ -98,19 +98,23 @@ pub struct Opening<'a> {
 }
 
 impl<'a> Opening<'a> {
-    /// Places an opening on a line. A door leaf turns to the left of the line's direction (1) or to the right (-1).
+    /// Places an opening on a line, with its leaf as [`leaf`] turns it.
     fn new([from, to]: [DVec2; 2], file: &'a OpeningFile, left: f64) -> Self {
         let along = (to - from).normalize_or_zero();
         let ends = [file.from_m, file.to_m].map(|place_m| from + along * place_m);
-        let leaf = file.door.as_ref().map(|door| {
-            let (hinge, shut, turn) = match door.hinge {
-                HingeFile::From => (ends[0], ends[1], left),
-                HingeFile::To => (ends[1], ends[0], -left),
-            };
-            [hinge, hinge + DVec2::from_angle(turn * door.open_deg.to_radians()).rotate(shut - hinge)]
-        });
+        let leaf = file.door.as_ref().map(|door| leaf(door, ends, left));
         Opening { ends, leaf, file }
     }
+}
+
+/// Hinge and end of the leaf of a door between two places of a line, m. The leaf turns to the left of the line's direction
+/// (1) or to the right (-1), at either hinge.
+fn leaf(door: &DoorLeafFile, [from, to]: [DVec2; 2], left: f64) -> [DVec2; 2] {
+    let (hinge, shut, turn) = match door.hinge {
+        HingeFile::From => (from, to, left),
+        HingeFile::To => (to, from, -left),
+    };
+    [hinge, hinge + DVec2::from_angle(turn * door.open_deg.to_radians()).rotate(shut - hinge)]
 }
 
 /// Returns the openings of all walls and partitions.
@@ -352,16 +356,8 @@ impl Upright {
     /// Returns a door leaf in an opening, and whether it is shut.
     fn leaf(&self, opening: &OpeningFile, door: &DoorLeafFile, left: f64) -> (Option<PlanarPolygon>, bool) {
         let [from, to, sill, head] = rectangle(opening);
-        let (hinge, end) = match door.hinge {
-            HingeFile::From => (from, to),
-            HingeFile::To => (to, from),
-        };
-        let (hinge, shut) = (self.at(hinge, sill), self.at(end, sill));
-        // The leaf turns to the left of the wall's direction, at either hinge.
-        let turn = if door.hinge == HingeFile::From { left } else { -left };
-        let (sine, cosine) = (turn * door.open_deg.to_radians()).sin_cos();
-        let way = shut - hinge;
-        let end = hinge + DVec3::new(cosine * way.x - sine * way.y, sine * way.x + cosine * way.y, 0.0);
+        let ends = [from, to].map(|along_m| self.at(along_m, sill).truncate());
+        let [hinge, end] = leaf(door, ends, left).map(|place| place.extend(sill));
         let corners = [hinge, hinge.with_z(head), end.with_z(head), end];
         (PlanarPolygon::from_corners(&corners), door.open_deg.abs() < 1e-6)
     }
