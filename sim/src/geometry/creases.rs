@@ -4,7 +4,8 @@ use std::collections::HashMap;
 
 use glam::DVec3;
 
-use super::{Mesh, Surface};
+use super::weld::has_area;
+use super::{Mesh, Surface, edges};
 use crate::math::Sets;
 
 impl Surface {
@@ -13,30 +14,20 @@ impl Surface {
     /// angles at the vertex. Triangles without area are left out. A mesh with an open side is a sheet and reflects on
     /// either side.
     pub fn from_mesh(mesh: &Mesh, crease_rad: f64) -> Self {
-        let mut places: HashMap<[u64; 3], u32> = HashMap::new();
-        let place_of: Vec<u32> = mesh
-            .vertices
-            .iter()
-            .map(|v| {
-                let next = places.len() as u32;
-                // Adding zero turns -0 into 0.
-                *places.entry((*v + DVec3::ZERO).to_array().map(f64::to_bits)).or_insert(next)
-            })
-            .collect();
-        let mut kept: Vec<([u32; 3], [DVec3; 3], DVec3)> = Vec::with_capacity(mesh.triangles.len());
-        for (t, triangle) in mesh.triangles.iter().enumerate() {
-            let Some([a, b, c]) = mesh.corners(t) else { continue };
-            let cross = (b - a).cross(c - a);
-            let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
-            if cross.is_finite() && cross.length() > 1e-12 * longest {
-                let places = triangle.map(|i| place_of.get(i as usize).copied().unwrap_or(0));
-                kept.push((places, [a, b, c], cross.normalize()));
-            }
-        }
-        let (groups, open) = smooth_corners(&kept, crease_rad);
+        let mut first_at: HashMap<[u64; 3], u32> = HashMap::new();
+        // Adding zero turns -0 into 0.
+        let place = |v: &DVec3| (*v + DVec3::ZERO).to_array().map(f64::to_bits);
+        let first_of: Vec<u32> =
+            mesh.vertices.iter().zip(0..).map(|(v, i)| *first_at.entry(place(v)).or_insert(i)).collect();
+        let with_area = mesh.triangles.iter().enumerate().filter(|(t, _)| mesh.corners(*t).is_some_and(has_area));
+        let triangles = with_area.map(|(_, corners)| corners.map(|i| first_of[i as usize])).collect();
+        let welded = Mesh { vertices: mesh.vertices.clone(), triangles };
+
+        let (groups, open) = smooth_corners(&welded, crease_rad);
         let mut surface = Surface { two_sided: open, ..Surface::default() };
         let mut vertex_of: HashMap<u32, u32> = HashMap::new();
-        for (t, (_, corners, normal)) in kept.iter().enumerate() {
+        for (t, corners) in welded.all_corners().enumerate() {
+            let normal = welded.area_vector(t).normalize();
             let triangle = [0, 1, 2].map(|i| {
                 let vertex = *vertex_of.entry(groups[3 * t + i]).or_insert_with(|| {
                     surface.vertices.push(corners[i]);
@@ -44,13 +35,13 @@ impl Surface {
                     (surface.vertices.len() - 1) as u32
                 });
                 let (p, q) = (corners[(i + 1) % 3] - corners[i], corners[(i + 2) % 3] - corners[i]);
-                surface.normals[vertex as usize] += *normal * p.angle_between(q);
+                surface.normals[vertex as usize] += normal * p.angle_between(q);
                 vertex
             });
             surface.triangles.push(triangle);
         }
-        for (normal, fallback) in surface.normals.iter_mut().zip(std::iter::repeat(DVec3::Z)) {
-            *normal = normal.normalize_or(fallback);
+        for normal in &mut surface.normals {
+            *normal = normal.normalize_or(DVec3::Z);
         }
         surface
     }
@@ -58,33 +49,21 @@ impl Surface {
 
 /// For each corner of each triangle, a number shared by all corners that it is smooth with. Also whether some side has
 /// no triangle behind it.
-fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) -> (Vec<u32>, bool) {
-    let mut smooth = Sets::new(3 * triangles.len());
-    let mut sides: Vec<((u32, u32), usize, usize)> = Vec::with_capacity(3 * triangles.len());
-    for (t, (places, ..)) in triangles.iter().enumerate() {
-        for i in 0..3 {
-            let (a, b) = (places[i], places[(i + 1) % 3]);
-            sides.push(((a.min(b), a.max(b)), t, i));
+fn smooth_corners(mesh: &Mesh, crease_rad: f64) -> (Vec<u32>, bool) {
+    let edges = edges(mesh);
+    let mut smooth = Sets::new(3 * mesh.triangles.len());
+    // At a tangled edge, no surface continues.
+    for edge in edges.iter().filter(|edge| !edge.is_crease(crease_rad)) {
+        for vertex in edge.vertices {
+            let corner = |triangle: u32| {
+                let corners = mesh.triangles[triangle as usize];
+                3 * triangle as usize + corners.iter().position(|&v| v == vertex).unwrap_or(0)
+            };
+            smooth.join(corner(edge.left), corner(edge.right.unwrap_or(edge.left)));
         }
     }
-    sides.sort_unstable();
-    let mut open = false;
-    for run in sides.chunk_by(|p, q| p.0 == q.0) {
-        open |= run.len() == 1;
-        // With more than two triangles on a side, no surface continues there.
-        let [(_, t, i), (_, u, j)] = *run else { continue };
-        if triangles[t].2.angle_between(triangles[u].2) >= crease_rad {
-            continue;
-        }
-        for (k, l) in [(i, (j + 1) % 3), ((i + 1) % 3, j)] {
-            // The side runs in the opposite direction in the neighbour; otherwise the two triangles are not one sheet.
-            if triangles[t].0[k] != triangles[u].0[l] {
-                continue;
-            }
-            smooth.join(3 * t + k, 3 * u + l);
-        }
-    }
-    ((0..3 * triangles.len()).map(|i| smooth.lowest(i) as u32).collect(), open)
+    let open = edges.iter().any(|edge| edge.right.is_none() && !edge.tangled);
+    ((0..3 * mesh.triangles.len()).map(|i| smooth.lowest(i) as u32).collect(), open)
 }
 
 #[cfg(test)]

@@ -54,15 +54,19 @@ pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
     let (mut triangles, mut triangle_of) = (Vec::new(), Vec::new());
     for (index, corners) in mesh.triangles.iter().enumerate() {
         let corners = corners.map(|c| became.get(c as usize).copied().unwrap_or(c));
-        let [a, b, c] = corners.map(|c| mesh.vertices.get(c as usize).copied().unwrap_or_default());
-        let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
-        if (b - a).cross(c - a).length() <= LEAST_HEIGHT * longest {
-            continue;
+        if has_area(corners.map(|c| mesh.vertices.get(c as usize).copied().unwrap_or_default())) {
+            triangles.push(corners);
+            triangle_of.push(index as u32);
         }
-        triangles.push(corners);
-        triangle_of.push(index as u32);
     }
     Ok(Welded { mesh: mesh.of_triangles(triangles).0, triangle_of })
+}
+
+/// Whether a triangle has an area, and with it a normal.
+pub(super) fn has_area([a, b, c]: [DVec3; 3]) -> bool {
+    let cross = (b - a).cross(c - a);
+    let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+    cross.is_finite() && cross.length() > LEAST_HEIGHT * longest
 }
 
 #[cfg(test)]
