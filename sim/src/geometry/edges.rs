@@ -70,12 +70,9 @@ pub fn neighbours(mesh: &Mesh) -> Vec<[u32; 3]> {
         let Some(right) = edge.right else { continue };
         let [from, to] = edge.vertices;
         for (triangle, other, (p, q)) in [(edge.left, right, (from, to)), (right, edge.left, (to, from))] {
-            let Some(&[a, b, c]) = mesh.triangles.get(triangle as usize) else { continue };
-            let side = [(a, b), (b, c), (c, a)].iter().position(|&s| s == (p, q));
-            if let (Some(side), Some(slots)) = (side, all.get_mut(triangle as usize))
-                && let Some(slot) = slots.get_mut(side)
-            {
-                *slot = other;
+            let [a, b, c] = mesh.triangles[triangle as usize];
+            if let Some(side) = [(a, b), (b, c), (c, a)].iter().position(|&s| s == (p, q)) {
+                all[triangle as usize][side] = other;
             }
         }
     }

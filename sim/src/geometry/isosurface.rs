@@ -62,7 +62,7 @@ pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(
             });
             let [Some(a), Some(b), Some(c), Some(d)] = around else { continue };
             let [a, b, c, d] = if value(p) < 0.0 { [a, b, c, d] } else { [d, c, b, a] };
-            let at = |i: u32| mesh.vertices.get(i as usize).copied().unwrap_or_default();
+            let at = |i: u32| mesh.vertices[i as usize];
             // The quadrilateral is cut along its shorter diagonal.
             if at(a).distance_squared(at(c)) < at(b).distance_squared(at(d)) {
                 mesh.triangles.extend([[a, b, c], [a, c, d]]);
@@ -153,15 +153,13 @@ fn relax(mesh: &mut Mesh, cell_m: f64, function: &(impl Fn(DVec3) -> f64 + Sync)
         let mut sums = vec![(DVec3::ZERO, 0.0); all.len()];
         for &[a, b, c] in &mesh.triangles {
             for (from, to) in [(a, b), (b, c), (c, a)] {
-                let neighbour = all.get(to as usize).copied().unwrap_or_default().0;
-                if let Some((sum, count)) = sums.get_mut(from as usize) {
-                    *sum += neighbour;
-                    *count += 1.0;
-                }
+                let (sum, count) = &mut sums[from as usize];
+                *sum += all[to as usize].0;
+                *count += 1.0;
             }
         }
         on_all_cores(&mut all, |i, (vertex, normal)| {
-            let (sum, count) = sums.get(i).copied().unwrap_or_default();
+            let (sum, count) = sums[i];
             let step = if count > 0.0 { sum / count - *vertex } else { DVec3::ZERO };
             *vertex += step - *normal * step.dot(*normal);
             *normal = settle(vertex);

@@ -8,7 +8,7 @@ use glam::DVec3;
 pub(crate) fn one_ring_normals(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Vec<DVec3> {
     let mut normals = vec![DVec3::ZERO; vertices.len()];
     for &corners in triangles {
-        let [a, b, c] = corners.map(|v| vertices.get(v as usize).copied().unwrap_or_default());
+        let [a, b, c] = corners.map(|v| vertices[v as usize]);
         let (ab, bc, ca) = (b - a, c - b, a - c);
         let area_vector = ab.cross(-ca);
         let [ab, bc, ca] = [ab, bc, ca].map(DVec3::length_squared);
@@ -17,9 +17,7 @@ pub(crate) fn one_ring_normals(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Ve
         let product = ab * bc * ca;
         let weighted = if product > 0.0 { area_vector * (1.0 / product) } else { DVec3::ZERO };
         for (at, square) in corners.into_iter().zip([bc, ca, ab]) {
-            if let Some(normal) = normals.get_mut(at as usize) {
-                *normal += weighted * square;
-            }
+            normals[at as usize] += weighted * square;
         }
     }
     normals.into_iter().map(DVec3::normalize_or_zero).collect()

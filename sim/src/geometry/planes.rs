@@ -40,7 +40,7 @@ pub fn planes(mesh: &Mesh, tolerance_m: f64) -> Planes {
     let mut group_of: Vec<Option<u32>> = vec![None; mesh.triangles.len()];
     let mut groups: Vec<Vec<u32>> = Vec::new();
     for seed in by_area {
-        if group_of.get(seed as usize).copied().flatten().is_some() {
+        if group_of[seed as usize].is_some() {
             continue;
         }
         let normal = mesh.area_vector(seed as usize).normalize_or_zero();
@@ -53,15 +53,13 @@ pub fn planes(mesh: &Mesh, tolerance_m: f64) -> Planes {
         };
         let group = groups.len() as u32;
         let mut members = vec![seed];
-        if let Some(slot) = group_of.get_mut(seed as usize) {
-            *slot = Some(group);
-        }
+        group_of[seed as usize] = Some(group);
         let mut reached = 0;
         while let Some(&triangle) = members.get(reached) {
             reached += 1;
-            for &n in next.get(triangle as usize).into_iter().flatten() {
-                if let Some(slot) = group_of.get_mut(n as usize)
-                    && slot.is_none()
+            for n in next[triangle as usize] {
+                // A side without a neighbour has no number.
+                if let Some(slot @ None) = group_of.get_mut(n as usize)
                     && lies_in(n)
                 {
                     *slot = Some(group);
@@ -76,9 +74,7 @@ pub fn planes(mesh: &Mesh, tolerance_m: f64) -> Planes {
     let mut result = Planes { of_triangle: vec![0; mesh.triangles.len()], planes: Vec::new() };
     for members in groups {
         for &t in &members {
-            if let Some(slot) = result.of_triangle.get_mut(t as usize) {
-                *slot = result.planes.len() as u32;
-            }
+            result.of_triangle[t as usize] = result.planes.len() as u32;
         }
         result.planes.push(plane(mesh, members));
     }

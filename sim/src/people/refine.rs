@@ -82,15 +82,12 @@ fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileE
     // Original index of each vertex, from the triangles that are left.
     let mut from = vec![0u32; welded.mesh.vertices.len()];
     for (triangle, &was) in welded.mesh.triangles.iter().zip(&welded.triangle_of) {
-        let Some(before) = mesh.triangles.get(was as usize) else { continue };
-        for (&now, &before) in triangle.iter().zip(before) {
-            if let Some(slot) = from.get_mut(now as usize) {
-                *slot = before;
-            }
+        for (&now, before) in triangle.iter().zip(mesh.triangles[was as usize]) {
+            from[now as usize] = before;
         }
     }
-    let vertices = from.iter().filter_map(|&v| mesh.vertices.get(v as usize).copied()).collect();
-    let weights = from.iter().filter_map(|&v| weights.get(v as usize).cloned()).collect();
+    let vertices = from.iter().map(|&v| mesh.vertices[v as usize]).collect();
+    let weights = from.iter().map(|&v| weights[v as usize].clone()).collect();
     let mut bound = BoundMesh { mesh: Mesh { vertices, triangles: Vec::new() }, weights, ..BoundMesh::default() };
     // Double-sided sheets contain each triangle twice.
     let mut seen = BTreeSet::new();

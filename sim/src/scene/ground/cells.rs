@@ -80,7 +80,7 @@ impl Cells {
 
     /// Kind of the cell at a position.
     pub fn kind(&self, at: DVec2) -> Kind {
-        self.cell(at).and_then(|cell| self.kinds.get(cell)).copied().unwrap_or(Kind::Outside)
+        self.cell(at).map_or(Kind::Outside, |cell| self.kinds[cell])
     }
 
     /// Adds a plane of a mesh if it is a wall or a floor.
@@ -111,17 +111,15 @@ impl Cells {
 
     fn add_floor(&self, triangle: [DVec3; 3], has_floor: &mut [bool]) {
         let [a, b, c] = triangle.map(DVec3::truncate);
-        let last = |axis: usize| self.count.get(axis).map_or(0, |count| count - 1);
-        let clamped = |x: f64, axis: usize| ((x / self.cell_m[axis]).floor().max(0.0) as usize).min(last(axis));
+        let clamped =
+            |x: f64, axis: usize| ((x / self.cell_m[axis]).floor().max(0.0) as usize).min(self.count[axis] - 1);
         let (low, high) = (a.min(b).min(c), a.max(b).max(c));
         for j in clamped(low.y, 1)..=clamped(high.y, 1) {
             for i in clamped(low.x, 0)..=clamped(high.x, 0) {
                 let middle = DVec2::new(i as f64 + 0.5, j as f64 + 0.5) * self.cell_m;
                 let sides = [(a, b), (b, c), (c, a)].map(|(from, to)| (to - from).perp_dot(middle - from));
                 let is_within = sides.iter().all(|side| *side >= 0.0) || sides.iter().all(|side| *side <= 0.0);
-                if let (true, Some(slot)) = (is_within, has_floor.get_mut(i + self.count[0] * j)) {
-                    *slot = true;
-                }
+                has_floor[i + self.count[0] * j] |= is_within;
             }
         }
     }
@@ -132,17 +130,15 @@ impl Cells {
         for step in 0..=steps {
             let place = from + (to - from) * step as f64 / steps as f64;
             let at = (on_plane + along * (place - on_plane.dot(along))).truncate();
-            if let Some(slot) = self.cell(at).and_then(|cell| self.kinds.get_mut(cell)) {
-                *slot = Kind::Wall;
+            if let Some(cell) = self.cell(at) {
+                self.kinds[cell] = Kind::Wall;
             }
         }
     }
 
     /// Marks the floor that leads to the radar. The search begins at the first floor cell ahead of the radar.
     fn flood(&mut self, radar: DVec2, ahead: DVec2, has_floor: &[bool]) {
-        let is_free = |kinds: &[Kind], cell: usize| {
-            kinds.get(cell) == Some(&Kind::Outside) && has_floor.get(cell).copied().unwrap_or(false)
-        };
+        let is_free = |kinds: &[Kind], cell: usize| kinds[cell] == Kind::Outside && has_floor[cell];
         let step_m = 0.5 * self.cell_m.min_element();
         let steps = (self.size_m.length() / step_m).ceil() as usize;
         let places = (0..=steps).map(|step| radar + ahead * (step_m * step as f64));
@@ -152,9 +148,7 @@ impl Cells {
             if !is_free(&self.kinds, cell) {
                 continue;
             }
-            if let Some(slot) = self.kinds.get_mut(cell) {
-                *slot = Kind::Inside;
-            }
+            self.kinds[cell] = Kind::Inside;
             let [columns, rows] = self.count;
             let (i, j) = (cell % columns, cell / columns);
             let beside = [
