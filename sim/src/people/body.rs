@@ -208,12 +208,7 @@ impl Posture {
 
 /// Half the extent of an ellipsoid along the room's axes, m.
 pub fn half_extent(e: &Ellipsoid) -> DVec3 {
-    let scaled = DMat3::from_cols(
-        e.axes.x_axis * e.semi_axes_m.x,
-        e.axes.y_axis * e.semi_axes_m.y,
-        e.axes.z_axis * e.semi_axes_m.z,
-    );
-    let t = scaled.transpose();
+    let t = (e.axes * DMat3::from_diagonal(e.semi_axes_m)).transpose();
     DVec3::new(t.x_axis.length(), t.y_axis.length(), t.z_axis.length())
 }
 

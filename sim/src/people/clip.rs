@@ -26,7 +26,7 @@ const FEWEST: usize = 16;
 const MOST_PLACES: usize = 1_000_000;
 /// Least ground covered in a cycle, as a part of the legs' length. A clip with less does not walk.
 const LEAST_TRAVEL: f64 = 0.3;
-/// Number of frames of a body, in the order of the cycle's bones.
+/// Number of parts of a body with an orientation, which are the cycle's bones.
 const FRAMES: usize = 14;
 
 /// Joint names that programs use, for each part of the body, without blanks, punctuation, and "left" or "right".
@@ -336,31 +336,15 @@ fn frames(p: &[DVec3], sides: &[Side; 2], rest_pitch: [f64; 2]) -> Frames {
 }
 
 fn to_maps(f: &Frames) -> Vec<Map> {
-    let parts = [f.pelvis, f.trunk, f.chest, f.head].into_iter();
-    let limbs = [f.upper_arm, f.forearm, f.thigh, f.shank, f.foot].into_iter().flatten();
-    let mut maps: Vec<Map> = parts.chain(limbs).map(|interval| Map { centre: DVec3::ZERO, interval }).collect();
-    if let Some(hips) = maps.first_mut() {
-        hips.centre = f.hips;
-    }
-    maps
+    let mut maps = f.parts().map(|interval| Map { centre: DVec3::ZERO, interval });
+    maps[0].centre = f.hips;
+    maps.to_vec()
 }
 
 fn from_maps(maps: &[Map], unit_m: f64, chest_m: f64) -> Frames {
-    let at = |i: usize| maps.get(i).map_or(DMat3::IDENTITY, |m| rigid(m.interval));
-    debug_assert_eq!(maps.len(), FRAMES);
-    Frames {
-        hips: maps.first().map_or(DVec3::ZERO, |m| m.centre * unit_m),
-        pelvis: at(0),
-        trunk: at(1),
-        chest: at(2),
-        head: at(3),
-        upper_arm: [at(4), at(5)],
-        forearm: [at(6), at(7)],
-        thigh: [at(8), at(9)],
-        shank: [at(10), at(11)],
-        foot: [at(12), at(13)],
-        chest_m,
-    }
+    let hips = maps.first().map_or(DVec3::ZERO, |m| m.centre * unit_m);
+    let part = |i: usize| maps.get(i).map_or(DMat3::IDENTITY, |m| rigid(m.interval));
+    Frames::of_parts(hips, chest_m, std::array::from_fn(part))
 }
 
 /// Returns the rotation closest to a matrix that rounding or blending has distorted. Only its z and y axes are used.
@@ -369,31 +353,29 @@ fn rigid(m: DMat3) -> DMat3 {
 }
 
 impl Frames {
-    fn each(&self, other: &Frames, of: impl Fn(DMat3, DMat3) -> DMat3) -> Frames {
-        let two = |a: [DMat3; 2], b: [DMat3; 2]| [of(a[0], b[0]), of(a[1], b[1])];
-        Frames {
-            hips: self.hips,
-            pelvis: of(self.pelvis, other.pelvis),
-            trunk: of(self.trunk, other.trunk),
-            chest: of(self.chest, other.chest),
-            head: of(self.head, other.head),
-            upper_arm: two(self.upper_arm, other.upper_arm),
-            forearm: two(self.forearm, other.forearm),
-            thigh: two(self.thigh, other.thigh),
-            shank: two(self.shank, other.shank),
-            foot: two(self.foot, other.foot),
-            chest_m: self.chest_m,
-        }
+    /// Orientations of the parts: pelvis, trunk, chest and head, then the limbs from the arms to the feet.
+    fn parts(&self) -> [DMat3; FRAMES] {
+        let [[a, b], [c, d], [e, f], [g, h], [i, j]] =
+            [self.upper_arm, self.forearm, self.thigh, self.shank, self.foot];
+        [self.pelvis, self.trunk, self.chest, self.head, a, b, c, d, e, f, g, h, i, j]
+    }
+
+    /// Frames with these orientations, in the order of [`Frames::parts`].
+    fn of_parts(hips: DVec3, chest_m: f64, parts: [DMat3; FRAMES]) -> Frames {
+        let [pelvis, trunk, chest, head, a, b, c, d, e, f, g, h, i, j] = parts;
+        let [upper_arm, forearm, thigh, shank, foot] = [[a, b], [c, d], [e, f], [g, h], [i, j]];
+        Frames { hips, pelvis, trunk, chest, head, upper_arm, forearm, thigh, shank, foot, chest_m }
     }
 
     /// Rotates all parts about the origin.
     fn turned(&self, by: DMat3) -> Frames {
-        Frames { hips: by * self.hips, ..self.each(self, |a, _| by * a) }
+        Frames::of_parts(by * self.hips, self.chest_m, self.parts().map(|part| by * part))
     }
 
     /// Interpolates towards other frames by a fraction.
     fn towards(&self, other: &Frames, part: f64) -> Frames {
-        let blended = self.each(other, |a, b| rigid(a * (1.0 - part) + b * part));
-        Frames { hips: self.hips.lerp(other.hips, part), ..blended }
+        let (from, to) = (self.parts(), other.parts());
+        let blended = std::array::from_fn(|i| rigid(from[i] * (1.0 - part) + to[i] * part));
+        Frames::of_parts(self.hips.lerp(other.hips, part), self.chest_m, blended)
     }
 }

@@ -84,7 +84,7 @@ impl Actor {
         let rig = &read(bytes, path, options)?;
         let clip = choose(&rig.clips, options.animation.as_deref())?;
         let span = cycle_span(rig, clip, options.cycle_s)?;
-        let Sampled { mut poses, mut standing } = sample(rig, clip, span);
+        let (mut poses, mut standing) = sample(rig, clip, span);
         // The pose is rotated upright and scaled to metres.
         let up = |v: DVec3| rig.up.to_z_up(v) * rig.metres;
         let upright = DMat3::from_cols(up(DVec3::X), up(DVec3::Y), up(DVec3::Z));
@@ -270,14 +270,9 @@ fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2
     }
 }
 
-struct Sampled {
-    /// Poses at even phases, without the clip's displacement over the ground.
-    poses: Vec<Vec<Map>>,
-    standing: Vec<Map>,
-}
-
-/// Returns the maps over a cycle, in the file's unit and axes.
-fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> Sampled {
+/// Returns the maps at even phases of a cycle, without the clip's displacement over the ground, and those of the standing
+/// actor, in the file's unit and axes.
+fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> (Vec<Vec<Map>>, Vec<Map>) {
     let [fewest, most] = CYCLE_SAMPLES;
     let count = ((end - begin) / clip.key_s().max(SAMPLE_S)).round().clamp(fewest, most) as usize;
     let phase = |k: usize| k as f64 / count as f64;
@@ -285,13 +280,8 @@ fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> Sampled {
     let up = up_axis(rig);
     let level = |v: DVec3| v - up * v.dot(up);
     let middle = |places: &[DVec3]| level(places.iter().sum::<DVec3>() / places.len().max(1) as f64);
-    let mut all: Vec<(DVec3, Vec<Map>)> = locals
-        .iter()
-        .map(|l| {
-            let (places, maps) = rig.pose(l);
-            (middle(&places), maps)
-        })
-        .collect();
+    let posed = locals.iter().map(|l| rig.pose(l));
+    let mut all: Vec<(DVec3, Vec<Map>)> = posed.map(|(places, maps)| (middle(&places), maps)).collect();
     let (first, last) = (all[0].0, all[count].0);
     let centre = all.iter().take(count).enumerate().map(|(k, (m, _))| *m - (last - first) * phase(k)).sum::<DVec3>()
         / count as f64;
@@ -308,7 +298,7 @@ fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> Sampled {
     let (places, mut standing) = rig.pose(&mean(&locals[..count]));
     let under = middle(&places);
     standing.iter_mut().for_each(|m| m.centre -= under);
-    Sampled { poses, standing }
+    (poses, standing)
 }
 
 /// Axis of the file that points up.

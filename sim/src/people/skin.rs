@@ -270,14 +270,9 @@ impl Skin {
 
     /// Returns the vertices for a pose of the bones, or their velocities for its rate.
     pub(super) fn pose(&self, maps: &[Map]) -> Vec<DVec3> {
-        self.bindings.iter().map(|b| self.follow(b, maps)).collect()
-    }
-
-    fn follow(&self, binding: &Range<usize>, maps: &[Map]) -> DVec3 {
-        self.influences(binding)
-            .iter()
-            .map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].interval * unit) * weight)
-            .sum()
+        let follow =
+            |&(bone, weight, point): &(usize, f64, DVec3)| (maps[bone].centre + maps[bone].interval * point) * weight;
+        self.bindings.iter().map(|b| self.influences(b).iter().map(follow).sum()).collect()
     }
 }
 
@@ -401,6 +396,9 @@ pub(super) struct Map {
 }
 
 impl Map {
+    /// Zero map, which adds nothing.
+    pub(super) const NOTHING: Map = Map { centre: DVec3::ZERO, interval: DMat3::ZERO };
+
     pub(super) fn of(e: &Ellipsoid) -> Self {
         Map { centre: e.centre, interval: e.axes * DMat3::from_diagonal(e.semi_axes_m) }
     }
@@ -408,11 +406,6 @@ impl Map {
     pub(super) fn is_finite(&self) -> bool {
         self.centre.is_finite() && self.interval.is_finite()
     }
-}
-
-impl Map {
-    /// Zero map, which adds nothing.
-    pub(super) const NOTHING: Map = Map { centre: DVec3::ZERO, interval: DMat3::ZERO };
 }
 
 impl std::ops::Add for Map {
