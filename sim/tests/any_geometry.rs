@@ -173,7 +173,7 @@ fn l_corridors_have_frames() {
     let (_, report) = simulator.frame_with_report(5);
     assert!(report.static_paths > 3 && report.moving_paths > 3, "{report:?}");
     for frame in [20, 52] {
-        let power: f64 = simulator.echo_samples(frame).iter().map(|&x| f64::from(x).powi(2)).sum();
+        let power = common::echo_power(&simulator, frame);
         assert!(power.is_finite() && power > 0.0, "frame {frame}: {power}");
     }
 }
@@ -273,10 +273,7 @@ fn facets_let_through_what_walls_of_boxes_do() {
 /// invisible.
 #[test]
 fn behind_a_glass_wall_somebody_is_seen() {
-    let power = |scene: &Scene| -> f64 {
-        let simulator = common::simulator(scene, 1, None);
-        simulator.echo_samples(10).iter().map(|&x| f64::from(x).powi(2)).sum()
-    };
+    let power = |scene: &Scene| common::echo_power(&common::simulator(scene, 1, None), 10);
     let through = power(&scene("glass-wall"));
     let hidden = power(&changed("glass-wall", &[("transmission = true", "transmission = false")]));
     let free = power(&changed("glass-wall", &[("material = \"glass\"", "material = \"open\"")]));

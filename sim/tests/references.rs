@@ -8,21 +8,20 @@ use radome_sim::em::fresnel::{half_space, slab};
 use radome_sim::em::image::{BoxRoom, Wall, images, order};
 use radome_sim::em::specular::Ellipsoid;
 
-use crate::common::{self, WAVENUMBER, isotropic};
+use crate::common::{WAVENUMBER, isotropic, number, reference, reference_rows, vector};
 
 fn complex(value: &serde_json::Value) -> Complex64 {
-    Complex64::new(value[0].as_f64().expect("re"), value[1].as_f64().expect("im"))
+    Complex64::new(number(&value[0]), number(&value[1]))
 }
 
 #[test]
 fn slabs_agree_with_the_40_digit_characteristic_matrix() {
-    let reference = common::reference();
-    let rows = reference["fresnel_slab"]["rows"].as_array().expect("rows");
+    let rows = reference_rows("fresnel_slab");
     assert!(rows.len() >= 60);
     for row in rows {
         let eps = complex(&row["eps"]);
-        let cosine = row["theta_deg"].as_f64().expect("angle").to_radians().cos();
-        let thickness = row["d_m"].as_f64().expect("thickness");
+        let cosine = number(&row["theta_deg"]).to_radians().cos();
+        let thickness = number(&row["d_m"]);
         let (face, layer) = (half_space(eps, cosine), slab(eps, thickness, WAVENUMBER, cosine));
         let (face, back, through) = match row["pol"].as_str() {
             Some("TE") => (face.te, layer.reflection.te, layer.transmission.te),
@@ -40,23 +39,21 @@ fn conducting_box() -> BoxRoom {
 
 #[test]
 fn images_of_the_corridor_lie_where_the_reference_has_them() {
-    let reference = common::reference();
-    let corridor = &reference["image_corridor"];
     let room = conducting_box();
     let (tx, rx) = (DVec3::new(0.2, 1.0, 1.5), DVec3::new(0.2, 1.0025, 1.5));
-    let rows = corridor["rows"].as_array().expect("rows");
-    for row in rows {
+    let rows = reference_rows("image_corridor");
+    for row in &rows {
         let n = [0, 1, 2].map(|i| row["n"][i].as_i64().expect("index") as i32);
         assert_eq!(u64::from(order(n)), row["order"].as_u64().expect("order"));
         assert!(images(3).contains(&n), "{n:?}");
         let length = room.image_position(n, tx).distance(rx);
-        let expected = row["path_m"].as_f64().expect("path");
+        let expected = number(&row["path_m"]);
         assert!((length - expected).abs() < 1e-12, "{row}: {length}");
         let phase = (-WAVENUMBER * length).rem_euclid(TAU);
-        let difference = (phase - row["phase_rad"].as_f64().expect("phase") + PI).rem_euclid(TAU) - PI;
+        let difference = (phase - number(&row["phase_rad"]) + PI).rem_euclid(TAU) - PI;
         // Phase of the length alone: the conductors' signs are in the field, see below.
         assert!(difference.abs() < 1e-6, "{row} {difference}");
-        assert!((1.0 / length - row["amp_1_over_d"].as_f64().expect("amplitude")).abs() < 1e-9, "{row}");
+        assert!((1.0 / length - number(&row["amp_1_over_d"])).abs() < 1e-9, "{row}");
     }
     assert!(rows.len() >= 60);
 }
@@ -78,19 +75,18 @@ fn conductors_turn_a_dipole_into_its_signed_mirror_image() {
 
 #[test]
 fn two_ray_ground_has_its_nulls_and_gains() {
-    let reference = common::reference();
     let walls = [Wall::Open, Wall::Open, Wall::Open, Wall::Open, Wall::Conductor, Wall::Open];
     let room = BoxRoom::new(DVec3::new(50.0, 50.0, 50.0), walls, WAVENUMBER, false);
     let radar = isotropic(DVec3::new(1.0, 20.0, 1.5), DVec3::Y);
-    for row in reference["two_ray"]["rows"].as_array().expect("rows") {
-        let target = DVec3::new(6.0, 20.0, row["ht"].as_f64().expect("height"));
+    for row in reference_rows("two_ray") {
+        let target = DVec3::new(6.0, 20.0, number(&row["ht"]));
         let free = room.illuminate(&radar, [0, 0, 0], target);
         let ground = room.illuminate(&radar, [0, 0, -1], target);
         let at = |i: &radome_sim::em::image::Illumination| {
             i.field.along(DVec3::Y) * Complex64::from_polar(1.0 / i.distance_m, -WAVENUMBER * i.distance_m)
         };
         let gain_db = 40.0 * ((at(&free) + at(&ground)).norm() * free.distance_m).log10();
-        let expected = row["gain_dB_rel_free"].as_f64().expect("gain");
+        let expected = number(&row["gain_dB_rel_free"]);
         assert!((gain_db - expected).abs() < 1e-6, "{row} {gain_db}");
     }
 }
@@ -151,15 +147,12 @@ fn specular_points_agree_with_dense_physical_optics_in_amplitude_and_phase() {
 /// physical optics must lie within its stated tolerance.
 #[test]
 fn near_field_cross_section_is_that_of_the_reference_bodies() {
-    let reference = common::reference();
-    let table = &reference["ellipsoid_highlight"];
-    let tolerance = table["tolerance_dB"].as_f64().expect("tolerance");
-    for row in table["rows"].as_array().expect("rows") {
-        assert!(row["GO_over_PO_dB"].as_f64().expect("ratio").abs() < tolerance);
-        let triple = |key: &str| DVec3::from_array([0, 1, 2].map(|i| row[key][i].as_f64().expect("number")));
-        let b = triple("axes");
+    let tolerance = number(&reference()["ellipsoid_highlight"]["tolerance_dB"]);
+    for row in reference_rows("ellipsoid_highlight") {
+        assert!(number(&row["GO_over_PO_dB"]).abs() < tolerance);
+        let b = vector(&row["axes"]);
         let e = Ellipsoid { centre: DVec3::ZERO, axes: DMat3::IDENTITY, semi_axes_m: b };
-        let radar = triple("dir").normalize() * (row["R0"].as_f64().expect("range") + b.max_element());
+        let radar = vector(&row["dir"]).normalize() * (number(&row["R0"]) + b.max_element());
         let h = e.specular_point(radar, radar, None).expect("visible");
         // At the closest point the line of sight is the normal.
         assert!((h.normal - (radar - h.point).normalize()).length() < 1e-5);
@@ -178,10 +171,8 @@ fn near_field_cross_section_is_that_of_the_reference_bodies() {
 
 #[test]
 fn skin_reflects_what_the_reference_says() {
-    let reference = common::reference();
-    let skin = &reference["skin"];
     let got = half_space(radome_sim::material::SKIN_PERMITTIVITY, 1.0).te;
-    assert!((got - complex(&skin["Gamma0"])).norm() < 1e-12);
+    assert!((got - complex(&reference()["skin"]["Gamma0"])).norm() < 1e-12);
 }
 
 mod hard_cases {

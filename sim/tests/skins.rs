@@ -4,7 +4,7 @@ use num_complex::Complex64;
 use radome_sim::{SimulateOptions, Simulator};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 
-use crate::common::{parse, range_profiles, refusal, simulator};
+use crate::common::{on_threads, parse, range_profiles, refusal, simulator};
 
 /// Hall without walls, with a few chirps and one receiver: the slow method takes seconds for it.
 const HALL: &str = r#"
@@ -98,12 +98,11 @@ fn who_breathes_only_moves_only_that_much() {
 /// Frames are byte-identical on any number of threads.
 #[test]
 fn frames_of_skins_are_the_same_on_any_number_of_threads() {
-    let frames = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+    let frames = || {
         let simulator = hall(0.5);
-        pool.install(|| [3u64, 4].map(|i| simulator.frame(i).codes))
+        [3u64, 4].map(|i| simulator.frame(i).codes)
     };
-    assert_eq!(frames(1), frames(3));
+    assert_eq!(on_threads(1, frames), on_threads(3, frames));
 }
 
 mod hard_cases {

@@ -17,13 +17,9 @@ use radome_sim::validation::facet::{self, Accuracy};
 use radome_sim::validation::radar::Radar;
 use radome_sim::validation::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, known, mie};
 
-use crate::common;
+use crate::common::{self, number, reference, reference_rows, vector};
 
 const SKIN: Wall = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
-
-fn number(value: &serde_json::Value) -> f64 {
-    value.as_f64().expect("number")
-}
 
 fn db(sigma_m2: f64) -> f64 {
     10.0 * sigma_m2.log10()
@@ -80,7 +76,7 @@ fn corners_of_scenes_have_the_cross_section_of_dihedrals() {
 
 #[test]
 fn triangle_integrals_are_those_of_25_digit_quadrature() {
-    let reference = common::reference();
+    let reference = reference();
     let cases = reference["triangle_integral"]["cases"].as_array().expect("cases");
     assert!(cases.len() >= 12);
     for case in cases {
@@ -93,9 +89,8 @@ fn triangle_integrals_are_those_of_25_digit_quadrature() {
 
 #[test]
 fn plates_have_their_sidelobes_near_a_null_too() {
-    let reference = common::reference();
     let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
-    for row in reference["plate"]["rows"].as_array().expect("rows") {
+    for row in reference_rows("plate") {
         let s = setup(None, number(&row["theta_deg"]), 0.0, Wall::Conductor);
         let expected = number(&row["sigma_m2"]);
         for method in [Method::Facets, Method::Images] {
@@ -108,8 +103,7 @@ fn plates_have_their_sidelobes_near_a_null_too() {
 
 #[test]
 fn plates_in_the_near_field_to_a_hundredth_of_a_decibel() {
-    let reference = common::reference();
-    for row in reference["plate_near_field"]["rows"].as_array().expect("rows") {
+    for row in reference_rows("plate_near_field") {
         let side = number(&row["a_m"]);
         let plate = Target::Plate { width_m: side, height_m: side };
         let s = setup(Some(number(&row["R_m"])), 0.0, 0.0, Wall::Conductor);
@@ -125,9 +119,8 @@ fn plates_in_the_near_field_to_a_hundredth_of_a_decibel() {
 
 #[test]
 fn a_dihedral_far_and_near() {
-    let reference = common::reference();
     let dihedral = Target::Dihedral { width_m: 0.1, height_m: 0.1 };
-    let expected = number(&reference["dihedral"]["dBsm"]);
+    let expected = number(&reference()["dihedral"]["dBsm"]);
     for range in [None, Some(100.0), Some(1000.0)] {
         let s = setup(range, 45.0, 0.0, Wall::Conductor);
         let error = db(solve(&dihedral, &s, Method::Images, None, 0.01).sigma_m2) - expected;
@@ -141,8 +134,7 @@ fn a_dihedral_far_and_near() {
 
 #[test]
 fn trihedrals_at_all_tabulated_angles() {
-    let reference = common::reference();
-    for row in reference["trihedral"]["rows"].as_array().expect("rows") {
+    for row in reference_rows("trihedral") {
         let s = setup(None, number(&row["az"]), number(&row["el"]), Wall::Conductor);
         for (outline, key) in [(Outline::Triangular, "tri_dBsm"), (Outline::Square, "sq_dBsm")] {
             let target = Target::Trihedral { edge_m: 0.1, outline };
@@ -202,9 +194,8 @@ fn cavities_approach_waveguide_modes() {
 
 #[test]
 fn mie_is_the_reference_mie() {
-    let reference = common::reference();
     let wavelength_m = 299_792_458.0 / 60e9;
-    for row in reference["sphere"]["rows"].as_array().expect("rows") {
+    for row in reference_rows("sphere") {
         let radius = number(&row["r_m"]);
         let metal = db(mie::cross_section_m2(radius, wavelength_m, None));
         assert!((metal - number(&row["mie_dBsm"])).abs() < 1e-9, "{row}: {metal}");
@@ -237,8 +228,7 @@ fn spheres_of_twenty_thousand_triangles_are_mies() {
 /// Physical optics over facets agrees with its own closed form to its tolerance.
 #[test]
 fn facets_of_spheres_agree_with_the_closed_form_of_physical_optics() {
-    let reference = common::reference();
-    for row in reference["sphere"]["rows"].as_array().expect("rows") {
+    for row in reference_rows("sphere") {
         let radius_m = number(&row["r_m"]);
         let s = setup(None, 20.0, 10.0, Wall::Conductor);
         let outcome = solve(&Target::Sphere { radius_m }, &s, Method::Facets, Some(0.04 * radius_m), 0.02);
@@ -251,13 +241,10 @@ fn facets_of_spheres_agree_with_the_closed_form_of_physical_optics() {
 /// confirmed.
 #[test]
 fn ellipsoids_on_meshes() {
-    let reference = common::reference();
-    let table = &reference["ellipsoid_highlight"];
-    for row in table["rows"].as_array().expect("rows") {
-        let triple = |key: &str| DVec3::from_array([0, 1, 2].map(|i| number(&row[key][i])));
-        let semi_axes_m = triple("axes");
+    for row in reference_rows("ellipsoid_highlight") {
+        let semi_axes_m = vector(&row["axes"]);
         let target = Target::Ellipsoid { semi_axes_m };
-        let towards = triple("dir").normalize();
+        let towards = vector(&row["dir"]).normalize();
         // The reference's range begins at the largest semi-axis from the centre.
         let range_m = number(&row["R0"]) + semi_axes_m.max_element() - target.reference_point(towards).length();
         let (azimuth, elevation) = (towards.y.atan2(towards.x).to_degrees(), towards.z.asin().to_degrees());
@@ -284,7 +271,6 @@ fn a_torso_on_a_14_mm_mesh() {
 
 #[test]
 fn cylinders_far_and_near() {
-    let reference = common::reference();
     let cylinder = |radius_m, height_m| Target::Cylinder { radius_m, height_m };
     for (s, name) in [
         (setup(None, 20.0, 0.0, Wall::Conductor), "broadside"),
@@ -296,7 +282,7 @@ fn cylinders_far_and_near() {
         assert!(error.abs() < 0.1, "{name}: {error} dB");
     }
     // The Fresnel integral along an infinite cylinder equals the reference's.
-    for row in reference["cylinder_infinite"]["rows"].as_array().expect("rows") {
+    for row in reference_rows("cylinder_infinite") {
         let s = setup(Some(number(&row["R_surface_m"])), 0.0, 0.0, Wall::Conductor);
         let long = known_db(&cylinder(number(&row["a_m"]), 1e5), &s);
         assert!((long - number(&row["sigma_eff_dBsm"])).abs() < 1e-2, "{row}: {long}");
@@ -318,10 +304,9 @@ fn a_wide_plate_is_a_mirror() {
 /// The cross-section stays finite through the focus of a concave mirror, where geometrical optics is infinite.
 #[test]
 fn a_mirror_is_finite_at_its_caustic() {
-    let reference = common::reference();
     let mirror = Target::Mirror { radius_m: 1.0, aperture_m: 0.2 };
     let k = setup(None, 0.0, 0.0, Wall::Conductor).wavenumber_per_m();
-    for row in reference["concave_mirror"]["rows"].as_array().expect("rows") {
+    for row in reference_rows("concave_mirror") {
         let range = number(&row["R_m"]);
         let s = setup(Some(range), 0.0, 0.0, Wall::Conductor);
         let expected = db(k * k / PI * number(&row["abs_I"]).powi(2) * range.powi(4));

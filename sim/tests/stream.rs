@@ -6,13 +6,12 @@ use radome_sim::path_segment::{PathSample, PathSegment};
 use radome_sim::people::motion::{MotionBuilder, Person};
 use radome_sim::{SimulateOptions, Simulator};
 
-use crate::common::{map_db, range_bin, scene, simulator, statistics, with_derivatives};
+use crate::common::{map_db, on_threads, range_bin, scene, simulator, statistics, with_derivatives};
 
 fn stream(simulator: &Simulator, from: u64, frames: usize, threads: usize) -> Vec<Frame> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
     let mut simulator = simulator.clone();
     simulator.seek(from);
-    pool.install(|| {
+    on_threads(threads, || {
         (0..frames)
             .map(|_| {
                 let mut frame = Frame::zeroed(simulator.waveform().shape());

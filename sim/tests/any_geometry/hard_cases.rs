@@ -28,7 +28,7 @@ fn plan(tables: &str) -> String {
 fn assert_sound(scene: &Scene, what: &str) {
     let simulator = common::simulator(scene, 1, None);
     for index in [0, 9] {
-        let power: f64 = simulator.echo_samples(index).iter().map(|&x| f64::from(x).powi(2)).sum();
+        let power = common::echo_power(&simulator, index);
         assert!(power.is_finite() && power > 0.0, "{what}, frame {index}: {power}");
         let frame = simulator.frame(index);
         assert_eq!(frame.codes.len(), frame.shape.codes(), "{what}");
@@ -84,11 +84,8 @@ fn fields_are_numbers_everywhere() {
 #[test]
 fn frames_of_polygons_are_the_same_on_any_number_of_threads() {
     let scene = made(&plan(""), WALKER, Path::new(""));
-    let frames = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-        pool.install(|| common::simulator(&scene, 7, None).frame(6).codes)
-    };
-    assert_eq!(frames(1), frames(3));
+    let frame = || common::simulator(&scene, 7, None).frame(6).codes;
+    assert_eq!(common::on_threads(1, frame), common::on_threads(3, frame));
 }
 
 /// Room of plasterboard from a file, with paths found by rays.

@@ -46,6 +46,31 @@ pub fn reference() -> serde_json::Value {
     serde_json::from_str(&text).expect("reference values are JSON")
 }
 
+/// Rows of a table of reference values.
+pub fn reference_rows(table: &str) -> Vec<serde_json::Value> {
+    reference()[table]["rows"].as_array().expect("rows").clone()
+}
+
+/// A reference value.
+pub fn number(value: &serde_json::Value) -> f64 {
+    value.as_f64().expect("number")
+}
+
+/// A vector of reference values.
+pub fn vector(value: &serde_json::Value) -> DVec3 {
+    DVec3::from_array([0, 1, 2].map(|i| number(&value[i])))
+}
+
+/// What a closure returns on a number of threads.
+pub fn on_threads<T: Send>(threads: usize, run: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool").install(run)
+}
+
+/// Power of the echoes of people in a frame, LSB^2.
+pub fn echo_power(simulator: &Simulator, frame: u64) -> f64 {
+    simulator.echo_samples(frame).iter().map(|&x| f64::from(x).powi(2)).sum()
+}
+
 /// An empty 20 m hall without walls, radar in a corner region looking along +x, paper waveform, flat quiet receiver.
 pub fn hall(extra: &str) -> String {
     format!(
