@@ -21,10 +21,7 @@ const BLOCK_STEPS: usize = 640;
 const KEPT_BLOCKS: usize = 8;
 
 /// Consecutive steps of all people: `[slot][step]`. The last step is also the first of the next block.
-#[derive(Debug)]
-struct Block {
-    nodes: Vec<Vec<Node>>,
-}
+type Block = Vec<Vec<Node>>;
 
 /// A group of people whose motion is known at any time.
 #[derive(Debug)]
@@ -57,50 +54,35 @@ impl Group {
     }
 
     fn run(&self, mut state: State) -> (Block, State) {
-        let mut nodes: Vec<Vec<Node>> = state
-            .nodes()
-            .map(|node| {
-                let mut all = Vec::with_capacity(BLOCK_STEPS + 1);
-                all.push(node);
-                all
-            })
-            .collect();
+        let mut block: Block = state.nodes().map(|node| vec![node]).collect();
         for _ in 0..BLOCK_STEPS {
             state.step(&self.setting);
-            nodes.iter_mut().zip(state.nodes()).for_each(|(all, node)| all.push(node));
+            block.iter_mut().zip(state.nodes()).for_each(|(all, node)| all.push(node));
         }
-        (Block { nodes }, state)
+        (block, state)
     }
 
-    fn keep(table: &mut Table, index: usize, block: &Arc<Block>) {
-        if table.recent.len() >= KEPT_BLOCKS {
-            table.recent.pop_front();
-        }
-        table.recent.push_back((index, Arc::clone(block)));
-    }
-
-    /// Computes the next block.
-    fn extend(&self, table: &mut Table) {
-        let Some(state) = table.states.last().cloned() else { return };
-        let index = table.states.len() - 1;
-        let (block, next) = self.run(state);
-        Self::keep(table, index, &Arc::new(block));
-        table.states.push(next);
-    }
-
-    fn block(&self, index: usize) -> Arc<Block> {
+    /// Returns a block, which is computed from the last known state before it unless it is kept.
+    fn block(&self, wanted: usize) -> Arc<Block> {
         let mut table = self.lock();
-        while table.states.len() < index + 2 {
-            self.extend(&mut table);
-        }
-        if let Some((_, block)) = table.recent.iter().find(|(of, _)| *of == index) {
+        if let Some((_, block)) = table.recent.iter().find(|(of, _)| *of == wanted) {
             return Arc::clone(block);
         }
-        let state = table.states[index].clone();
-        let (block, _) = self.run(state);
-        let block = Arc::new(block);
-        Self::keep(&mut table, index, &block);
-        block
+        loop {
+            let index = wanted.min(table.states.len() - 1);
+            let (block, next) = self.run(table.states[index].clone());
+            let block = Arc::new(block);
+            if table.recent.len() >= KEPT_BLOCKS {
+                table.recent.pop_front();
+            }
+            table.recent.push_back((index, Arc::clone(&block)));
+            if index + 1 == table.states.len() {
+                table.states.push(next);
+            }
+            if index == wanted {
+                return block;
+            }
+        }
     }
 
     /// Returns the nodes before and after a time, and the elapsed fraction of the step.
@@ -109,7 +91,7 @@ impl Group {
         let whole = steps.floor();
         let (index, at) = (whole as usize / BLOCK_STEPS, whole as usize % BLOCK_STEPS);
         let block = self.block(index);
-        let nodes = block.nodes.get(slot)?;
+        let nodes = block.get(slot)?;
         Some((*nodes.get(at)?, *nodes.get(at + 1)?, steps - whole))
     }
 
