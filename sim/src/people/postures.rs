@@ -38,15 +38,6 @@ pub struct Crouch {
     pub arm_rad: [f64; 2],
 }
 
-/// State of the legs during the descent.
-struct Legs {
-    hip_height_m: f64,
-    back_m: f64,
-    hip_rad: f64,
-    knee_rad: f64,
-    ankle_rad: f64,
-}
-
 impl Crouch {
     /// A squat in which the head sinks by `depth_m`. The depth is limited by the folding of the legs.
     pub fn squat(build: &Build, depth_m: f64) -> Self {
@@ -67,35 +58,25 @@ impl Crouch {
         Crouch { knee_rad, back_m, lean_rad: UPRIGHT_LEAN_RAD - 0.06, bow_rad: 0.5, arm_rad: [0.40, 1.15] }
     }
 
-    /// Distance of the hips behind their standing position, m, at a fraction of the descent.
-    pub fn back_at(&self, part: f64) -> f64 {
-        self.back_m * part
-    }
-
-    fn legs(&self, build: &Build, part: f64) -> Legs {
+    /// Lowers a standing posture by a fraction of the descent.
+    pub fn lower(&self, build: &Build, part: f64, posture: &mut Posture) {
         let (thigh, shank) = (build.thigh_m(), build.shank_m());
-        let (knee_rad, back_m) = (self.knee_rad * part, self.back_at(part));
+        let (knee_rad, back_m) = (self.knee_rad * part, self.back_m * part);
         let (sine, cosine) = knee_rad.sin_cos();
         let reach = (thigh * thigh + shank * shank + 2.0 * thigh * shank * cosine).sqrt();
         let up = (reach * reach - back_m * back_m).max(0.0).sqrt();
         // The line from hip to ankle points forward, and the thigh is ahead of that line.
         let hip_rad = back_m.atan2(up) + (shank * sine).atan2(thigh + shank * cosine);
-        Legs { hip_height_m: build.ankle_height_m() + up, back_m, hip_rad, knee_rad, ankle_rad: knee_rad - hip_rad }
-    }
-
-    /// Lowers a standing posture by a fraction of the descent.
-    pub fn lower(&self, build: &Build, part: f64, posture: &mut Posture) {
-        let legs = self.legs(build, part);
         let (sine, cosine) = posture.heading_rad.sin_cos();
-        posture.position_m[0] -= legs.back_m * cosine;
-        posture.position_m[1] -= legs.back_m * sine;
-        posture.hip_height_m += legs.hip_height_m - build.standing_hip_height_m();
+        posture.position_m[0] -= back_m * cosine;
+        posture.position_m[1] -= back_m * sine;
+        posture.hip_height_m += build.ankle_height_m() + up - build.standing_hip_height_m();
         let bow = (PI * part).sin();
         posture.lean_rad += (self.lean_rad - UPRIGHT_LEAN_RAD) * part + self.bow_rad * bow * bow;
         for side in 0..2 {
-            posture.hip_rad[side] += legs.hip_rad;
-            posture.knee_rad[side] += legs.knee_rad;
-            posture.ankle_rad[side] += legs.ankle_rad;
+            posture.hip_rad[side] += hip_rad;
+            posture.knee_rad[side] += knee_rad;
+            posture.ankle_rad[side] += knee_rad - hip_rad;
             posture.shoulder_rad[side] += self.arm_rad[0] * part;
             posture.elbow_rad[side] += self.arm_rad[1] * part;
         }
