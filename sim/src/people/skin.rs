@@ -350,9 +350,9 @@ fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
     let mut patches = vec![u32::MAX; mesh.triangles.len()];
     let (mut count, mut rim) = (0, std::collections::BTreeSet::new());
     let mut beginning = 0;
+    let free =
+        |patches: &[u32], t: u32| beside[t as usize].iter().filter(|&&o| patches[o as usize] == u32::MAX).count();
     while let Some(start) = {
-        let free =
-            |patches: &[u32], t: u32| beside[t as usize].iter().filter(|&&o| patches[o as usize] == u32::MAX).count();
         // The next patch begins at the rim of finished patches, where a triangle could be left isolated; otherwise
         // anywhere.
         let least = rim.iter().copied().min_by_key(|&t| (free(&patches, t), t));
@@ -372,8 +372,7 @@ fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
             let around = members.iter().flat_map(|&t| &beside[t as usize]);
             let near = around.filter(|&&t| patches[t as usize] == u32::MAX && fits(t));
             // Triangles that would be left isolated come first.
-            let alone = |t: u32| beside[t as usize].iter().filter(|&&o| patches[o as usize] == u32::MAX).count();
-            let cost = |t: u32| middle(t).distance(centre) * (1.0 + 0.3 * alone(t) as f64);
+            let cost = |t: u32| middle(t).distance(centre) * (1.0 + 0.3 * free(&patches, t) as f64);
             let Some(&next) = near.min_by(|&&a, &&b| cost(a).total_cmp(&cost(b)).then(a.cmp(&b))) else { break };
             patches[next as usize] = count;
             rim.remove(&next);

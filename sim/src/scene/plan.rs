@@ -249,21 +249,12 @@ fn check_partition(file: &SceneFile, plan: &PlanFile, partition: &PartitionFile)
 fn check_openings(file: &SceneFile, all: &[&OpeningFile], length_m: f64, height_m: f64) -> Result<(), Fault> {
     for (number, opening) in all.iter().enumerate() {
         let [from, to, sill, head] = rectangle(opening);
-        let spans =
-            |low: f64, high: f64, most: f64| low >= 0.0 && high - low >= LEAST_LENGTH_M && high <= most + SAME_M;
-        if !spans(from, to, length_m) {
-            return fault(
-                "opening",
-                [from, to],
-                format!("from_m and to_m, 5 cm apart or more, within 0 to {length_m} m"),
-            );
-        }
-        if !spans(sill, head, height_m) {
-            return fault(
-                "opening",
-                [sill, head],
-                format!("sill_m and head_m, 5 cm apart or more, within 0 to {height_m} m"),
-            );
+        let spans = [([from, to], length_m, "from_m and to_m"), ([sill, head], height_m, "sill_m and head_m")];
+        for ([low, high], most_m, keys) in spans {
+            if !(low >= 0.0 && high - low >= LEAST_LENGTH_M && high <= most_m + SAME_M) {
+                let expected = format!("{keys}, 5 cm apart or more, within 0 to {most_m} m");
+                return fault("opening", [low, high], expected);
+            }
         }
         let meets = |other: &&&OpeningFile| {
             let [other_from, other_to, other_sill, other_head] = rectangle(other);
