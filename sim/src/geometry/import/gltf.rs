@@ -7,7 +7,7 @@ use std::path::Path;
 
 use base64::Engine;
 use glam::{DMat4, DVec3};
-use gltf::accessor::{DataType, Dimensions};
+use gltf::accessor::DataType;
 use gltf::json::validation::Validate;
 use gltf::mesh::Mode;
 use radome_files::{MESH_LIMIT_BYTES, beside, read};
@@ -101,19 +101,7 @@ impl GltfFile {
             return Err(Damage::new(place, "it is sparse, expected all its values: export without sparse accessors"));
         }
         let view = accessor.view().ok_or_else(|| Damage::new(&place, "it has no buffer view"))?;
-        let width = match accessor.dimensions() {
-            Dimensions::Scalar => 1,
-            Dimensions::Vec2 => 2,
-            Dimensions::Vec3 => 3,
-            Dimensions::Vec4 | Dimensions::Mat2 => 4,
-            Dimensions::Mat3 => 9,
-            Dimensions::Mat4 => 16,
-        };
-        let size = match accessor.data_type() {
-            DataType::I8 | DataType::U8 => 1,
-            DataType::I16 | DataType::U16 => 2,
-            DataType::U32 | DataType::F32 => 4,
-        };
+        let (width, size) = (accessor.dimensions().multiplicity(), accessor.data_type().size());
         let bytes = self.buffers.get(view.buffer().index()).map(Vec::as_slice).unwrap_or_default();
         let stride = view.stride().unwrap_or(width * size).max(1);
         let first = view.offset().saturating_add(accessor.offset());
@@ -134,11 +122,8 @@ impl GltfFile {
         for row in 0..accessor.count() {
             for column in 0..width {
                 let at = first + row * stride + column * size;
-                numbers.push(number(
-                    bytes.get(at..at + size).unwrap_or_default(),
-                    accessor.data_type(),
-                    accessor.normalized(),
-                ));
+                let bytes = bytes.get(at..at + size).unwrap_or_default();
+                numbers.push(number(bytes, accessor.data_type(), accessor.normalized()));
             }
         }
         Ok(Rows { width, numbers })
@@ -166,13 +151,8 @@ impl GltfFile {
         let mut reached = 0;
         while let Some(&(at, _)) = order.get(reached) {
             reached += 1;
-            let children = self
-                .document
-                .nodes()
-                .nth(at)
-                .into_iter()
-                .flat_map(|n| n.children().map(|c| c.index()).collect::<Vec<_>>());
-            order.extend(children.map(|c| (c, Some(at))));
+            let node = self.document.nodes().nth(at);
+            order.extend(node.iter().flat_map(|node| node.children()).map(|child| (child.index(), Some(at))));
         }
         if order.len() < count {
             return Err(Damage::new("nodes", "some are their own ancestors, expected a tree"));
