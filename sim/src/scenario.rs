@@ -16,9 +16,7 @@ use crate::people::wander;
 use crate::random::{Purpose, draw, generator};
 use crate::scene::Scene;
 use crate::scene::ground::{Floor, blocks, walls};
-use crate::scene_file::{
-    ActorFile, BedFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, StepFile, VisitsFile,
-};
+use crate::scene_file::{ActorFile, BedFile, DeskFile, DoorFile, SceneFile, SeatFile, StepFile, VisitsFile};
 
 /// The people of a scene over all time.
 #[derive(Debug)]
@@ -31,14 +29,9 @@ pub struct Scenario {
 #[derive(Debug)]
 struct Visits {
     seed: u64,
+    scene: SceneFile,
     file: VisitsFile,
-    size_m: [f64; 2],
-    /// Position of the radar on the ground plan, m, and azimuth of its boresight, rad.
-    radar: ([f64; 2], f64),
-    people: PeopleFile,
     ground: Option<Ground>,
-    doors: Vec<DoorFile>,
-    seats: Vec<SeatFile>,
     slots: Vec<Mutex<Vec<Arc<Motion>>>>,
 }
 
@@ -52,13 +45,9 @@ impl Scenario {
             let slots = people.unwrap_or(visits.max_people);
             scenario.visits = Some(Visits {
                 seed,
+                scene: file.clone(),
                 file: visits.clone(),
-                size_m: [file.room.size_m[0], file.room.size_m[1]],
-                radar: ([file.radar.position_m[0], file.radar.position_m[1]], file.radar.azimuth_deg.to_radians()),
-                people: file.people.clone(),
                 ground: ground(scene),
-                doors: file.door.clone(),
-                seats: file.seat.clone(),
                 slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
             });
         } else if let Some(wandering) = &file.people.wander {
@@ -128,7 +117,6 @@ struct Script<'a> {
     scene: &'a Scene,
     file: &'a SceneFile,
     ground: Option<&'a Ground>,
-    size_m: [f64; 2],
     /// Direction in which the person looks at first, rad.
     facing_rad: f64,
     /// Index of the person.
@@ -146,7 +134,7 @@ fn scripted(scene: &Scene, ground: Option<&Ground>, actor: &ActorFile, steps: St
     person = with_gait(person, &file.people, seed);
     person.style.stride = actor.stride.unwrap_or(person.style.stride);
     person.style.arm_swing = actor.arm_swing.unwrap_or(person.style.arm_swing);
-    let size_m = [file.room.size_m[0], file.room.size_m[1]];
+    let size_m = file.room.size_m;
     let first = actor.step.first();
     let door = first.and_then(|s| s.enter_door).and_then(|number| file.door.get(number));
     let (place, facing_rad) = match door {
@@ -162,7 +150,7 @@ fn scripted(scene: &Scene, ground: Option<&Ground>, actor: &ActorFile, steps: St
     };
     let turn_rate = file.people.turn_rate_deg_per_s.map(f64::to_radians);
     let path = MotionBuilder::new(person, actor.start_s, place, facing_rad).turning_at(turn_rate);
-    let script = Script { scene, file, ground, size_m, facing_rad, index, has_told: Cell::new(false) };
+    let script = Script { scene, file, ground, facing_rad, index, has_told: Cell::new(false) };
     let steps = actor.step.iter().enumerate();
     let path = steps.fold(path, |path, (number, step)| script.follow(path, step, number == 0));
     let is_gone = actor.step.iter().any(|step| step.leave_door.is_some_and(|number| number < file.door.len()));
@@ -213,11 +201,11 @@ impl Script<'_> {
             path = path.face(degrees.to_radians());
         }
         if let Some(door) = step.enter_door.and_then(door) {
-            path = path.walk_to(at_door(self.size_m, door, INSIDE_M, 0.0), speed);
+            path = path.walk_to(at_door(self.file.room.size_m, door, INSIDE_M, 0.0), speed);
         }
         if let Some(door) = step.leave_door.and_then(door) {
-            path = self.go(path, at_door(self.size_m, door, INSIDE_M, 0.0), speed);
-            path = path.walk_to(at_door(self.size_m, door, OUTSIDE_M, 0.0), speed);
+            path = self.go(path, at_door(self.file.room.size_m, door, INSIDE_M, 0.0), speed);
+            path = path.walk_to(at_door(self.file.room.size_m, door, OUTSIDE_M, 0.0), speed);
         }
         path
     }
@@ -225,7 +213,7 @@ impl Script<'_> {
     /// Walks to a place, around obstacles, or straight through them if there is no way around.
     fn go(&self, path: MotionBuilder, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
         let way = self.ground.map_or_else(|| Some(vec![to]), |ground| ground.way_around(path.place(), to));
-        if !(0..2).all(|axis| (0.0..=self.size_m[axis]).contains(&to[axis])) {
+        if !(0..2).all(|axis| (0.0..=self.file.room.size_m[axis]).contains(&to[axis])) {
             if !is_meant_outside(self.file, to) {
                 self.tell(to, "goes straight to", "lies outside the room");
             }
@@ -251,7 +239,7 @@ impl Script<'_> {
 fn is_meant_outside(file: &SceneFile, place: [f64; 2]) -> bool {
     /// Largest distance from a doorway, m: mirrors of recordings leave people 0.75 m beyond it.
     const AT_DOOR_M: f64 = 1.0;
-    let size_m = [file.room.size_m[0], file.room.size_m[1]];
+    let size_m = file.room.size_m;
     let is_at_door = file.door.iter().any(|door| {
         let [nx, ny] = inward(size_m, door);
         let off = [place[0] - door.position_m[0], place[1] - door.position_m[1]];
@@ -292,7 +280,7 @@ fn sit_on(
 }
 
 /// Unit vector from a door into the room.
-fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
+fn inward(size_m: [f64; 3], door: &DoorFile) -> [f64; 2] {
     let [x, y] = door.position_m;
     if x < 1e-6 {
         [1.0, 0.0]
@@ -306,7 +294,7 @@ fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
 }
 
 /// Point at a depth behind a door (positive: in the room), shifted sideways within the doorway.
-fn at_door(size_m: [f64; 2], door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
+fn at_door(size_m: [f64; 3], door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
     let [nx, ny] = inward(size_m, door);
     let room = (0.5 * door.width_m - 0.3).max(0.0);
     let shift = lateral.clamp(-room, room);
@@ -464,7 +452,7 @@ impl Visits {
     }
 
     fn pace_point(&self, rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
-        let [w, d] = self.size_m;
+        let [w, d, _] = self.scene.room.size_m;
         let within = |x: f64, y: f64| [[x, y], [w - x, d - y]];
         let by_margin = |margin: f64| within(margin.min(0.5 * w), margin.min(0.5 * d));
         let area = self.file.pace_area_m.or(self.file.pace_margin_m.map(by_margin));
@@ -482,9 +470,9 @@ impl Visits {
 
     /// Whether the file lets people pace at a place.
     fn is_in_view(&self, [x, y]: [f64; 2]) -> bool {
-        let ([radar_x, radar_y], azimuth) = self.radar;
+        let [radar_x, radar_y, _] = self.scene.radar.position_m;
         let (east, north) = (x - radar_x, y - radar_y);
-        let (sine, cosine) = azimuth.sin_cos();
+        let (sine, cosine) = self.scene.radar.azimuth_deg.to_radians().sin_cos();
         let (along, across) = (east * cosine + north * sine, north * cosine - east * sine);
         let off_deg = across.atan2(along).to_degrees().abs();
         self.file.pace_off_boresight_deg.is_none_or(|most| off_deg <= most)
@@ -507,17 +495,17 @@ impl Visits {
         let f = &self.file;
         let speed = draw(rng, f.speed_m_per_s);
         let person = Person::draw(self.seed, [slot as u64, number], draw(rng, f.height_m));
-        let person = with_gait(person, &self.people, self.seed);
+        let person = with_gait(person, &self.scene.people, self.seed);
         let side = if slot.is_multiple_of(2) { 1.0 } else { -1.0 };
         let lateral = side * draw(rng, f.lateral_m);
         let [entry, exit] = self.entry_and_exit(rng);
-        let at_door = |door: &DoorFile, depth: f64| at_door(self.size_m, door, depth, lateral);
-        let turn_rate = self.people.turn_rate_deg_per_s.map(f64::to_radians);
-        let [nx, ny] = inward(self.size_m, &entry);
+        let at_door = |door: &DoorFile, depth: f64| at_door(self.scene.room.size_m, door, depth, lateral);
+        let turn_rate = self.scene.people.turn_rate_deg_per_s.map(f64::to_radians);
+        let [nx, ny] = inward(self.scene.room.size_m, &entry);
         let path = MotionBuilder::new(person, begin_s, at_door(&entry, OUTSIDE_M), ny.atan2(nx)).turning_at(turn_rate);
         let mut path = path.walk_to(at_door(&entry, INSIDE_M), speed);
 
-        let sits = rng.random::<f64>() < f.sit_probability && !self.seats.is_empty();
+        let sits = rng.random::<f64>() < f.sit_probability && !self.scene.seat.is_empty();
         let paces = rng.random::<f64>() < f.pace_probability;
         let turns = rng.random::<f64>() < f.turn_probability;
         let pause_s = if rng.random::<f64>() < f.pause_probability { draw(rng, f.pause_s) } else { 0.0 };
@@ -526,7 +514,7 @@ impl Visits {
             path = self.sit(path, slot, speed, rng);
         } else if paces {
             path = self.pace(path, speed, rng);
-        } else if self.doors.len() > 1 {
+        } else if self.scene.door.len() > 1 {
             let stop = self.stop(path.place(), at_door(&exit, INSIDE_M), rng);
             if turns {
                 leave_by = &entry;
@@ -545,18 +533,18 @@ impl Visits {
     /// Draws the doors by which a person enters and leaves: different ones if there are two. A person that turns round
     /// leaves by the first.
     fn entry_and_exit(&self, rng: &mut Xoshiro256PlusPlus) -> [DoorFile; 2] {
-        let count = self.doors.len();
+        let count = self.scene.door.len();
         let pick = rng.random_range(0..count.max(1));
         let other = if count > 1 { (pick + 1 + rng.random_range(0..count - 1)) % count } else { pick };
         // `check` refuses visits without a door. The default only makes this function total.
-        let fallback = DoorFile { position_m: [0.0, 0.5 * self.size_m[1]], width_m: 0.9 };
-        [pick, other].map(|number| self.doors.get(number).copied().unwrap_or(fallback))
+        let fallback = DoorFile { position_m: [0.0, 0.5 * self.scene.room.size_m[1]], width_m: 0.9 };
+        [pick, other].map(|number| self.scene.door.get(number).copied().unwrap_or(fallback))
     }
 
     /// Walks to the seat of a slot and sits there for a duration. Each slot has its own seat, so two people never share
     /// one.
     fn sit(&self, path: MotionBuilder, slot: usize, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
-        let Some(seat) = self.seats.get(slot % self.seats.len()) else { return path };
+        let Some(seat) = self.scene.seat.get(slot % self.scene.seat.len()) else { return path };
         sit_on(path, seat, draw(rng, self.file.sit_s), |path, to| self.go(path, to, speed))
     }
 
