@@ -86,7 +86,8 @@ pub(crate) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: 
             let expected = "a key under room, materials, radar, receiver, furniture, seat, bed, door or people";
             return fault(key.clone(), expected);
         }
-        let mut source = Source { draw, rng: generator(seed_of(draw), Purpose::Scene, [hash(key), 0]) };
+        let seed = if let Draw::Seed(seed) = draw { seed } else { 0 };
+        let mut source = Source { draw, rng: generator(seed, Purpose::Scene, [hash(key), 0]) };
         let value = match (&from.between, &from.of) {
             (Some([low, high]), None) => match source.between(low, high) {
                 Some(value) => value,
@@ -180,13 +181,6 @@ fn number(value: &Value) -> Option<f64> {
         Value::Float(number) => Some(*number).filter(|number| number.is_finite()),
         Value::Integer(number) => Some(*number as f64),
         _ => None,
-    }
-}
-
-fn seed_of(draw: Draw) -> u64 {
-    match draw {
-        Draw::Seed(seed) => seed,
-        Draw::Least | Draw::Greatest | Draw::Listed(_) => 0,
     }
 }
 
