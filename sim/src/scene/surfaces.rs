@@ -62,8 +62,6 @@ pub enum EdgeKind {
     },
     /// Another face, with more than 180 degrees of air between. The edge is a wedge, which both faces list.
     Wedge {
-        /// Angle of the air, rad: pi to two pi.
-        air_rad: f64,
         /// Index of the other face; `None` if it belongs to a [`SmallPart`].
         other: Option<usize>,
     },
@@ -80,10 +78,6 @@ pub struct FaceEdge {
     pub edge: usize,
     /// Ends of the part, m, in the direction of the edge.
     pub ends: [DVec3; 2],
-    /// Unit vector from the edge into the face.
-    pub inwards: DVec3,
-    /// Unit normal of the face. For a wedge, it points to the side with air.
-    pub air: DVec3,
     /// Other faces at the edge.
     pub kind: EdgeKind,
 }
@@ -106,17 +100,6 @@ pub struct SmallPart {
     pub name: String,
 }
 
-/// A face that was left out because it lies within another face of the same plane.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Coincident {
-    /// Name of the face that was kept.
-    pub kept: String,
-    /// Name of the face that was left out.
-    pub left_out: String,
-    /// Area of the face that was left out, m^2.
-    pub area_m2: f64,
-}
-
 /// All surfaces of a scene, in room coordinates.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Surfaces {
@@ -126,8 +109,6 @@ pub struct Surfaces {
     pub edges: Vec<FaceEdge>,
     /// Triangles that do not form faces.
     pub small: Vec<SmallPart>,
-    /// Faces that were left out because another one covers them.
-    pub coincident: Vec<Coincident>,
 }
 
 impl Surfaces {
@@ -144,20 +125,10 @@ impl Surfaces {
 
         let mut made = Surfaces { small, ..Surfaces::default() };
         let mut number: Vec<Option<usize>> = Vec::with_capacity(drafts.len());
-        for (draft, by) in drafts.iter().zip(&covered_by) {
+        for ((draft, by), sides) in drafts.into_iter().zip(&covered_by).zip(sides) {
             number.push(by.is_none().then_some(made.faces.len()));
-            match by.and_then(|by| drafts.get(by)) {
-                Some(cover) => made.coincident.push(Coincident {
-                    kept: cover.name.clone(),
-                    left_out: draft.name.clone(),
-                    area_m2: draft.polygon.area_m2(),
-                }),
-                None => made.faces.push(Face {
-                    polygon: draft.polygon.clone(),
-                    wall: draft.wall,
-                    name: draft.name.clone(),
-                    sides: sides[number.len() - 1],
-                }),
+            if by.is_none() {
+                made.faces.push(Face { polygon: draft.polygon, wall: draft.wall, name: draft.name, sides });
             }
         }
         made.edges = touches.iter().filter_map(|touch| made.edge(touch, &number)).collect();
@@ -199,13 +170,11 @@ impl Surfaces {
             }
         }
         sheets.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (kind, is_front) = kind(&sheets, face.sides);
-        let kind = match (kind, seam) {
+        let kind = match (kind(&sheets, face.sides), seam) {
             (EdgeKind::Flat, Some(other)) => EdgeKind::Seam { other },
             (kind, _) => kind,
         };
-        let air = if is_front { normal } else { -normal };
-        Some(FaceEdge { face: index, edge, ends, inwards: touch.inwards, air, kind })
+        Some(FaceEdge { face: index, edge, ends, kind })
     }
 
     /// Whether a piece of furniture of a material has sides among the faces.
@@ -226,21 +195,20 @@ impl Surfaces {
     }
 }
 
-/// Kind of an edge from the ascending angles of the other sheets at it. Also returns whether those are on the side of
-/// the face's normal.
-fn kind(sheets: &[(f64, Option<usize>)], sides: Sides) -> (EdgeKind, bool) {
+/// Kind of an edge from the ascending angles of the other sheets at it.
+fn kind(sheets: &[(f64, Option<usize>)], sides: Sides) -> EdgeKind {
     let (Some(&(first, front)), Some(&(last, back))) = (sheets.first(), sheets.last()) else {
-        return (EdgeKind::Free, true);
+        return EdgeKind::Free;
     };
-    let both = [(first, front, true), (TAU - last, back, false)];
+    let both = [(first, front), (TAU - last, back)];
     let with_air = match sides {
         Sides::One => &both[..1],
         Sides::Two => &both[..],
     };
     match with_air.iter().find(|air| air.0 > PI + STRAIGHT_RAD) {
-        Some(&(air_rad, other, is_front)) => (EdgeKind::Wedge { air_rad, other }, is_front),
-        None if with_air.iter().all(|air| air.0 >= PI - STRAIGHT_RAD) => (EdgeKind::Flat, true),
-        None => (EdgeKind::Inner, true),
+        Some(&(_, other)) => EdgeKind::Wedge { other },
+        None if with_air.iter().all(|air| air.0 >= PI - STRAIGHT_RAD) => EdgeKind::Flat,
+        None => EdgeKind::Inner,
     }
 }
 
