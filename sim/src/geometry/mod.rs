@@ -20,7 +20,7 @@ mod weld;
 
 pub use edges::{Edge, edges, neighbours};
 pub use isosurface::isosurface;
-pub use lint::{LEAST_OVERLAP_M2, Lint, Overlap, lint};
+pub use lint::{Lint, lint};
 pub use mesh::{FARTHEST_M, Mesh, MeshError};
 pub(crate) use normals::one_ring_normals;
 pub use orient::oriented;

@@ -37,6 +37,6 @@ impl Mesh {
     /// Returns whether the mesh is one closed surface that faces outwards without overlaps.
     pub(crate) fn is_solid(&self) -> bool {
         let is_closed = edges(self).iter().all(|edge| edge.right.is_some());
-        is_closed && self.volume_m3() > 0.0 && lint(self).overlaps.is_empty()
+        is_closed && self.volume_m3() > 0.0 && lint(self).overlaps == 0
     }
 }

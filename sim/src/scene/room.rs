@@ -333,12 +333,12 @@ fn piece(mesh: &RoomMeshFile, file: &Path, part: Part) -> Result<Piece, FileErro
         return Err(FileError::new("mesh", problem, "check unit: the numbers may be in metres"));
     }
     let findings = lint(&welded.mesh);
-    if findings.tangled_edges > 0 || !findings.overlaps.is_empty() {
+    if findings.tangled_edges > 0 || findings.overlaps > 0 {
         tracing::warn!(
             file = %file.display(),
             part = part.name,
             tangled_edges = findings.tangled_edges,
-            overlaps = findings.overlaps.len(),
+            overlaps = findings.overlaps,
             "the mesh meets itself: of faces that lie on each other only one counts"
         );
     }
