@@ -1,12 +1,10 @@
-//! Streams of frames: determinism, threads, path samples in slow time, fixture scenes.
+//! Streams of frames: determinism, threads, fixture scenes.
 
 use num_complex::Complex64;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
-use radome_sim::path_segment::{PathSample, PathSegment};
-use radome_sim::people::motion::{MotionBuilder, Person};
 use radome_sim::{SimulateOptions, Simulator};
 
-use crate::common::{map_db, on_threads, range_bin, scene, simulator, statistics, with_derivatives};
+use crate::common::{map_db, on_threads, range_bin, scene, simulator, statistics};
 
 fn stream(simulator: &Simulator, from: u64, frames: usize, threads: usize) -> Vec<Frame> {
     let mut simulator = simulator.clone();
@@ -51,44 +49,6 @@ fn a_stream_ends_after_the_frames_asked_for() {
         assert!(frame.truth.is_some());
     }
     assert_eq!(simulator.next_frame(&mut frame).expect("simulated"), SourceEvent::End);
-}
-
-/// Three samples, compared with the specular point traced at every chirp, for all segments of a fast walker.
-#[test]
-fn three_keys_follow_every_limb_of_a_walker_within_milliradians() {
-    let person = Person::draw(1, [0, 0], 1.8);
-    let motion = MotionBuilder::new(person, 0.0, [8.0, 0.3], 3.1).walk_to([1.0, 0.3], 1.5).stay();
-    let radar = glam::DVec3::new(0.0, 0.0, 1.5);
-    let c = 299_792_458.0;
-    let active_s = 0.064;
-    let h = 2e-4;
-    let range = |segment: usize, t: f64| motion.body(t)[segment].specular_point(radar, radar, None).expect("visible");
-    for start_s in [1.0, 1.3, 1.62, 2.05] {
-        for segment in 0..13 {
-            let key = |t: f64| {
-                let specular_point = range(segment, t);
-                let point = |t: f64| motion.body(t)[segment].surface(specular_point.unit);
-                let velocity = (point(t + h) - point(t - h)) / (2.0 * h);
-                PathSample {
-                    delay_s: 2.0 * specular_point.distances_m.0 / c,
-                    delay_rate: -2.0 * specular_point.towards.0.dot(velocity) / c,
-                    amplitude: Complex64::ONE,
-                }
-            };
-            let (step, apart_s) = (active_s / 2.0, 1e-3);
-            let [first, middle, last] = [0.0, step, active_s]
-                .map(|t| with_derivatives([t - apart_s, t, t + apart_s].map(|t| key(start_s + t)), apart_s));
-            let two = [PathSegment::between(&first, &middle, step), PathSegment::between(&middle, &last, step)];
-            for chirp in 0..128 {
-                let t = f64::from(chirp) * 0.5e-3;
-                let at = usize::from(t >= step);
-                let (delay_s, _) = two[at].delay(t / step - at as f64);
-                let exact = 2.0 * range(segment, start_s + t).distances_m.0 / c;
-                let error = std::f64::consts::TAU * 60e9 * (delay_s - exact);
-                assert!(error.abs() < 0.01, "segment {segment} at {start_s} s, chirp {chirp}: {error} rad");
-            }
-        }
-    }
 }
 
 #[test]
