@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use radome_sim::echo::{EchoReport, Snapshot, echoes, reflect_at_skin};
-use radome_sim::em::current::{Arrival, received};
+use radome_sim::em::current::{Arrival, Listener, received};
 use radome_sim::em::image::{BoxRoom, Element, ImageIndex, Wall};
 use radome_sim::em::specular::Ellipsoid;
 use radome_sim::material::{Material, SKIN_PERMITTIVITY};
@@ -18,7 +18,7 @@ use radome_sim::people::motion::{MotionBuilder, Person};
 use radome_sim::prepared_scene::PreparedScene;
 use rayon::prelude::*;
 
-use crate::common::{NOBODY, WAVENUMBER, hall, isotropic, parse, with_derivatives};
+use crate::common::{NOBODY, WAVENUMBER, hall, isotropic, parse};
 
 const FRAME_S: f64 = 0.064;
 
@@ -74,18 +74,20 @@ impl Chain {
         bounce(&self.room, (&self.tx, p), (&self.rx, q), &self.body(time_s))
     }
 
-    /// Same field from three samples of the frame, with phase, as in the simulator at a chirp.
+    /// Same field from five samples of each half of the frame, with phase, as in the simulator at a chirp.
     fn at_keys(&self, p: ImageIndex, q: ImageIndex) -> impl Fn(f64) -> Complex64 {
-        let (step_s, h, apart_s) = (0.5 * FRAME_S, 1e-4, 1e-3);
+        let (step_s, h) = (0.5 * FRAME_S, 1e-4);
         let key = |t: f64| {
             let (amplitude, length_m) = self.specular_point(p, q, t);
             let rate = (self.specular_point(p, q, t + h).1 - self.specular_point(p, q, t - h).1) / (2.0 * h);
             let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
             PathSample { delay_s, delay_rate: rate / SPEED_OF_LIGHT_M_PER_S, amplitude }
         };
-        let [first, middle, last] =
-            [0.0, step_s, 2.0 * step_s].map(|t| with_derivatives([t - apart_s, t, t + apart_s].map(&key), apart_s));
-        let found = [PathSegment::between(&first, &middle, step_s), PathSegment::between(&middle, &last, step_s)];
+        let half = |begin_s: f64| {
+            let keys = [0.0, 0.25, 0.5, 0.75, 1.0].map(|part| key(begin_s + part * step_s));
+            PathSegment::through(&keys, step_s, 60e9).0
+        };
+        let found = [half(0.0), half(step_s)];
         move |time_s| {
             let interval = usize::from(time_s >= step_s);
             let u = time_s / step_s - interval as f64;
@@ -123,7 +125,12 @@ impl Chain {
                 let there = self.room.illuminate(&self.tx, p, point);
                 let back = self.room.illuminate(&self.rx, q, point);
                 let arrival = Arrival { field: there.field, direction: there.direction };
-                let current = received(&arrival, normal, &skin, WAVENUMBER, -back.direction, back.field);
+                let hears = |polarisation: DVec3| {
+                    let listener = Listener { towards: -back.direction, polarisation };
+                    received(&arrival, normal, &skin, WAVENUMBER, &listener)
+                };
+                // The receiver's polarisation is complex where a lossy wall has rotated it.
+                let current = hears(back.field.re) + Complex64::I * hears(back.field.im);
                 let area =
                     theta.sin() * b.element_product() * gradient.length() * (PI / rows as f64) * (TAU / columns as f64);
                 let phase = -WAVENUMBER * (there.distance_m + back.distance_m);
@@ -136,8 +143,8 @@ impl Chain {
     }
 }
 
-/// Limb and torso, walls of concrete and metal, out by the wall and back by it. Each chirp's echo, from three samples,
-/// is within a tenth of a decibel of physical optics at that chirp (half of one is required). The same holds for the
+/// Limb and torso, walls of concrete and metal, out by the wall and back by it. Each chirp's echo, from samples, is
+/// within a tenth of a decibel of physical optics at that chirp (half of one is required). The same holds for the
 /// sum of both orders in the frame's Doppler spectrum.
 #[test]
 fn a_body_by_way_of_a_wall_is_physical_optics_at_every_chirp() {

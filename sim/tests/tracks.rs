@@ -4,33 +4,27 @@ use std::sync::Arc;
 
 use num_complex::Complex;
 use radome_sim::echo::{EchoReport, Paths, Snapshot, audible_pairs};
-use radome_sim::path_segment::{PathDerivatives, PathSample, PathSegment};
+use radome_sim::path_segment::{FiveSamples, PathSample, PathSegment};
 use radome_sim::people::motion::{Motion, MotionBuilder, Person};
 use radome_sim::prepared_scene::PreparedScene;
 use radome_sim::synthesis::{CHIRPS, Places, SynthesisScratch, Synthesiser, Tone, exact_chirp};
 use radome_sim::tracks::Track;
 
-use crate::common::{scene, with_derivatives};
+use crate::common::scene;
 
 const SAMPLES: usize = 256;
 const INTERVAL_S: f64 = 0.032;
-const APART_S: f64 = 1e-3;
 
-/// Samples of every path to every receiver at a time, and their derivatives: `[path][receiver]`.
-fn keys(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64) -> Vec<Vec<(PathSample, PathDerivatives)>> {
+/// Samples of every path to every receiver at a time: `[path][receiver]`.
+fn keys(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64) -> Vec<Vec<PathSample>> {
     let pairs = audible_pairs(prepared, motion, 1.5);
     let paths = Paths::new(prepared, motion, 0, &pairs);
-    let trace = |path: usize, time_s: f64| {
+    let trace = |path: usize| {
         let (mut keys, mut report) = (Vec::new(), EchoReport::default());
         paths.trace(path, &[Snapshot::new(motion, time_s)], None, &mut keys, &mut report);
         keys
     };
-    let bent = |path: usize| {
-        let [before, now, after] = [-APART_S, 0.0, APART_S].map(|apart_s| trace(path, time_s + apart_s));
-        let three = before.iter().zip(&now).zip(&after);
-        three.map(|((before, now), after)| with_derivatives([*before, *now, *after], APART_S)).collect()
-    };
-    (0..paths.count()).map(bent).collect()
+    (0..paths.count()).map(trace).collect()
 }
 
 /// A walker in the corridor, over half a frame: the samples of all receivers from shared tracks, compared with the sum
@@ -42,15 +36,16 @@ fn receivers_that_share_a_path_hear_their_own() {
     let motion = Arc::new(walk.stay());
     let synthesiser = Synthesiser::new(SAMPLES);
     for start_s in [1.5, 1.7, 3.3, 4.4] {
-        let ends = [start_s, start_s + INTERVAL_S].map(|time_s| keys(&prepared, &motion, time_s));
-        let received =
-            |keys: &[(PathSample, PathDerivatives)]| keys[0].0.amplitude.norm() > 0.5 * prepared.threshold_lsb;
-        let paths = ends[0].iter().zip(&ends[1]).filter(|(a, b)| received(a) && received(b));
+        let five = [0.0, 0.25, 0.5, 0.75, 1.0].map(|part| keys(&prepared, &motion, start_s + part * INTERVAL_S));
+        let is_received =
+            |path: &usize| five.iter().all(|keys| keys[*path][0].amplitude.norm() > 0.5 * prepared.threshold_lsb);
         let (mut tracks, mut own) = (Vec::new(), vec![Vec::new(); prepared.rx.len()]);
-        for (a, b) in paths {
-            tracks.push(Track::between(a, b, INTERVAL_S).expect("a receiver"));
-            for ((a, b), own) in a.iter().zip(b).zip(&mut own) {
-                own.push(PathSegment::between(a, b, INTERVAL_S));
+        for path in (0..five[0].len()).filter(is_received) {
+            let of_receiver = |rx: usize| five.each_ref().map(|keys| keys[path][rx]);
+            let receivers: Vec<FiveSamples> = (0..prepared.rx.len()).map(of_receiver).collect();
+            tracks.push(Track::through(&receivers, INTERVAL_S, 60e9).expect("a receiver").0);
+            for (samples, own) in receivers.iter().zip(&mut own) {
+                own.push(PathSegment::through(samples, INTERVAL_S, 60e9).0);
             }
         }
         assert!(tracks.len() > 20 && own.len() == 3, "{} paths, {} receivers", tracks.len(), own.len());
