@@ -16,7 +16,7 @@ use crate::math::smooth_step;
 pub use builder::{Bed, MotionBuilder};
 
 /// A person's motion over time.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Motion {
     /// Person that moves.
     pub person: Person,

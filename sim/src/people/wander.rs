@@ -190,12 +190,6 @@ pub(crate) struct Wanderer {
     crouches: Vec<Crouch>,
 }
 
-impl PartialEq for Wanderer {
-    fn eq(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.group, &other.group) && self.slot == other.slot
-    }
-}
-
 impl Wanderer {
     /// Returns the motion at a time.
     pub(super) fn moment(&self, time_s: f64) -> Moment {

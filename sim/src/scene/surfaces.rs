@@ -94,10 +94,6 @@ impl FaceEdge {
 pub struct SmallPart {
     /// Triangles, m.
     pub mesh: Mesh,
-    /// Reflection and transmission of its slab.
-    pub wall: Wall,
-    /// Name of the part of the file.
-    pub name: String,
 }
 
 /// All surfaces of a scene, in room coordinates.

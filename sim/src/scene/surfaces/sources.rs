@@ -102,6 +102,6 @@ fn add_piece(piece: &Piece, corner: DVec3, wall: Wall, drafts: &mut Vec<Draft>, 
         drafts.extend(polygons.into_iter().map(|polygon| Draft { polygon, wall, name: name.clone(), group: ROOM }));
     }
     if !rest.is_empty() {
-        small.push(SmallPart { mesh: mesh.of_triangles(rest).0, wall, name: piece.name.clone() });
+        small.push(SmallPart { mesh: mesh.of_triangles(rest).0 });
     }
 }
