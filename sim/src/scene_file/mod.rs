@@ -86,10 +86,10 @@ pub struct RoomFile {
     pub solver: Option<SolverFile>,
     /// Reflections at walls that a path may have in all. Default 3, at most 6. In rooms of more than 200 faces that rays are
     /// sent through, two are taken at most.
-    #[serde(default = "three")]
+    #[serde(default = "whole::<3>")]
     pub max_reflections: u32,
     /// Reflections that a path by way of a person or of furniture may have in all. Default 2, at most 3.
-    #[serde(default = "two")]
+    #[serde(default = "whole::<2>")]
     pub max_body_reflections: u32,
     /// Whether people behind walls are seen through them: the upright ones of a box, on the straight way; all faces that rays are
     /// sent through. Plasterboard takes some 11 dB of their echoes, both ways, concrete all of them. Default false: who is behind
@@ -103,11 +103,11 @@ pub struct RoomFile {
     pub diffuse_share: f64,
     /// Points that stand for the surfaces there: one every few range bins and as many directions will do for echoes that are as
     /// noise is; in long rooms that takes more. Default 32, at most 1024.
-    #[serde(default = "thirty_two")]
+    #[serde(default = "whole::<32>")]
     pub diffuse_points: u32,
     /// Walls that a way by such a point meets at most between antenna and person. Each leaves what it mirrors and its diffuse
     /// share: a room returns the more, and the longer, the harder its walls. Default 1, at most 16.
-    #[serde(default = "one")]
+    #[serde(default = "whole::<1>")]
     pub diffuse_bounces: u32,
     /// Groups of small reflectors that sway. None if absent.
     #[serde(default)]
@@ -370,18 +370,8 @@ fn path_or_receiver(generator: &mut SchemaGenerator) -> Schema {
     json_schema!({ "anyOf": [{ "type": "string" }, receiver] })
 }
 
-fn two() -> u32 {
-    2
-}
-fn one() -> u32 {
-    1
-}
-fn thirty_two() -> u32 {
-    32
-}
-
-fn three() -> u32 {
-    3
+fn whole<const N: u32>() -> u32 {
+    N
 }
 fn six() -> usize {
     6
