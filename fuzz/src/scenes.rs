@@ -89,7 +89,7 @@ pub fn check_bvh(text: &str) {
     assert!(clip.frames.iter().all(|frame| frame.len() == wide && frame.iter().all(|number| number.is_finite())));
     for up in [UpAxis::Y, UpAxis::Z] {
         if let Ok(cycle) = within(CLIP_BYTES, || BodyClip::parse(text, up, None)) {
-            let [begin, end] = cycle.span_s();
+            let [begin, end] = cycle.span_s;
             assert!(begin >= 0.0 && end > begin && cycle.cycle_m(0.9).is_finite());
         }
     }
@@ -109,7 +109,7 @@ fn check_parts(parts: &[Part]) {
 }
 
 fn check_actor(actor: &Actor) {
-    let rest = actor.skin().rest();
+    let rest = actor.skin.rest();
     assert!(rest.check().is_ok() && !rest.triangles.is_empty());
-    assert!(actor.height_m().is_finite() && actor.cycle_m().is_finite() && actor.cycle_m() > 0.0);
+    assert!(actor.height_m.is_finite() && actor.cycle_m.is_finite() && actor.cycle_m > 0.0);
 }

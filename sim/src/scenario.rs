@@ -128,7 +128,7 @@ struct Script<'a> {
 /// Makes the motion of a person with a script.
 fn scripted(scene: &Scene, ground: Option<&Ground>, actor: &ActorFile, steps: Steps, seed: u64, index: u64) -> Motion {
     let file = scene.file();
-    let own_m = if let Steps::Actor(actor) = &steps { actor.height_m() } else { 1.75 };
+    let own_m = if let Steps::Actor(actor) = &steps { actor.height_m } else { 1.75 };
     let mut person = Person::draw(seed, [index, 0], actor.height_m.unwrap_or(own_m));
     person.steps = steps;
     person = with_gait(person, &file.people, seed);

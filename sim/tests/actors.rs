@@ -84,9 +84,9 @@ fn check_walk(walker: &WalkingMesh, feet_m_per_s: f64, below_m: f64) {
 #[test]
 fn a_person_of_boxes_from_gltf_walks_upright_ahead_and_without_sliding() {
     let Steps::Actor(actor) = gltf_actor() else { unreachable!() };
-    assert_eq!(actor.open_edges(), 0);
+    assert_eq!(actor.open_edges, 0);
     // Legs of 0.9 m that swing by 0.4 rad either way, twice a cycle.
-    assert!((1.2..1.6).contains(&actor.cycle_m()), "{} m a cycle", actor.cycle_m());
+    assert!((1.2..1.6).contains(&actor.cycle_m), "{} m a cycle", actor.cycle_m);
     let sliding = actor.foot_sliding(1.2);
     assert!(sliding.standing_rms_m_per_s < 0.15 && sliding.standing > 0.8, "{sliding:?}");
     let walker = walker(Steps::Actor(actor));
@@ -113,10 +113,10 @@ fn collada_in_centimetres_and_gltf_in_inches_are_the_same_actor() {
     let from_inches =
         Actor::parse(&biped::gltf(1.0 / 0.0254).bytes(), Path::new("a.gltf"), &inches).expect("a good file");
     for other in [&from_collada, &from_inches] {
-        assert!((other.height_m() - 1.75).abs() < 0.03, "{} m", other.height_m());
-        let scale = exact.height_m() / other.height_m();
-        assert!((other.cycle_m() * scale / exact.cycle_m() - 1.0).abs() < 1e-3);
-        let (a, b) = (exact.skin().rest(), other.skin().rest());
+        assert!((other.height_m - 1.75).abs() < 0.03, "{} m", other.height_m);
+        let scale = exact.height_m / other.height_m;
+        assert!((other.cycle_m * scale / exact.cycle_m - 1.0).abs() < 1e-3);
+        let (a, b) = (exact.skin.rest(), other.skin.rest());
         assert!((b.volume_m3() * scale.powi(3) / a.volume_m3() - 1.0).abs() < 0.01);
     }
     check_walk(&walker(Steps::Actor(Arc::new(from_collada))), 0.15, 0.04);
@@ -125,7 +125,7 @@ fn collada_in_centimetres_and_gltf_in_inches_are_the_same_actor() {
 #[test]
 fn a_captured_clip_walks_on_the_house_s_own_body() {
     let Steps::Clip(clip) = bvh_clip() else { unreachable!() };
-    let [begin, end] = clip.span_s();
+    let [begin, end] = clip.span_s;
     assert!((end - begin - 1.0).abs() < 0.05, "a cycle of {begin} to {end} s");
     // Legs of 0.86 m that swing by 0.4 rad either way, twice a cycle, and soles that roll.
     let cycle_m = clip.cycle_m(0.53 * 1.75);
@@ -181,8 +181,8 @@ fn the_cesium_man_and_a_captured_walk_go_down_the_corridor() {
 fn the_cesium_man_stands_on_the_floor_as_he_walks() {
     let Some(man) = shared("data/actors/cesium-man/CesiumMan.glb") else { return };
     let actor = parse(&std::fs::read(&man).expect("file"), "CesiumMan.glb").expect("a good file");
-    let triangles = actor.skin().rest().triangles.len();
-    assert!((8_000..30_000).contains(&triangles) && actor.open_edges() == 0, "{triangles} triangles");
+    let triangles = actor.skin.rest().triangles.len();
+    assert!((8_000..30_000).contains(&triangles) && actor.open_edges == 0, "{triangles} triangles");
     check_walk(&walker(Steps::Actor(Arc::new(actor))), 0.35, 0.04);
 }
 

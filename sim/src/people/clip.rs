@@ -49,7 +49,7 @@ pub struct BodyClip {
     /// Foot contact of a walking body of 1.75 m.
     walked: Stance,
     /// Begin and end of the cycle in the file, s.
-    span_s: [f64; 2],
+    pub span_s: [f64; 2],
 }
 
 /// Indices of the joints on one side of the body.
@@ -126,11 +126,6 @@ impl BodyClip {
     /// Returns how much the feet slide over the floor at a walking speed.
     pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
         self.walked.sliding(speed_m_per_s)
-    }
-
-    /// Begin and end of the cycle in the file, s.
-    pub fn span_s(&self) -> [f64; 2] {
-        self.span_s
     }
 
     /// Returns the ellipsoids of a walking body. `standing` is its posture when it stands at the same place.

@@ -63,15 +63,19 @@ pub struct ActorOptions {
 /// A walking body from a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Actor {
-    skin: Arc<Skin>,
+    /// Skin of the actor.
+    pub skin: Arc<Skin>,
     cycle: Cycle,
     standing: Vec<Map>,
     /// For each segment of a body: the bone that moves it, and an ellipsoid around it when standing.
     parts: [(usize, Ellipsoid); SEGMENTS],
-    height_m: f64,
-    cycle_m: f64,
+    /// Height of the standing actor, m.
+    pub height_m: f64,
+    /// Ground covered in a cycle of steps, m.
+    pub cycle_m: f64,
     walked: Stance,
-    open_edges: usize,
+    /// Number of edges at which the skin ends: borders of sheets and holes.
+    pub open_edges: usize,
 }
 
 impl Actor {
@@ -142,29 +146,9 @@ impl Actor {
         Ok(actor)
     }
 
-    /// Skin of the actor.
-    pub fn skin(&self) -> &Arc<Skin> {
-        &self.skin
-    }
-
-    /// Height of the standing actor, m.
-    pub fn height_m(&self) -> f64 {
-        self.height_m
-    }
-
-    /// Ground covered in a cycle of steps, m.
-    pub fn cycle_m(&self) -> f64 {
-        self.cycle_m
-    }
-
     /// Returns how much the feet slide over the floor at a walking speed.
     pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
         self.walked.sliding(speed_m_per_s)
-    }
-
-    /// Number of edges at which the skin ends: borders of sheets and holes.
-    pub fn open_edges(&self) -> usize {
-        self.open_edges
     }
 
     /// Returns the maps of the bones, in room coordinates.

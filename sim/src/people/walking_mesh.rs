@@ -21,7 +21,7 @@ impl WalkingMesh {
     /// `edge_m`.
     pub fn new(motion: Arc<Motion>, edge_m: f64) -> Self {
         let skin = match &motion.person.steps {
-            Steps::Actor(actor) => Arc::clone(actor.skin()),
+            Steps::Actor(actor) => Arc::clone(&actor.skin),
             Steps::Gait | Steps::Clip(_) => Arc::new(Skin::new(&motion.person.build, edge_m)),
         };
         WalkingMesh { skin, motion }

@@ -164,7 +164,7 @@ fn passer_by(
 
 /// Makes the person of a slot, whose whole motion is shifted by an offset.
 fn member(group: &Arc<Group>, slot: usize, offset_m: [f64; 2]) -> (Person, Wanderer) {
-    let setting = group.setting();
+    let setting = &group.setting;
     let identity = setting.identity(slot);
     let person = person(setting, identity);
     let mut rng = generator(setting.seed, Purpose::Wander, [identity[0] | 1 << 41, identity[1]]);

@@ -34,7 +34,7 @@ fn load_one(actor: &ActorFile, path: &Path, text: &str) -> Result<Steps, SceneEr
         let clip = BodyClip::parse(text, actor.up.unwrap_or(UpAxis::Y), actor.cycle_s).map_err(fault)?;
         tracing::info!(
             file = %file.display(),
-            cycle_s = ?clip.span_s(),
+            cycle_s = ?clip.span_s,
             foot_sliding = ?clip.foot_sliding(USUAL_M_PER_S),
             "captured steps; sliding is at {USUAL_M_PER_S} m/s and goes with the speed"
         );
@@ -50,10 +50,10 @@ fn load_one(actor: &ActorFile, path: &Path, text: &str) -> Result<Steps, SceneEr
     let loaded = Actor::parse(&bytes, &file, &options).map_err(fault)?;
     tracing::info!(
         file = %file.display(),
-        triangles = loaded.skin().rest().triangles.len(),
-        open_edges = loaded.open_edges(),
-        height_m = loaded.height_m(),
-        cycle_m = loaded.cycle_m(),
+        triangles = loaded.skin.rest().triangles.len(),
+        open_edges = loaded.open_edges,
+        height_m = loaded.height_m,
+        cycle_m = loaded.cycle_m,
         foot_sliding = ?loaded.foot_sliding(USUAL_M_PER_S),
         "actor; sliding is at {USUAL_M_PER_S} m/s and goes with the speed"
     );

@@ -205,7 +205,7 @@ impl MotionBuilder {
                 (vigour, gait::cycles_per_second(speed_m_per_s, leg_m) / m.person.style.stride)
             }
             Steps::Clip(clip) => (1.0, speed_m_per_s / clip.cycle_m(leg_m)),
-            Steps::Actor(actor) => (1.0, speed_m_per_s / actor.cycle_m()),
+            Steps::Actor(actor) => (1.0, speed_m_per_s / actor.cycle_m),
         };
         for (t, sign, window_s) in [(begin, 1.0, corner_s), (end, -1.0, CORNER_S)] {
             m.x.bend_over(t, sign * vx, window_s);

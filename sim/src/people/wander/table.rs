@@ -26,7 +26,7 @@ type Block = Vec<Vec<Node>>;
 /// A group of people whose motion is known at any time.
 #[derive(Debug)]
 pub(super) struct Group {
-    setting: Setting,
+    pub setting: Setting,
     table: Mutex<Table>,
 }
 
@@ -42,11 +42,6 @@ impl Group {
     pub fn new(setting: Setting, slots: usize) -> Self {
         let states = vec![State::new(&setting, slots)];
         Group { setting, table: Mutex::new(Table { states, recent: VecDeque::new() }) }
-    }
-
-    /// Setting of the group.
-    pub fn setting(&self) -> &Setting {
-        &self.setting
     }
 
     fn lock(&self) -> MutexGuard<'_, Table> {
