@@ -88,40 +88,33 @@ impl Material {
         Material::deserialize(name).ok()
     }
 
-    /// Frequency band in which the table's constants hold, GHz.
-    pub fn band_ghz(self) -> [f64; 2] {
+    /// Row of the table: the frequency band in which its constants hold, GHz, and the coefficients (a, b, c, d), `None`
+    /// for a material that is not a dielectric.
+    fn row(self) -> ([f64; 2], Option<[f64; 4]>) {
         match self {
-            Material::Concrete | Material::Plasterboard | Material::CeilingBoard | Material::Chipboard => [1.0, 100.0],
-            Material::Brick | Material::Plywood => [1.0, 40.0],
-            Material::Wood => [0.001, 100.0],
-            Material::Glass => [0.1, 100.0],
-            Material::Marble => [1.0, 60.0],
-            Material::Floorboard => [50.0, 100.0],
-            Material::Metal => [1.0, 100.0],
-            Material::Open => [0.0, f64::INFINITY],
+            Material::Concrete => ([1.0, 100.0], Some([5.24, 0.0, 0.0462, 0.7822])),
+            Material::Brick => ([1.0, 40.0], Some([3.91, 0.0, 0.0238, 0.16])),
+            Material::Plasterboard => ([1.0, 100.0], Some([2.73, 0.0, 0.0085, 0.9395])),
+            Material::Wood => ([0.001, 100.0], Some([1.99, 0.0, 0.0047, 1.0718])),
+            Material::Glass => ([0.1, 100.0], Some([6.31, 0.0, 0.0036, 1.3394])),
+            Material::CeilingBoard => ([1.0, 100.0], Some([1.48, 0.0, 0.0011, 1.0750])),
+            Material::Chipboard => ([1.0, 100.0], Some([2.58, 0.0, 0.0217, 0.78])),
+            Material::Plywood => ([1.0, 40.0], Some([2.71, 0.0, 0.33, 0.0])),
+            Material::Marble => ([1.0, 60.0], Some([7.074, 0.0, 0.0055, 0.9262])),
+            Material::Floorboard => ([50.0, 100.0], Some([3.66, 0.0, 0.0044, 1.3515])),
+            Material::Metal => ([1.0, 100.0], None),
+            Material::Open => ([0.0, f64::INFINITY], None),
         }
     }
 
-    /// Coefficients (a, b, c, d); `None` for a material that is not a dielectric.
-    pub fn coefficients(self) -> Option<[f64; 4]> {
-        match self {
-            Material::Concrete => Some([5.24, 0.0, 0.0462, 0.7822]),
-            Material::Brick => Some([3.91, 0.0, 0.0238, 0.16]),
-            Material::Plasterboard => Some([2.73, 0.0, 0.0085, 0.9395]),
-            Material::Wood => Some([1.99, 0.0, 0.0047, 1.0718]),
-            Material::Glass => Some([6.31, 0.0, 0.0036, 1.3394]),
-            Material::CeilingBoard => Some([1.48, 0.0, 0.0011, 1.0750]),
-            Material::Chipboard => Some([2.58, 0.0, 0.0217, 0.78]),
-            Material::Plywood => Some([2.71, 0.0, 0.33, 0.0]),
-            Material::Marble => Some([7.074, 0.0, 0.0055, 0.9262]),
-            Material::Floorboard => Some([3.66, 0.0, 0.0044, 1.3515]),
-            Material::Metal | Material::Open => None,
-        }
+    /// Frequency band in which the table's constants hold, GHz.
+    pub fn band_ghz(self) -> [f64; 2] {
+        self.row().0
     }
 
     /// Complex relative permittivity `eps' - j eps''`; `None` for a material that is not a dielectric.
     pub fn permittivity(self, frequency_hz: f64) -> Option<Complex64> {
-        Some(p2040(self.coefficients()?, frequency_hz))
+        Some(p2040(self.row().1?, frequency_hz))
     }
 }
 
