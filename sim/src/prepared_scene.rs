@@ -6,6 +6,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
 use rand::Rng;
+use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::chirp::Chirp;
 use crate::diffuse::{Diffuse, WallPoint, wall_points};
@@ -16,6 +17,7 @@ use crate::receiver::budget::{Filters, lsb_per_unit_amplitude};
 use crate::receiver::noise::density_lsb2;
 use crate::receiver::{Receiver, RxChannel};
 use crate::scene::Scene;
+use crate::scene_file::FurnitureFile;
 
 /// Static path: a wall reflection or an echo of furniture.
 #[derive(Debug, Clone, PartialEq)]
@@ -249,6 +251,17 @@ impl PreparedScene {
         }
     }
 
+    /// Draws a point on a face of a piece of furniture towards the radar: one of the two nearer upright ones, or the top.
+    pub(crate) fn point_on(&self, piece: &FurnitureFile, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
+        let corner = DVec3::from_array(piece.position_m);
+        let size = DVec3::from_array(piece.size_m);
+        let radar = self.tx.position - (corner + 0.5 * size);
+        let mut at = DVec3::new(rng.random(), rng.random(), rng.random());
+        let axis = rng.random_range(0..3usize);
+        at[axis] = if radar[axis] > 0.0 { 1.0 } else { 0.0 };
+        corner + at * size
+    }
+
     fn add_furniture(&mut self, scene: &Scene, seed: u64) {
         for (f, furniture) in scene.file().furniture.iter().enumerate() {
             // Furniture with mirroring faces does not scatter from points as well.
@@ -256,19 +269,10 @@ impl PreparedScene {
                 continue;
             }
             let mut rng = generator(seed, Purpose::Furniture, [f as u64, 0]);
-            let corner = DVec3::from_array(furniture.position_m);
-            let size = DVec3::from_array(furniture.size_m);
-            let radar = self.tx.position - (corner + 0.5 * size);
             let each = 10f64.powf(0.1 * furniture.cross_section_dbsm()) / furniture.points as f64;
             for _ in 0..furniture.points {
-                let mut at = DVec3::new(rng.random(), rng.random(), rng.random());
-                // The point is on a face towards the radar: one of the two nearer upright ones, or the top.
-                match rng.random_range(0..3) {
-                    0 => at.x = if radar.x > 0.0 { 1.0 } else { 0.0 },
-                    1 => at.y = if radar.y > 0.0 { 1.0 } else { 0.0 },
-                    _ => at.z = if radar.z > 0.0 { 1.0 } else { 0.0 },
-                }
-                self.add_point(corner + at * size, each, rng.random_range(0.0..std::f64::consts::TAU));
+                let point = self.point_on(furniture, &mut rng);
+                self.add_point(point, each, rng.random_range(0.0..std::f64::consts::TAU));
             }
         }
         if let Some(desk) = &scene.file().people.desk {

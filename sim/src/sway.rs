@@ -21,7 +21,7 @@ use crate::paths::Surroundings;
 use crate::prepared_scene::PreparedScene;
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
-use crate::scene_file::{FurnitureFile, SwayFile, SwayPlaceFile};
+use crate::scene_file::{SwayFile, SwayPlaceFile};
 use crate::tracks::{Track, Tracks};
 
 /// Number of sinusoids of a motion that is not a single one.
@@ -234,7 +234,7 @@ fn place(scene: &Scene, prepared: &PreparedScene, at: SwayPlaceFile, rng: &mut X
         other => other,
     };
     match (at, furniture.get((part * furniture.len() as f64) as usize)) {
-        (SwayPlaceFile::Furniture, Some(piece)) => on(piece, prepared, rng),
+        (SwayPlaceFile::Furniture, Some(piece)) => prepared.point_on(piece, rng),
         (SwayPlaceFile::Radar, _) => {
             let along = direction(rng) * rng.random_range(0.15..0.9);
             let place = prepared.tx.position + scene.radar_from_world().transpose() * along;
@@ -258,17 +258,6 @@ fn place(scene: &Scene, prepared: &PreparedScene, at: SwayPlaceFile, rng: &mut X
 fn direction(rng: &mut Xoshiro256PlusPlus) -> DVec3 {
     let [azimuth, elevation] = MOST_OFF_BORESIGHT_RAD.map(|most| rng.random_range(-most..most));
     DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
-}
-
-/// Draws a place on a face of a piece of furniture towards the radar.
-fn on(piece: &FurnitureFile, prepared: &PreparedScene, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
-    let corner = DVec3::from_array(piece.position_m);
-    let size = DVec3::from_array(piece.size_m);
-    let radar = prepared.tx.position - (corner + 0.5 * size);
-    let mut at = DVec3::new(rng.random(), rng.random(), rng.random());
-    let axis = rng.random_range(0..3usize);
-    at[axis] = if radar[axis] > 0.0 { 1.0 } else { 0.0 };
-    corner + at * size
 }
 
 /// Distance from the transmitter to the first surface in a direction, m: the walls of the room or an object before

@@ -184,8 +184,7 @@ impl Scene {
     /// [`SceneError`] if no scene can have the waveform.
     pub fn nothing(waveform: &Waveform) -> Result<Self, SceneError> {
         let request = toml::to_string(&waveform.request).unwrap_or_default();
-        let open = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"]
-            .map(|s| format!("{s} = {{ material = \"open\" }}\n"));
+        let open = room::WALLS.map(|(name, ..)| format!("{name} = {{ material = \"open\" }}\n"));
         let text = format!(
             "format = 1\nname = \"nothing\"\n[room]\nsize_m = [50.0, 50.0, 50.0]\n{}[radar]\nposition_m = [25.0, 25.0, 25.0]\n\
              [people.desk]\nmax_people = 0\nobjects_probability = 0.0\n[waveform]\n{request}",
