@@ -133,9 +133,10 @@ impl MotionBuilder {
         wrapped(facing - self.facing)
     }
 
-    fn turn_to(&mut self, facing: f64) {
+    /// Turns to a heading about a time, over a window before and after it.
+    fn turn(&mut self, time_s: f64, facing: f64, window_s: f64) {
         let change = self.change_to(facing);
-        self.motion.heading.step(self.time_s, change);
+        self.motion.heading.step_over(time_s, change, window_s);
         self.facing += change;
     }
 
@@ -148,7 +149,7 @@ impl MotionBuilder {
         let window_s = (change.abs() / self.turn_rate_rad_per_s.unwrap_or(TURN_RAD_PER_S)).max(CORNER_S);
         let begin_s = self.time_s.max(self.turned_s);
         let end_s = begin_s + 2.0 * window_s;
-        self.motion.heading.step_over(begin_s + window_s, change, window_s);
+        self.turn(begin_s + window_s, facing_rad, window_s);
         if change.abs() > LEAST_MARCH_RAD && matches!(self.motion.person.steps, Steps::Gait) {
             // The steps lie within the turn, so that both feet are down when it ends.
             for (t, sign) in [(begin_s + CORNER_S, 1.0), (end_s - CORNER_S, -1.0)] {
@@ -156,28 +157,24 @@ impl MotionBuilder {
                 self.motion.phase.bend(t, sign * gait::MARCH_HZ);
             }
         }
-        self.facing += change;
         (self.time_s, self.turned_s) = (end_s, end_s);
         self
     }
 
     /// Turns for a straight line that begins now. Also returns half the time over which the corner is rounded, s.
-    fn turn_into(self, facing: f64) -> (Self, f64) {
+    fn turn_into(mut self, facing: f64) -> (Self, f64) {
         let Some(rate) = self.turn_rate_rad_per_s else {
-            let mut legacy = self;
-            legacy.turn_to(facing);
-            return (legacy, CORNER_S);
+            self.turn(self.time_s, facing, CORNER_S);
+            return (self, CORNER_S);
         };
-        let change = self.change_to(facing);
-        let window_s = (change.abs() / rate).max(CORNER_S);
-        if change.abs() > WIDEST_CURVE_RAD || self.time_s - window_s < self.turned_s {
+        let angle = self.change_to(facing).abs();
+        let window_s = (angle / rate).max(CORNER_S);
+        if angle > WIDEST_CURVE_RAD || self.time_s - window_s < self.turned_s {
             return (self.face(facing), CORNER_S);
         }
-        let mut curving = self;
-        curving.motion.heading.step_over(curving.time_s, change, window_s);
-        curving.facing += change;
-        curving.turned_s = curving.time_s + window_s;
-        (curving, window_s)
+        self.turn(self.time_s, facing, window_s);
+        self.turned_s = self.time_s + window_s;
+        (self, window_s)
     }
 
     /// Walks straight to a position.
@@ -227,7 +224,7 @@ impl MotionBuilder {
     /// Turns to a heading, rad, and sits down for a duration, which includes sitting down and standing up.
     pub fn sit(self, heading_rad: f64, seat_height_m: f64, duration_s: f64) -> Self {
         let mut this = if self.turn_rate_rad_per_s.is_some() { self.face(heading_rad) } else { self };
-        this.turn_to(heading_rad);
+        this.turn(this.time_s, heading_rad, CORNER_S);
         this.motion.seats.push((this.time_s, seat_height_m));
         let duration_s = duration_s.max(2.5 * SIT_S);
         this.motion.sit.step(this.time_s + SIT_S, 1.0);
@@ -278,9 +275,7 @@ impl MotionBuilder {
         this.motion.low.step(begin_s + SIT_S, 1.0);
         let lie_s = begin_s + 2.0 * SIT_S + ON_EDGE_S + LIE_S;
         this.motion.lie.step(lie_s, 1.0);
-        let turn = this.change_to(bed.heading_rad);
-        this.motion.heading.step_over(lie_s, turn, LIE_S);
-        this.facing += turn;
+        this.turn(lie_s, bed.heading_rad, LIE_S);
         this.time_s = lie_s;
         let rise_s = (begin_s + duration_s - 2.0 * SIT_S - ON_EDGE_S - LIE_S).max(lie_s + 2.5 * LIE_S);
         this.rise(bed, rise_s)
@@ -303,13 +298,10 @@ impl MotionBuilder {
 
     /// Gets up from lying; the motion is half done at `rise_s`.
     fn rise(mut self, bed: &Bed, rise_s: f64) -> Self {
-        let m = &mut self.motion;
-        m.lie.step(rise_s, -1.0);
-        let turn = wrapped(bed.outward_rad() - self.facing);
-        m.heading.step_over(rise_s, turn, LIE_S);
-        self.facing += turn;
+        self.motion.lie.step(rise_s, -1.0);
+        self.turn(rise_s, bed.outward_rad(), LIE_S);
         let up_s = rise_s + LIE_S + ON_EDGE_S + SIT_S;
-        m.low.step(up_s, -1.0);
+        self.motion.low.step(up_s, -1.0);
         self.time_s = up_s + SIT_S + CORNER_S;
         self.turned_s = rise_s + LIE_S;
         self
