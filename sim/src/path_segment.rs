@@ -1,9 +1,9 @@
 //! Interpolation from a few path samples to every chirp: polynomials in delay and complex amplitude over a segment of
 //! time.
 //!
-//! Where the derivatives at both ends of a segment are known, as of a swaying reflector ([`PathSegment::between`]), delay
-//! is a septic Hermite polynomial and amplitude a quintic. Otherwise ([`PathSegment::through`]) samples at the ends,
-//! quarters and middle give a septic in delay, a quartic in amplitude, and an error estimate.
+//! Where the derivatives at both ends of a segment are known, as of a swaying reflector ([`PathSegment::between`]),
+//! delay is a septic Hermite polynomial and amplitude a quintic. Otherwise ([`PathSegment::through`]) samples at the
+//! ends, quarters and middle give a septic in delay, a quartic in amplitude, and an error estimate.
 
 use num_complex::{Complex, Complex64};
 

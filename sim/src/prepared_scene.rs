@@ -251,7 +251,7 @@ impl PreparedScene {
         }
     }
 
-    /// Draws a point on a face of a piece of furniture towards the radar: one of the two nearer upright ones, or the top.
+    /// Draws a point on a face of furniture towards the radar: one of the two nearer upright ones, or the top.
     pub(crate) fn point_on(&self, piece: &FurnitureFile, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
         let corner = DVec3::from_array(piece.position_m);
         let size = DVec3::from_array(piece.size_m);

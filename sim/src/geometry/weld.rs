@@ -19,9 +19,9 @@ pub struct Welded {
     pub triangle_of: Vec<u32>,
 }
 
-/// Merges vertices within a tolerance, which is positive and finite. Each moves to the first of its group, so no vertex moves farther than the
-/// tolerance. Otherwise files without indices (STL) and texture seams are open at edges: rays leak there and normals
-/// are wrong.
+/// Merges vertices within a tolerance, which is positive and finite. Each moves to the first of its group, so no vertex
+/// moves farther than the tolerance. Otherwise files without indices (STL) and texture seams are open at edges: rays
+/// leak there and normals are wrong.
 ///
 /// # Errors
 /// [`MeshError`] for a mesh that [`Mesh::check`] refuses.

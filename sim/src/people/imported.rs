@@ -254,8 +254,8 @@ fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2
     }
 }
 
-/// Returns the maps at even phases of a cycle, without the clip's displacement over the ground, and those of the standing
-/// actor, in the file's unit and axes.
+/// Returns the maps at even phases of a cycle, without the clip's displacement over the ground, and those of the
+/// standing actor, in the file's unit and axes.
 fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> (Vec<Vec<Map>>, Vec<Map>) {
     let [fewest, most] = CYCLE_SAMPLES;
     let count = ((end - begin) / clip.key_s().max(SAMPLE_S)).round().clamp(fewest, most) as usize;

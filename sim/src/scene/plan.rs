@@ -107,8 +107,8 @@ impl<'a> Opening<'a> {
     }
 }
 
-/// Hinge and end of the leaf of a door between two places of a line, m. The leaf turns to the left of the line's direction
-/// (1) or to the right (-1), at either hinge.
+/// Hinge and end of the leaf of a door between two places of a line, m. The leaf turns to the left of the line's
+/// direction (1) or to the right (-1), at either hinge.
 fn leaf(door: &DoorLeafFile, [from, to]: [DVec2; 2], left: f64) -> [DVec2; 2] {
     let (hinge, shut, turn) = match door.hinge {
         HingeFile::From => (from, to, left),
