@@ -8,7 +8,7 @@ use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use radome_sim::echo::{EchoReport, Snapshot, echoes, reflect_at_skin};
-use radome_sim::em::current::{Arrival, Listener, received};
+use radome_sim::em::current::{Arrival, received};
 use radome_sim::em::image::{BoxRoom, Element, ImageIndex, Wall};
 use radome_sim::em::specular::Ellipsoid;
 use radome_sim::material::{Material, SKIN_PERMITTIVITY};
@@ -125,12 +125,7 @@ impl Chain {
                 let there = self.room.illuminate(&self.tx, p, point);
                 let back = self.room.illuminate(&self.rx, q, point);
                 let arrival = Arrival { field: there.field, direction: there.direction };
-                let hears = |polarisation: DVec3| {
-                    let listener = Listener { towards: -back.direction, polarisation };
-                    received(&arrival, normal, &skin, WAVENUMBER, &listener)
-                };
-                // The receiver's polarisation is complex where a lossy wall has rotated it.
-                let current = hears(back.field.re) + Complex64::I * hears(back.field.im);
+                let current = received(&arrival, normal, &skin, WAVENUMBER, -back.direction, back.field);
                 let area =
                     theta.sin() * b.element_product() * gradient.length() * (PI / rows as f64) * (TAU / columns as f64);
                 let phase = -WAVENUMBER * (there.distance_m + back.distance_m);

@@ -9,7 +9,6 @@ use num_complex::Complex64;
 use radome_dsp::Frame;
 use radome_sim::em::image::Element;
 use radome_sim::em::pattern::Pattern;
-use radome_sim::path_segment::{PathDerivatives, PathSample};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 /// Wavenumber at 60 GHz, 1/m.
@@ -211,20 +210,6 @@ pub fn range_bin(frame: &Frame, bin: f64) -> Vec<Complex64> {
 /// Antenna with an isotropic pattern.
 pub fn isotropic(position: DVec3, polarisation: DVec3) -> Element {
     Element { position, polarisation, radar_from_world: DMat3::IDENTITY, pattern: Pattern::isotropic() }
-}
-
-/// Path sample with its derivatives, by differences to the same path `apart_s` before and after.
-pub fn with_derivatives([before, now, after]: [PathSample; 3], apart_s: f64) -> (PathSample, PathDerivatives) {
-    let square = apart_s * apart_s;
-    let delay = [
-        (after.delay_rate - before.delay_rate) / (2.0 * apart_s),
-        (after.delay_rate - 2.0 * now.delay_rate + before.delay_rate) / square,
-    ];
-    let amplitude = [
-        (after.amplitude - before.amplitude) / (2.0 * apart_s),
-        (after.amplitude - 2.0 * now.amplitude + before.amplitude) / square,
-    ];
-    (now, PathDerivatives { delay, amplitude })
 }
 
 /// Root mean square.
