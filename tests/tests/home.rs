@@ -9,7 +9,9 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use radome_tests::running::{Running, ask, emulated_board, free_port, wait_for};
-use radome_tests::{command, emulated_corridor, fixture, installed, json_lines, labels_of, live_command, skip};
+use radome_tests::{
+    command, emulated_corridor, fixture, installed, json_lines, labels_of, live_command, outcome, skip,
+};
 use serde_json::Value;
 
 /// Id of the emulated board.
@@ -239,20 +241,28 @@ fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_righ
     );
     std::fs::write(folder.join("mosquitto.conf"), settings).expect("writable");
     broker.start();
-    let told = |password: &str, authority: bool| {
-        let mut command = watch();
+    let with_login = |mut command: Command, password: &str, authority: bool| {
         command.args(["--mqtt", &format!("mqtts://radar@localhost:{port}")]).env("RADOME_MQTT_PASSWORD", password);
         if authority {
             command.arg("--mqtt-ca").arg(folder.join("ca.pem"));
         }
-        Running::start(&mut command)
+        command
+    };
+    let told = |password: &str, authority: bool| Running::start(with_login(watch(), password, authority));
+    let examined = |password: &str, authority: bool| {
+        let (_, told, said) = outcome(with_login(command!("doctor --json --record-to", &folder), password, authority));
+        let mut checks = told.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
+        checks.find(|check| check["check"] == "mqtt").unwrap_or_else(|| panic!("{said}"))
     };
     for (password, authority, word) in [("wrong", true, "refuses the login"), ("secret", false, "UnknownIssuer")] {
         let live = told(password, authority);
         let said = live.stderr.find(0, word, |line| line.contains(word).then(|| line.to_owned()));
         assert!(!said.contains("secret") && !said.contains("wrong:"), "{said}");
         stop_and_count(live);
+        let check = examined(password, authority);
+        assert!(check["verdict"] == "fail" && check["found"].to_string().contains(word), "{check}");
     }
+    assert_eq!(examined("secret", true)["verdict"], "ok");
     let live = told("secret", true);
     broker.port = plain;
     broker.listen().stdout.find(0, "discovery", |line| message(line, &discovery_topic()));

@@ -67,6 +67,7 @@ impl Arguments {
             self.model.as_deref(),
             Some(self.record_to.as_path()),
             self.broker.mqtt_password_file.as_deref(),
+            self.broker.mqtt_ca.as_deref(),
             Some(bundle),
         ] {
             if let Some(path) = path.filter(|path| !path.starts_with("/dev")) {
@@ -113,7 +114,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     report.say(checks::onnxruntime(arguments.model.as_deref()))?;
     // Read once: the file of the password may be a pipe.
     let broker = arguments.broker.broker();
-    if let Some(check) = checks::broker(&broker) {
+    if let Some(check) = checks::broker(&arguments.broker, &broker) {
         report.say(check)?;
     }
     let mut waveform = model.as_ref().and_then(|model| model.waveform().cloned());

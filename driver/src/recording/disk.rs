@@ -45,12 +45,23 @@ pub(super) fn reserve(file: &File, at: u64, bytes: u64) -> io::Result<()> {
     Ok(())
 }
 
-/// Waits until all data written to a file or folder are on the disk. Returns at once for a device or a pipe.
+/// Waits until all data written to a file or folder are on the disk. Returns at once for a device or a pipe. Fails for a
+/// file that somebody has removed: its data would vanish when it is closed.
 pub(super) fn sync(file: &File, path: &Path) -> io::Result<()> {
     let _ = path;
     let metadata = file.metadata()?;
     if !metadata.is_file() && !metadata.is_dir() {
         return Ok(());
+    }
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+
+        // Some file systems do not count names, so the path is looked at, too.
+        let has_path = || std::fs::metadata(path).is_ok_and(|found| found.ino() == metadata.ino());
+        if metadata.nlink() == 0 && !has_path() {
+            return Err(io::Error::new(io::ErrorKind::NotFound, "it was removed while it was written"));
+        }
     }
     #[cfg(test)]
     trial::before(path, || trial::Change::Sync { inode: trial::inode(file) })?;

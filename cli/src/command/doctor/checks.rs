@@ -1,11 +1,10 @@
 //! Individual checks of the doctor.
 
 use std::io::{ErrorKind, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
+use std::net::{SocketAddr, TcpListener};
 use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::Context;
 use radome_driver::RecordingHeader;
 use radome_driver::discover::{self, Identity, PERMISSION_REMEDY, State, UDEV_RULES};
 use radome_driver::recording::utc;
@@ -13,7 +12,8 @@ use radome_dsp::{Frame, KernelLevel, SourceEvent, Waveform};
 
 use super::check::Check;
 use crate::judge::{Judge, Model, Prediction};
-use crate::live::integrations::broker::Broker;
+use crate::live::integrations::broker::{Broker, BrokerArguments};
+use crate::live::integrations::mqtt;
 use crate::live::screen::lost_besides;
 use crate::source::{self, SourceOptions};
 
@@ -92,27 +92,22 @@ pub fn onnxruntime(model: Option<&Path>) -> Check {
     Check::ok("onnxruntime", found)
 }
 
-/// Checks whether the broker accepts connections at its address, without logging in; `None` where no broker is named.
-pub fn broker(broker: &anyhow::Result<Option<Broker>>) -> Option<Check> {
+/// Checks whether the broker takes the login, in MQTT version 5; `None` where no broker is named.
+pub fn broker(arguments: &BrokerArguments, broker: &anyhow::Result<Option<Broker>>) -> Option<Check> {
     let broker = match broker {
         Ok(broker) => broker.as_ref()?,
         Err(error) => return Some(Check::error("mqtt", error)),
     };
-    let connect = || -> anyhow::Result<()> {
-        let address = broker.to_string();
-        let addresses = address.to_socket_addrs().with_context(|| format!("{address} has no address"))?;
-        let mut last = anyhow::anyhow!("{address} has no address");
-        for address in addresses {
-            match TcpStream::connect_timeout(&address, Duration::from_secs(3)) {
-                Ok(_) => return Ok(()),
-                Err(error) => last = anyhow::anyhow!("{address}: {error}"),
-            }
-        }
-        Err(last)
+    let log_in = || -> anyhow::Result<()> {
+        let mut options = arguments.options(broker)?;
+        // A name of its own, since a broker disconnects the older of two clients with one name.
+        options.set_client_id(format!("radome-doctor-{}", std::process::id()));
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+        runtime.block_on(mqtt::log_in(options)).map_err(|cause| anyhow::anyhow!("{broker}: {cause}"))
     };
-    Some(match connect() {
-        Ok(()) => Check::ok("mqtt", format!("{broker} takes connections; the login and MQTT version 5 were not tried")),
-        Err(error) => Check::fail("mqtt", format!("{error:#}"), "is the broker running, and the port right?"),
+    Some(match log_in() {
+        Ok(()) => Check::ok("mqtt", format!("{broker} takes the login, in MQTT version 5")),
+        Err(error) => Check::fail("mqtt", format!("{error:#}"), "is the broker running, and are port and login right?"),
     })
 }
 

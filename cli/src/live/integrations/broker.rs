@@ -41,6 +41,9 @@ pub struct BrokerArguments {
     /// is RADOME_MQTT_PASSWORD
     #[arg(long, value_name = "FILE", requires = "mqtt")]
     pub mqtt_password_file: Option<PathBuf>,
+    /// Certificates to verify the broker with, instead of the system's
+    #[arg(long, value_name = "FILE.pem", requires = "mqtt")]
+    pub mqtt_ca: Option<PathBuf>,
 }
 
 impl BrokerArguments {
@@ -56,6 +59,30 @@ impl BrokerArguments {
             None => variable(PASSWORD_VARIABLE)?.map(Secret),
         };
         Ok(Some(Broker::parse(url, variable(USER_VARIABLE)?, password).map_err(WrongUse)?))
+    }
+
+    /// Builds the options of a connection to the broker, without the client's identity and the last will.
+    ///
+    /// # Errors
+    /// The certificates cannot be read, or a file of them is named for a connection that is not encrypted.
+    pub fn options(&self, broker: &Broker) -> anyhow::Result<MqttOptions> {
+        let mut options = MqttOptions::new("radome", &broker.host, broker.port);
+        options.set_keep_alive(KEEP_ALIVE);
+        options.set_clean_start(true);
+        options.set_connection_timeout(10);
+        // MQTT 5 sends this limit to the broker, which then withholds longer packets, including retained ones.
+        options.set_max_packet_size(Some(MOST_PACKET_BYTES));
+        if let Some(user) = &broker.user {
+            options.set_credentials(user, broker.password.as_ref().map_or("", Secret::reveal));
+        }
+        if broker.is_encrypted {
+            let tls = tls(self.mqtt_ca.as_deref())?;
+            options.set_transport(Transport::tls_with_config(TlsConfiguration::Rustls(Arc::new(tls))));
+        } else if self.mqtt_ca.is_some() {
+            let error = anyhow!("--mqtt-ca is for connections that are encrypted\n\nhint: --mqtt mqtts://HOST");
+            return Err(WrongUse(error).into());
+        }
+        Ok(options)
     }
 }
 
@@ -167,30 +194,6 @@ impl Broker {
         let user = url_user.or(user);
         ensure!(user.is_some() || password.is_none(), "there is a password for the broker, but no user{GRAMMAR}");
         Ok(Broker { host: host.to_owned(), port, is_encrypted, user, password })
-    }
-
-    /// Builds the options of a connection, without the client's identity and the last will. `authorities` is a file of certificates to trust in
-    /// place of the system's.
-    ///
-    /// # Errors
-    /// The certificates cannot be read, or a file of them is named for a connection that is not encrypted.
-    pub fn options(&self, authorities: Option<&Path>) -> anyhow::Result<MqttOptions> {
-        let mut options = MqttOptions::new("radome", &self.host, self.port);
-        options.set_keep_alive(KEEP_ALIVE);
-        options.set_clean_start(true);
-        options.set_connection_timeout(10);
-        // MQTT 5 sends this limit to the broker, which then withholds longer packets, including retained ones.
-        options.set_max_packet_size(Some(MOST_PACKET_BYTES));
-        if let Some(user) = &self.user {
-            options.set_credentials(user, self.password.as_ref().map_or("", Secret::reveal));
-        }
-        if self.is_encrypted {
-            options.set_transport(Transport::tls_with_config(TlsConfiguration::Rustls(Arc::new(tls(authorities)?))));
-        } else if authorities.is_some() {
-            let error = anyhow!("--mqtt-ca is for connections that are encrypted\n\nhint: --mqtt mqtts://HOST");
-            return Err(WrongUse(error).into());
-        }
-        Ok(options)
     }
 }
 

@@ -7,7 +7,7 @@ mod http;
 mod keep;
 mod latest;
 mod metrics;
-mod mqtt;
+pub mod mqtt;
 mod systemd;
 
 use std::net::SocketAddr;
@@ -43,9 +43,6 @@ pub struct Arguments {
     /// Topic prefix under which Home Assistant looks for devices
     #[arg(long, value_name = "TOPIC", default_value = "homeassistant", requires = "mqtt")]
     mqtt_discovery_prefix: String,
-    /// Certificates to verify the broker with, instead of the system's
-    #[arg(long, value_name = "FILE.pem", requires = "mqtt")]
-    mqtt_ca: Option<PathBuf>,
     /// Serve /metrics for Prometheus, and /health. If the network can reach this address, --token-file is required, and Prometheus
     /// sends the token as authorization: credentials_file
     #[arg(long, value_name = "ADDRESS:PORT")]
@@ -67,7 +64,7 @@ impl Arguments {
     pub fn broker(&self) -> anyhow::Result<Option<(Broker, MqttOptions)>> {
         let Some(broker) = self.broker.broker()? else { return Ok(None) };
         check_prefix(&self.mqtt_discovery_prefix)?;
-        let options = broker.options(self.mqtt_ca.as_deref())?;
+        let options = self.broker.options(&broker)?;
         Ok(Some((broker, options)))
     }
 

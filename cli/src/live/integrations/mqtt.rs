@@ -94,6 +94,24 @@ impl Mqtt {
     }
 }
 
+/// Connects to a broker, logs in, and leaves again.
+///
+/// # Errors
+/// The cause, in words.
+pub async fn log_in(options: MqttOptions) -> Result<(), String> {
+    let (client, mut events) = AsyncClient::new(options, 8);
+    loop {
+        match events.poll().await {
+            Ok(Event::Incoming(Packet::ConnAck(_))) => {
+                let _ = client.disconnect().await;
+            }
+            Ok(Event::Outgoing(Outgoing::Disconnect)) => return Ok(()),
+            Ok(_) => {}
+            Err(error) => return Err(in_words(&error, false)),
+        }
+    }
+}
+
 /// Recent closings of the connection by the broker. Two clients with one name disconnect each other repeatedly.
 #[derive(Default)]
 struct Closings {

@@ -263,6 +263,25 @@ fn a_disk_that_does_not_answer_ends_the_recording() {
     assert!(matches!(recorder.finish(), Err(RecordingError::Stalled { .. })));
 }
 
+/// A recording that is removed while it is made would end as a success, and nothing of it would be left.
+#[test]
+fn a_recording_that_is_removed_meanwhile_ends_with_an_error() {
+    let folder = folder();
+    let path = folder.path().join("a.mcap");
+    let header = RecordingHeader::new(pattern().waveform);
+    for sync in [None, options().sync] {
+        let mut recorder =
+            Recorder::with_options(&path, &header, &RecorderOptions { sync, ..options() }).expect("creates");
+        let mut source = pattern();
+        let mut frame = Frame::zeroed(source.waveform.shape());
+        source.next_frame(&mut frame).expect("frame");
+        recorder.frame(&frame).expect("records");
+        std::fs::remove_file(&path).expect("removes");
+        let Err(RecordingError::Io { path: named, source, .. }) = recorder.finish() else { panic!("no error") };
+        assert!(named == path && source.to_string().contains("removed"), "{source}");
+    }
+}
+
 /// The hundredth change of labels costs as much as the first, and the file does not grow by the changes.
 #[test]
 fn a_hundred_changes_of_labels_leave_a_file_as_long_as_one() {
