@@ -29,7 +29,7 @@ mod viewers;
 use std::io::IsTerminal;
 use std::process::ExitCode;
 
-use clap::{CommandFactory, Parser};
+use clap::{CommandFactory, FromArgMatches, Parser};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::prelude::*;
 
@@ -52,7 +52,9 @@ fn main() -> ExitCode {
     panics::remember_places();
     output::catch_file_size_limit();
     let given = std::env::args_os().collect();
-    let arguments = Arguments::parse_from(command::former_names::with_present_names(given));
+    let given = command::former_names::with_present_names(given);
+    let matches = taking_negative_numbers(Arguments::command()).get_matches_from(given);
+    let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let wire = match &arguments.command {
         command::Command::Doctor(doctor) => doctor.wire_log(),
         _ => None,
@@ -60,6 +62,11 @@ fn main() -> ExitCode {
     start_log(arguments.verbose, wire);
     let outcome = panics::caught(|| command::run(arguments.command, Arguments::command));
     exit::report(&outcome.unwrap_or_else(|panicked| Err(panicked.into())))
+}
+
+/// Lets options have negative numbers, so that a wrong one is refused as the value that it is, and not as an unknown option.
+fn taking_negative_numbers(command: clap::Command) -> clap::Command {
+    command.allow_negative_numbers(true).mut_subcommands(taking_negative_numbers)
 }
 
 fn start_log(verbose: u8, wire: Option<&command::WireLog>) {

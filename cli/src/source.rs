@@ -329,17 +329,18 @@ fn board_at(address: &Address, options: &SourceOptions) -> anyhow::Result<Source
 /// Starts a board with the waveform of the options, or else with its own.
 fn board(detected: Detected, at: impl Display, options: &SourceOptions) -> anyhow::Result<Source> {
     let wanted = options.waveform.as_ref().or(options.model_waveform.as_ref());
-    let waveform = wanted.cloned().or_else(|| detected.waveform()).context(match &detected {
-        Detected::Deepcraft(_) => {
-            "the board is set to no waveform that this program understands\n\nhint: name one with --waveform FILE.toml"
-        }
-        _ => "the board has not been told a waveform\n\nhint: name one with --waveform paper or --waveform FILE.toml",
-    })?;
+    let hint = match &detected {
+        Detected::Deepcraft(_) => "FILE.toml",
+        _ => "paper or --waveform FILE.toml",
+    };
+    let waveform = wanted.cloned().or_else(|| detected.waveform());
+    let waveform = waveform
+        .with_context(|| format!("{}\n\nhint: name one with --waveform {hint}", detected.lack_of_waveform()))?;
     // Boards may disconnect by accident; frames lost meanwhile are a gap.
     let default = Reconnect::default();
     let reconnect = Reconnect { give_up_after: options.give_up_after.unwrap_or(default.give_up_after), ..default };
-    let StartedBoard { frames, identity, registers, outage } = detected.start(&waveform, reconnect)?;
-    let description = format!("{} on {at}", identity.as_ref().map_or("ESP32", |board| board.name.as_str()));
+    let StartedBoard { frames, name, identity, registers, outage } = detected.start(&waveform, reconnect)?;
+    let description = format!("{name} on {at}");
     Ok(Source { is_live: true, board: identity, registers, outage, ..Source::without_board(frames, description) })
 }
 

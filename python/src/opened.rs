@@ -190,14 +190,11 @@ fn board_at(address: &Address, options: &Options) -> Outcome<Opened> {
 /// Starts a board with the waveform of the options, or else with its own.
 fn board(detected: Detected, at: impl Display, options: &Options) -> Outcome<Opened> {
     let waveform = options.waveform.clone().or_else(|| detected.waveform()).ok_or_else(|| {
-        let lack = match &detected {
-            Detected::Deepcraft(_) => "is set to no waveform that this package understands",
-            _ => "has not been told a waveform",
-        };
-        format!("the board {lack}\n\nhint: give open() a waveform, such as radome.Waveform.load('paper')")
+        let lack = detected.lack_of_waveform();
+        format!("{lack}\n\nhint: give open() a waveform, such as radome.Waveform.load('paper')")
     })?;
-    let StartedBoard { frames, identity, .. } = detected.start(&waveform, options.reconnect()?)?;
-    let description = format!("{} on {at}", identity.as_ref().map_or("ESP32", |board| board.name.as_str()));
+    let StartedBoard { frames, name, identity, .. } = detected.start(&waveform, options.reconnect()?)?;
+    let description = format!("{name} on {at}");
     Ok(Opened { board: identity, ..Opened::new(frames, true, description) })
 }
 

@@ -28,7 +28,9 @@ pub fn paths<'py>(py: Python<'py>, scene: PathBuf, options: &Bound<'py, PyAny>) 
     let list = detached(py, || {
         fork::check_pools("the simulator")?;
         if !(0.0..=PathListOptions::LATEST_S).contains(&time_s) {
-            return Err(format!("time_s is {time_s}, not within a day\n\nhint: give seconds from the first frame on").into());
+            return Err(
+                format!("time_s is {time_s}, not within a day\n\nhint: give seconds from the first frame on").into()
+            );
         }
         let options = PathListOptions { seed, people, person, time_s, margin_db };
         Ok(PathList::new(&Scene::load(&scene)?, &options)?)

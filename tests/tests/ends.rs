@@ -338,9 +338,8 @@ fn wrong_use_ends_with_2() {
     }
     for option in ["--on-delay-s", "--off-delay-s", "--speed"] {
         for value in ["nan", "inf", "-3"] {
-            let argument = format!("{option}={value}");
-            let (status, _, said) = outcome(command!("live x.mcap", &argument));
-            assert!(status == Some(2) && said.contains("0 or more"), "{argument}: {said}");
+            let (status, _, said) = outcome(command!("live x.mcap", option, value));
+            assert!(status == Some(2) && said.contains("0 or more"), "{option} {value}: {said}");
         }
     }
 }

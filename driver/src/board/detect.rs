@@ -45,12 +45,26 @@ pub enum Detected {
 pub struct StartedBoard {
     /// Frames of the board, which is opened again if it is lost.
     pub frames: Box<dyn FrameSource>,
+    /// Name that the board tells, or that of its kind.
+    pub name: String,
     /// Identity; `None` of a board that only prints.
     pub identity: Option<BoardIdentity>,
     /// Registers that the chip was programmed with; empty if the host does not program it.
     pub registers: RegisterList,
     /// Whether the board is away.
     pub outage: Outage,
+}
+
+impl StartedBoard {
+    fn with_identity(
+        frames: impl FrameSource + 'static,
+        identity: BoardIdentity,
+        registers: RegisterList,
+        outage: Outage,
+    ) -> Self {
+        let name = identity.name.clone();
+        StartedBoard { frames: Box::new(frames), name, identity: Some(identity), registers, outage }
+    }
 }
 
 impl Detected {
@@ -77,6 +91,14 @@ impl Detected {
         }
     }
 
+    /// Error of a board whose [`Detected::waveform`] is `None`, where the user names none either.
+    pub fn lack_of_waveform(&self) -> &'static str {
+        match self {
+            Detected::Deepcraft(_) => "the board is set to no waveform that radome understands",
+            Detected::Mcu7(..) | Detected::Esp32(_) => "the board has not been told a waveform",
+        }
+    }
+
     /// Programs the board with a waveform and starts its frames. A board that prints its frames keeps its own waveform.
     ///
     /// # Errors
@@ -84,21 +106,21 @@ impl Detected {
     pub fn start(self, waveform: &Waveform, reconnect: Reconnect) -> Result<StartedBoard, BoardError> {
         Ok(match self {
             Detected::Mcu7(board, _) => {
-                let identity = Some(board.identity().clone());
+                let identity = board.identity().clone();
                 let stream = board.start(waveform)?.with_reconnect(reconnect);
                 let (registers, outage) = (stream.registers().clone(), stream.outage());
-                StartedBoard { frames: Box::new(stream), identity, registers, outage }
+                StartedBoard::with_identity(stream, identity, registers, outage)
             }
             Detected::Deepcraft(board) => {
-                let identity = Some(board.identity().clone());
+                let identity = board.identity().clone();
                 let stream = board.start(waveform)?.with_reconnect(reconnect);
                 let (registers, outage) = (stream.registers().clone(), stream.outage());
-                StartedBoard { frames: Box::new(stream), identity, registers, outage }
+                StartedBoard::with_identity(stream, identity, registers, outage)
             }
             Detected::Esp32(stream) => {
                 let stream = stream.with_reconnect(reconnect);
-                let outage = stream.outage();
-                StartedBoard { frames: Box::new(stream), identity: None, registers: RegisterList::new(), outage }
+                let (name, outage) = ("ESP32".to_owned(), stream.outage());
+                StartedBoard { frames: Box::new(stream), name, identity: None, registers: RegisterList::new(), outage }
             }
         })
     }
