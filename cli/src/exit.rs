@@ -10,8 +10,8 @@ pub const HELP: &str = "Examples:\n  \
                         radome board list\n  \
                         radome live auto --view\n\n\
                         Exit status: 0 done, 1 failed, 2 wrong use, 3 done but something was lost. A closed stdout ends a command \
-                        quietly with 0. Ctrl-C and SIGTERM end in order what streams, records, simulates or builds, and other \
-                        commands at once; a second one ends all at once with 130.";
+                        quietly with 0. After Ctrl-C or SIGTERM, commands that stream, record, simulate or build complete their \
+                        files, and others end at once. Repeated after a second, either signal ends any command at once with 130.";
 
 /// Outcome of a command that did not fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

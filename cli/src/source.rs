@@ -40,7 +40,7 @@ pub struct SourceArgs {
     /// Recording, SCENE.toml, serial:PORT, usb:, deepcraft:PORT, auto, or emulated:SOURCE
     #[arg(value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
     pub source: String,
-    /// Waveform to program a board with, or to simulate a scene in: `paper`, a .toml file, a model file, room-hqnn, or a recording
+    /// Waveform to program a board with, or to simulate a scene in: paper, room-hqnn, a .toml file, a model file, or a recording
     #[arg(long, value_hint = clap::ValueHint::AnyPath)]
     pub waveform: Option<String>,
     /// Stop after this number of frames

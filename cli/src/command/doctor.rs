@@ -22,8 +22,8 @@ pub use wire::WireLog;
 /// `radome doctor`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Also open this source and judge frames of it: serial:PORT, auto, a recording, ... Without it, attached boards
-    /// are only identified
+    /// Also read frames of this source: serial:PORT, auto, a recording, ... With --model they are classified. Without a source,
+    /// attached boards are only identified
     #[arg(value_hint = clap::ValueHint::AnyPath)]
     source: Option<String>,
     /// Model to check: whether it can be read, and whether it fits the source
@@ -31,11 +31,11 @@ pub struct Arguments {
     model: Option<PathBuf>,
     #[command(flatten)]
     broker: BrokerArguments,
-    /// Folder for recordings to check: space, speed, permission
+    /// Folder for recordings, whose space, speed and permission are checked
     #[arg(long, value_name = "DIR", default_value = ".")]
     record_to: PathBuf,
-    /// Pack the data for a bug report into this new archive: checks, board, registers, frames, bytes on the wire. Tokens such as
-    /// <path-1> replace paths, names of users and hosts, addresses, serial numbers and logins
+    /// Pack the data for a bug report into this new archive: checks, board, registers, frames, bytes of the board's protocol.
+    /// Tokens such as <path-1> replace paths, names of users and hosts, addresses, serial numbers and logins
     #[arg(long, value_name = "FILE.zip")]
     bundle: Option<PathBuf>,
     /// Print one JSON object per check

@@ -29,17 +29,17 @@ pub const UNSEEN_SEED: u64 = 100_001;
                         radome live night.mcap --view\n  \
                         radome live auto --mqtt mqtt://radar@homeassistant.local --mqtt-password-file radar.password\n\n\
                         Exit status: 0 if all went well, 3 if frames are missing in the recording of -o (0 with --allow-loss), 1 if the \
-                        source, the recording or the program failed. A recording that fails, as on a full disk, is said at once and \
-                        marked unfinished; answers go on without it, and the status is 1 at the end.")]
+                        source, the recording or the program failed. If the recording fails, as on a full disk, live reports it at \
+                        once, marks the file unfinished, goes on classifying, and ends with 1.")]
 pub struct Arguments {
     #[command(flatten)]
     pub source: SourceArgs,
-    /// Model file, whose waveform a board is programmed with; room-hqnn, which is built in and takes nearly any waveform; or
-    /// cfar, the classical detector, for any waveform of at least 20 samples and 2 chirps
+    /// Model file; room-hqnn, which is built in and takes nearly any waveform; or cfar, the classical detector, for any waveform
+    /// of at least 20 samples and 2 chirps. A board is programmed with the model's waveform, which cfar does not have
     #[arg(long, default_value = BUILT_IN)]
     pub model: PathBuf,
-    /// Record frames and answers to this MCAP file. In a folder it is a file with the time (UTC) as its name; {time} in a name stands
-    /// for the time
+    /// Record frames and answers to this MCAP file. In a folder, the file is named by the time (UTC); {time} in a name is replaced
+    /// by the time
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: Option<PathBuf>,
     /// End with exit status 0 instead of 3 if frames are missing in the recording of -o

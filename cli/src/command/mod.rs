@@ -28,14 +28,14 @@ pub enum Command {
     Demo(demo::Arguments),
     /// Classify a source as it comes: the room is empty, holds one person, or holds two or more
     Live(live::Arguments),
-    /// Record a source to a file; every lost frame is counted
+    /// Record a source to a file, with a gap where frames are lost
     Record(record::Arguments),
-    /// Check what could keep the program from working: permissions, ports, library, model and board, disk
+    /// Check this machine for problems: permissions, ports, ONNX Runtime, model, board, disk
     Doctor(doctor::Arguments),
     /// Boards: list, configure, emulate, reset
     #[command(subcommand)]
     Board(board::Action),
-    /// Recordings: convert, repair, label; answers, maps and echoes
+    /// Recordings: show, convert, repair, label; answers, maps and echoes
     #[command(subcommand)]
     Recording(recording::Action),
     /// Scenes: simulate, preview, calibrate, pair

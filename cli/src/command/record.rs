@@ -22,12 +22,12 @@ use crate::{labels, output};
 #[command(after_help = "Examples:\n  \
                         radome record auto --waveform room-hqnn -o night.mcap\n  \
                         radome record serial:/dev/ttyACM0 --waveform room-hqnn --frames 600 -o recordings/\n\n\
-                        Exit status: 0 if every frame is there, 3 if frames are missing (0 with --allow-loss), 1 if the source, the disk \
-                        or the program failed. Whatever ended it, the file holds what was captured.")]
+                        Exit status: 0 if no frame is missing, 3 if frames are missing (0 with --allow-loss), 1 if the source, the disk \
+                        or the program failed, or if --max-dropped is exceeded. In each case the file holds what was captured.")]
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
-    /// MCAP file to write. In a folder it is a file with the time (UTC) as its name; {time} in a name stands for the time
+    /// MCAP file to write. In a folder, the file is named by the time (UTC); {time} in a name is replaced by the time
     #[arg(short, long, value_name = "FILE.mcap")]
     output: PathBuf,
     #[command(flatten)]

@@ -15,7 +15,7 @@ use crate::exit::Ended;
 pub enum Action {
     /// Show format, length, waveform, board, labels and model of a recording
     Info(info::Arguments),
-    /// Convert a recording to another format: MCAP, Infineon's folder, text
+    /// Convert a recording to another format: MCAP, Infineon's folder, text, or a file for viewers
     Convert(convert::Arguments),
     /// Save what can be read of a cut or damaged recording to a new file, and report what is lost
     Repair(repair::Arguments),
@@ -29,7 +29,7 @@ pub enum Action {
     Answers(answers::Arguments),
     /// Compute range-Doppler maps of a source, as an array or a picture
     Maps(maps::Arguments),
-    /// Measure range, speed, azimuth and elevation of echoes; calibrate phase and gain between receivers
+    /// Measure range, speed, azimuth and elevation of echoes, or phase offsets between the receivers
     Echoes(echoes::Arguments),
 }
 

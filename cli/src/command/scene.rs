@@ -8,7 +8,7 @@ mod simulate;
 
 #[derive(clap::Subcommand)]
 pub enum Action {
-    /// Simulate a scene: raw frames, truth and labels
+    /// Simulate a scene: raw frames with truth
     Simulate(simulate::Arguments),
     /// List every path between the antennas at one time: surfaces, length, delay, Doppler shift, gain, phase
     Paths(paths::Arguments),

@@ -44,7 +44,7 @@ use shared::{About, Shared};
 /// Options of the page.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Serve a live page on this machine. Recordings are played in real time, and stay open at their end
+    /// Serve a live page on this machine. Recordings are played in real time, and the page stays open at their end
     #[arg(long)]
     view: bool,
     /// Address of the page; only this machine can reach the default. A page that the network can reach requires the token in its link
@@ -55,8 +55,8 @@ pub struct Arguments {
     read_only_labels: bool,
     #[command(flatten)]
     pub access: access::Arguments,
-    /// Folder of `radome scene pair` for the recording, whose simulated partner the page shows; NAME-pair beside NAME.mcap if
-    /// absent
+    /// Folder that `radome scene pair` made for the recording: the page also shows the simulated recording in it. NAME-pair beside
+    /// NAME.mcap if absent
     #[arg(long, value_name = "DIR", requires = "view")]
     pair: Option<PathBuf>,
 }

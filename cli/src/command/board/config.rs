@@ -8,7 +8,7 @@ use crate::{output, source};
 /// `radome board config`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// `paper`, room-hqnn, a .toml file with the fields of a waveform, a model file, or a recording
+    /// paper, room-hqnn, a .toml file with the fields of a waveform, a model file, or a recording
     #[arg(default_value = "paper", value_hint = clap::ValueHint::AnyPath)]
     waveform: String,
     /// Also show the compiled register list, with the names of registers and fields

@@ -41,7 +41,7 @@ pub struct Arguments {
     /// Protocol of the board
     #[arg(long, value_enum, default_value_t)]
     protocol: Protocol,
-    /// Symbolic link to the pseudo-terminal, so that its path is always the same; for mcu7-bulk, folder of the endpoints
+    /// Symbolic link to the pseudo-terminal, so that clients have a fixed path; for mcu7-bulk, folder of the endpoints
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
     /// Serve on this terminal instead, such as a USB gadget's /dev/ttyGS0; for mcu7-bulk, on a mounted FunctionFS
@@ -53,10 +53,11 @@ pub struct Arguments {
     /// Time that a request takes to reach the board, as over USB; frames are not delayed
     #[arg(long, value_name = "MS", default_value = "1.5", value_parser = milliseconds)]
     latency_ms: Duration,
-    /// Faults: `drop 5, flip 12:345, unplug 70:2.5, slow 80:0.5, chip 0x606`; packets count from 0
+    /// Faults at packets, which count from 0: `drop PACKET`, `flip PACKET:BIT`, `unplug PACKET:SECONDS`, `slow PACKET:SECONDS`;
+    /// `chip ID` is another chip. Commas between several, such as `drop 5, flip 12:345, chip 0x606`
     #[arg(long, value_delimiter = ',')]
     faults: Vec<Fault>,
-    /// Pace, as a multiple of real time; 0 is as fast as the host reads
+    /// Pace as a multiple of real time; 0 is as fast as the host reads
     #[arg(long, default_value_t = 1.0, value_parser = source::not_negative)]
     speed: f64,
     /// Seed of a simulation, and of the board's temperature

@@ -13,8 +13,7 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(500);
 /// `radome board list`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Probe every serial port for a board, not only ports with a board's USB ids. Other devices then receive requests that
-    /// they may not know
+    /// Also send requests to serial ports without a board's USB ids. Other devices on them may not know these requests
     #[arg(long, alias = "ask-all")]
     probe: bool,
     /// Report what is plugged in or unplugged, until stopped

@@ -31,10 +31,11 @@ const SIMULATED_FRAMES: u64 = 100;
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
-    /// Angle offsets between this board's receivers, from a file that --reflector wrote
+    /// Phase offsets between this board's receivers, from a file that --reflector wrote
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
-    /// Measure the receivers' angle offsets with a reflector at this place, in metres and degrees to the left and up; nothing may move
+    /// Measure the phase offsets between the receivers with a reflector at this place, in metres and degrees to the left and up.
+    /// Nothing may move meanwhile
     #[arg(
         long,
         value_name = "RANGE_M,AZIMUTH_DEG,ELEVATION_DEG",
@@ -43,7 +44,7 @@ pub struct Arguments {
         num_args = 1
     )]
     reflector: Option<Vec<f64>>,
-    /// File to write the angle offsets to
+    /// File to write the phase offsets to
     #[arg(short, long, value_name = "FILE", requires = "reflector")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -74,7 +75,7 @@ struct Said {
     is_still: bool,
 }
 
-/// Prints ranges, speeds and directions of moving echoes, frame by frame; or angle offsets of the receivers.
+/// Prints ranges, speeds and directions of moving echoes, frame by frame; or phase offsets between the receivers.
 ///
 /// # Errors
 /// The source or the angles cannot be read, or no reflector is found.
@@ -157,7 +158,7 @@ fn reflector(numbers: &[f64]) -> anyhow::Result<[f64; 3]> {
     Ok([range_m, azimuth_deg, elevation_deg])
 }
 
-/// Computes angle offsets between the receivers from a reflector at a known position. `find` finds the strongest echo
+/// Computes phase offsets between the receivers from a reflector at a known position. `find` finds the strongest echo
 /// in a range interval.
 fn calibrate(
     arguments: &Arguments,

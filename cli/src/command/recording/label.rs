@@ -33,10 +33,10 @@ pub struct Arguments {
     /// Add labels from the truth of the frames, which simulations have, or from a classical detector
     #[arg(long, value_name = "PROPOSER", value_enum, group = "what")]
     propose: Option<Proposer>,
-    /// Cut the labels of classes that are there where the new ones overlap them. Without it, overlaps are refused
+    /// Cut existing labels of classes where new ones overlap them. Without it, overlaps are refused
     #[arg(long, requires = "what", conflicts_with = "output")]
     replace: bool,
-    /// Interval from which all labels are cut out; may be given several times
+    /// Interval in which all labels are removed; may be given several times
     #[arg(long, value_name = "START_S:END_S", value_parser = parse_interval, allow_hyphen_values = true, conflicts_with = "output")]
     erase: Vec<(f64, f64)>,
     /// Write the labels to this file, .txt or .label, instead of adding them to the recording. Without --span, --from and --propose,

@@ -33,15 +33,15 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Options that name a broker.
 #[derive(clap::Args, Default)]
 pub struct BrokerArguments {
-    /// MQTT broker, and Home Assistant through it: mqtt://[USER@]HOST[:PORT], or mqtts:// with encryption. RADOME_MQTT_USER may
-    /// name the user instead
+    /// MQTT broker, as for Home Assistant: mqtt://[USER@]HOST[:PORT], or mqtts:// with encryption. RADOME_MQTT_USER may name the
+    /// user instead
     #[arg(long = "mqtt", id = "mqtt", value_name = "URL")]
     pub url: Option<String>,
     /// File whose first line is the password at the broker; only its owner and group may read it. Without it, the password
     /// is RADOME_MQTT_PASSWORD
     #[arg(long, value_name = "FILE", requires = "mqtt")]
     pub mqtt_password_file: Option<PathBuf>,
-    /// Certificates to verify the broker with, instead of the system's
+    /// Certificates with which the broker is verified, instead of the system's
     #[arg(long, value_name = "FILE.pem", requires = "mqtt")]
     pub mqtt_ca: Option<PathBuf>,
 }

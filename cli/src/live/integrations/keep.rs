@@ -24,7 +24,7 @@ use crate::panics::{Panicked, lock};
 #[derive(clap::Args, Default)]
 pub struct Arguments {
     /// Keep the last frames, and save them in this folder when somebody reports a wrong answer: with a button in Home
-    /// Assistant, with POST to /report/empty on the metrics' address, or with SIGUSR1 (false alarm)
+    /// Assistant, with POST to /report/empty, one or two on the metrics' address, or with SIGUSR1 (empty)
     #[arg(long, value_name = "DIR")]
     keep_to: Option<PathBuf>,
     /// Seconds of the past to keep

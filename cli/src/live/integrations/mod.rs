@@ -37,7 +37,7 @@ use crate::exit::WrongUse;
 pub struct Arguments {
     #[command(flatten)]
     broker: BrokerArguments,
-    /// Name of the radar in Home Assistant and in the title of its page; also its identity if the board has none
+    /// Name of the radar in Home Assistant and in the title of the page; also its identity if the board has none
     #[arg(long, value_name = "NAME", requires = "mqtt")]
     mqtt_name: Option<String>,
     /// Topic prefix under which Home Assistant looks for devices
