@@ -58,7 +58,8 @@ pub fn network(name: &Path) -> anyhow::Result<radome_models::Model> {
 fn check_exists(name: &Path) -> anyhow::Result<()> {
     ensure!(
         name.exists(),
-        "{}: there is no such model\n\nhint: name a model's file, or {BUILT_IN}, which is built in",
+        "{}: there is no such model\n\nhint: name a model's file, such as fixtures/models/room-linear.safetensors, or {BUILT_IN}, which is built in; \
+         live also takes cfar",
         name.display()
     );
     Ok(())

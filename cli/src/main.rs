@@ -78,6 +78,7 @@ fn start_log(verbose: u8, wire: Option<&command::WireLog>) {
     let has_colours = std::io::stderr().is_terminal() && !is_plain;
     let talk =
         tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(has_colours).log_internal_errors(false);
-    let talk = talk.without_time().with_filter(filter);
+    // Modules are of use to those who look for details.
+    let talk = talk.without_time().with_target(verbose > 0).with_filter(filter);
     tracing_subscriber::registry().with(talk).with(wire.map(command::WireLog::layer)).init();
 }

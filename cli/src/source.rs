@@ -229,8 +229,8 @@ fn open_unguarded(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
     let path = Path::new(spec);
     ensure!(
         path.exists(),
-        "{spec}: there is no such file or folder\n\nhint: a SOURCE is a recording, SCENE.toml, serial:PORT, usb:, auto, or \
-         emulated:SOURCE; radome board list lists the boards"
+        "{spec}: there is no such file or folder\n\nhint: a SOURCE is a recording, SCENE.toml, serial:PORT, deepcraft:PORT, \
+         usb:, auto, or emulated:SOURCE; radome board list lists the boards"
     );
     // Reading from a terminal would wait for somebody to type.
     if is_device(path) {

@@ -131,7 +131,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     outcome?;
     let is_lost = has_gaps.is_some_and(|has_gaps| has_gaps.load(Ordering::Relaxed)) && !arguments.allow_loss;
     if is_lost {
-        message!("frames are missing in the recording; --allow-loss takes that for success");
+        message!("frames are missing in the recording; with --allow-loss this is no error");
     }
     Ok(Ended::with_loss(is_lost))
 }

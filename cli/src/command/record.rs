@@ -86,7 +86,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         bail!("{dropped} frames were lost{more}, at most {most} allowed");
     }
     if gaps > 0 && !arguments.allow_loss {
-        message!("frames are missing (gaps: {gaps}); --allow-loss takes that for success");
+        message!("frames are missing (gaps: {gaps}); with --allow-loss this is no error");
     }
     Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
 }

@@ -208,6 +208,14 @@ struct Login {
     session: String,
 }
 
+/// Parses the address of a port.
+///
+/// # Errors
+/// The text is not an IP address and a port.
+pub fn address(text: &str) -> Result<SocketAddr, &'static str> {
+    text.parse().map_err(|_| "expected an IP address and a port, such as 127.0.0.1:8060")
+}
+
 impl Access {
     /// Creates the policy of a port that is served at `address`. With a token, clients must present it.
     pub fn new(address: SocketAddr, arguments: &Arguments, token: Option<&Token>) -> Self {

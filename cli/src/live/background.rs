@@ -119,7 +119,12 @@ impl Background {
     /// The file cannot be read or was captured with another model.
     pub fn load(path: &Path, judge: &Judge) -> anyhow::Result<Self> {
         let named = || format!("{} is no capture of an empty room", path.display());
-        let text = read(path, LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = read(path, LIMIT_BYTES).with_context(|| {
+            format!(
+                "cannot read {}\n\nhint: radome model background SOURCE -o FILE.json captures an empty room",
+                path.display()
+            )
+        })?;
         let background: Background = serde_json::from_slice(&text).with_context(named)?;
         if background.format != FORMAT {
             bail!("{}: format {}, this program reads {FORMAT}", path.display(), background.format);

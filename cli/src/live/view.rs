@@ -48,7 +48,7 @@ pub struct Arguments {
     #[arg(long)]
     view: bool,
     /// Address of the page; only this machine can reach the default. A page that the network can reach requires the token in its link
-    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8060", requires = "view")]
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8060", requires = "view", value_parser = access::address)]
     listen: SocketAddr,
     /// Let pages show and download labels, but not change them
     #[arg(long, requires = "view")]

@@ -170,7 +170,7 @@ pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>
     let mut examined = Examined { description: opened.description, header, frames: Vec::new() };
     let mut judge = match model.map(|model| model.judge(&waveform)) {
         Some(Ok(judge)) => {
-            checks.push(Check::ok("fit", "the model was made for such frames"));
+            checks.push(Check::ok("fit", "the model takes these frames"));
             Some(judge)
         }
         Some(Err(error)) => {
@@ -192,7 +192,8 @@ struct Seen {
     unknown: u64,
     /// Samples at the lowest or highest code.
     saturated: usize,
-    slowest: Duration,
+    /// Longest time to classify one of them; `None` where no model is checked.
+    slowest: Option<Duration>,
 }
 
 /// Reads the first frames and reports how many arrive, how many are lost, and how long each takes to classify.
@@ -209,14 +210,14 @@ fn frames(
     while kept.len() < FRAMES && start.elapsed() < PATIENCE {
         match source.next_frame(&mut frame) {
             Ok(SourceEvent::Frame) => {
-                let at_rail = |code: &&u16| matches!(**code, 0 | radome_dsp::MAX_CODE);
-                seen.saturated += frame.codes.iter().filter(at_rail).count();
+                let is_saturated = |code: &&u16| matches!(**code, 0 | radome_dsp::MAX_CODE);
+                seen.saturated += frame.codes.iter().filter(is_saturated).count();
                 let asked = Instant::now();
                 match judge.as_mut().map(|judge| judge.frame(&frame)) {
                     Some(Err(error)) => return Check::error("frames", &error),
                     // The first frame is not timed: it includes the setup.
                     Some(Ok(Prediction::Probabilities(_))) if !kept.is_empty() => {
-                        seen.slowest = seen.slowest.max(asked.elapsed())
+                        seen.slowest = seen.slowest.max(Some(asked.elapsed()))
                     }
                     _ => {}
                 }
@@ -239,10 +240,11 @@ impl Seen {
         let Seen { lost, unknown, saturated, slowest } = self;
         let more = lost_besides(*unknown);
         let found = format!(
-            "{count} frames in {:.1} s, {lost} lost{more}, {saturated} samples at a rail, slowest answer {:.1} ms of {:.0} ms",
+            "{count} frames in {:.1} s, {lost} lost{more}, {saturated} saturated samples{}",
             took.as_secs_f64(),
-            slowest.as_secs_f64() * 1e3,
-            interval_s * 1e3
+            slowest.map_or_else(String::new, |slowest| {
+                format!(", slowest answer {:.1} ms of {:.0} ms", slowest.as_secs_f64() * 1e3, interval_s * 1e3)
+            }),
         );
         if count == 0 {
             let hint = match is_live {
@@ -262,7 +264,7 @@ impl Seen {
             };
             return Check::warn("frames", found, hint);
         }
-        if is_live && slowest.as_secs_f64() > interval_s {
+        if is_live && slowest.is_some_and(|slowest| slowest.as_secs_f64() > interval_s) {
             return Check::warn("frames", found, "this machine is too slow for the model: frames will be dropped");
         }
         if *saturated > 0 {

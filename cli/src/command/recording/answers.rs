@@ -39,7 +39,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let judge = recording.header().judge;
     let Some((results, judge)) = recording.results()?.zip(judge) else {
         bail!(
-            "{named} holds no results\n\nhint: radome live SOURCE --model M -o FILE.mcap records them with the frames"
+            "{named} holds no answers\n\nhint: radome live SOURCE --model M -o FILE.mcap records them with the frames"
         );
     };
     message!(

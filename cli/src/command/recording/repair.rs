@@ -44,7 +44,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     }
     for gap in &report.lost {
         match gap.frames {
-            0 => message!("frames lost from {} on, nobody knows how many", gap.first_sequence),
+            0 => message!("an unknown number of frames lost from {} on", gap.first_sequence),
             frames => message!("{frames} frames lost from {} on", gap.first_sequence),
         }
     }

@@ -54,11 +54,6 @@ impl Device {
         format!("radome-{}", self.id)
     }
 
-    /// Returns whether the board or the user has named it. The broker cannot distinguish two unnamed radars.
-    pub fn has_own_name(&self) -> bool {
-        self.id != UNNAMED
-    }
-
     /// Topic of the availability, `online` or `offline`, retained.
     pub fn availability_topic(&self) -> String {
         format!("radome/{}/availability", self.id)

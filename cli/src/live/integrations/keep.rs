@@ -244,7 +244,7 @@ impl Saving {
                 Err(_) => return,
             };
             if last.is_some_and(|last| last.elapsed() < LEAST_INTERVAL) {
-                tracing::warn!("a report ({}) within five seconds of another is not believed", report.by);
+                tracing::warn!("a report ({}) within five seconds of another is ignored", report.by);
                 count(&self.latest.counters.reports_refused);
                 continue;
             }

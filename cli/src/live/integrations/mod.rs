@@ -11,7 +11,6 @@ pub mod mqtt;
 mod systemd;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -45,7 +44,7 @@ pub struct Arguments {
     mqtt_discovery_prefix: String,
     /// Serve /metrics for Prometheus, and /health. If the network can reach this address, --token-file is required, and Prometheus
     /// sends the token as authorization: credentials_file
-    #[arg(long, value_name = "ADDRESS:PORT")]
+    #[arg(long, value_name = "ADDRESS:PORT", value_parser = access::address)]
     metrics: Option<SocketAddr>,
     #[command(flatten)]
     keep: keep::Arguments,

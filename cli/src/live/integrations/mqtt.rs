@@ -61,7 +61,6 @@ impl Mqtt {
             let (hears, mut heard) = mpsc::channel(16);
             let listener = Listener {
                 broker: self.broker.clone(),
-                has_own_name: self.device.has_own_name(),
                 state_topic: self.device.state_topic(),
                 hub_topic: self.device.hub_topic(),
                 report_topic: self.device.report_topic(),
@@ -132,7 +131,6 @@ impl Closings {
 /// Runs the connection and extracts relevant messages.
 struct Listener {
     broker: Broker,
-    has_own_name: bool,
     state_topic: String,
     hub_topic: String,
     report_topic: Option<String>,
@@ -171,7 +169,7 @@ impl Listener {
                         if since.elapsed() > GOOD_CONNECTION {
                             wait = first_wait;
                         }
-                        if !self.has_own_name && closings.are_too_many() {
+                        if closings.are_too_many() {
                             self.warn_of_another();
                         }
                     }
