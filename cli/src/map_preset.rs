@@ -5,13 +5,13 @@ use radome_dsp::{RdmSpec, Waveform};
 /// Kind of range-Doppler map.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum MapPreset {
-    /// All receivers, codes minus 2048 over 2048, Hann x Hann, dBFS, nothing removed
+    /// All receivers, (code - 2048) / 2048, Hann windows, dBFS, nothing removed
     #[default]
     #[value(alias = "house")]
     Default,
-    /// Normalised as the paper's statistics
+    /// As in the paper's statistics
     Paper,
-    /// Normalised as the vendor's examples
+    /// As in the vendor's examples
     Sdk,
 }
 

@@ -30,11 +30,11 @@ pub struct Arguments {
 enum Stage {
     /// Measure range-Doppler maps: 3 receivers x 128 chirps x 256 samples on one thread; compare with libraries and scipy
     Rdm(rdm::Arguments),
-    /// Measure cross-sections of canonical targets by every suitable method; compare with plain sums over patches
+    /// Measure radar cross-sections of canonical targets by every suitable method; compare with plain sums over patches
     Solver(solver::Arguments),
-    /// Measure samples from paths: 128 chirps of 256 samples on one thread; compare with the sum of exponentials
+    /// Measure the synthesis of samples from paths: 128 chirps of 256 samples on one thread; compare with the sum of exponentials
     Synthesis(synthesis::Arguments),
-    /// Measure frames of scenes beside scipy's maps; with a SCENE, people with skins beside dense physical optics
+    /// Measure the simulation of frames, relative to scipy's maps; with a SCENE, compare people as skins with dense physical optics
     Scene(scene::Arguments),
     /// Measure a training step of the networks with maps of 128 x 128; compare with PyTorch
     Train(networks::Arguments),

@@ -12,11 +12,11 @@ pub enum Action {
     Simulate(simulate::Arguments),
     /// List every path between the antennas at one time: surfaces, length, delay, Doppler shift, gain, phase
     Paths(paths::Arguments),
-    /// Draw a scene without simulating it: what stands in it, the radar's beam, and the way of each person
+    /// Draw a scene without simulating it: objects, the radar's beam, and the path of each person
     Preview(preview::Arguments),
     /// Fit a receiver to a recording; report the difference between simulation and recording before and after
     Calibrate(calibrate::Arguments),
-    /// Simulate the scene that mirrors a recording, and store the maps of both as one dataset
+    /// Simulate the people of a recording in a scene, and store the maps of both as one dataset
     Pair(pair::Arguments),
 }
 

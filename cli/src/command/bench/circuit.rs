@@ -12,7 +12,7 @@ pub struct Arguments {
     /// Inputs X0,X1,... in radians, one for each qubit
     #[arg(long, value_delimiter = ',', num_args = 1, allow_hyphen_values = true, required = true)]
     x: Vec<f64>,
-    /// Angles T0,T1,... in radians: qubits times depth + 1
+    /// Angles T0,T1,... in radians, one for each qubit and each of depth + 1 layers
     #[arg(long, value_delimiter = ',', num_args = 1, allow_hyphen_values = true, required = true)]
     theta: Vec<f64>,
     /// Qubits, 1 to 12

@@ -15,38 +15,40 @@ use super::point::least_ms;
 use crate::one_of::one_of;
 use crate::output;
 
+/// Text below the options in the help.
+const NOTES: &str = "\
+Numbers in parentheses are defaults. Azimuth and elevation are those of the radar seen from the target: azimuth from the \
+target's x axis towards y, elevation towards z. Plates, mirrors and cavities face x. A cylinder and a dihedral's edge stand \
+along z. A trihedral's edges are the three axes. Without angles, the radar is on the target's axis of symmetry.";
+
 /// `radome bench rcs`
-///
-/// Directions are those of the radar as the target sees it: azimuth from the target's x axis towards y, elevation towards z.
-/// Plates, mirrors and cavities look along x, a cylinder and a dihedral's edge stand along z, a trihedral's edges are the
-/// three axes.
-/// Without directions a target is looked at along its axis of symmetry.
 #[derive(clap::Args)]
+#[command(after_help = NOTES)]
 pub struct Arguments {
     /// plate, dihedral, trihedral, cavity, sphere, cylinder, ellipsoid, mirror, or a mesh file in metres (.stl, .obj)
     target: String,
-    /// Along y (plate, cavity: 0.05), across the edge (dihedral), diameter of the aperture (mirror: 0.2)
+    /// Size along y (plate 0.1, cavity 0.05), across the edge (dihedral 0.1), or diameter of the aperture (mirror 0.2)
     #[arg(long, value_name = "METRES")]
     width_m: Option<f64>,
-    /// Along z (cavity: 0.05)
+    /// Size along z (plate, dihedral, cylinder 0.1, cavity 0.05)
     #[arg(long, value_name = "METRES")]
     height_m: Option<f64>,
-    /// Depth (cavity: 0.05)
+    /// Depth of a cavity (0.05)
     #[arg(long, value_name = "METRES")]
     depth_m: Option<f64>,
-    /// Length of a trihedral's edges
+    /// Length of a trihedral's edges (0.1)
     #[arg(long, value_name = "METRES")]
     edge_m: Option<f64>,
-    /// Sphere, cylinder; radius of curvature of the mirror (1)
+    /// Radius of a sphere or cylinder (0.05), or radius of curvature of a mirror (1)
     #[arg(long, value_name = "METRES")]
     radius_m: Option<f64>,
-    /// Semi-axes X,Y,Z of the ellipsoid
+    /// Semi-axes X,Y,Z of an ellipsoid (0.12,0.17,0.3)
     #[arg(long, value_name = "METRES,METRES,METRES", value_delimiter = ',', num_args = 1)]
     axes_m: Option<Vec<f64>>,
-    /// Outline of a trihedral's faces
+    /// Outline of a trihedral's faces (triangular)
     #[arg(long, value_parser = one_of(OUTLINES))]
     faces: Option<Outline>,
-    /// Angle between the radar and a plate's normal
+    /// Angle between a plate's normal and the direction of the radar
     #[arg(long, value_name = "DEGREES", allow_hyphen_values = true, conflicts_with = "azimuth_deg")]
     angle_deg: Option<f64>,
     /// Azimuth of the radar
@@ -55,7 +57,7 @@ pub struct Arguments {
     /// Elevation of the radar
     #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
     elevation_deg: Option<f64>,
-    /// Range to the target: middle of a plate or aperture, corner, pole of a mirror, surface of a round body [default: infinitely far]
+    /// Range to the target: middle of a plate or aperture, corner, pole of a mirror, surface of a round body [default: far field]
     #[arg(long, value_name = "METRES")]
     range_m: Option<f64>,
     /// Frequency
@@ -64,10 +66,10 @@ pub struct Arguments {
     /// pec, skin, or a building material: concrete, plasterboard, glass, wood...
     #[arg(long, default_value = "pec")]
     material: String,
-    /// A slab of the material in air rather than a half-space
+    /// Thickness of a slab of the material in air; a half-space if absent
     #[arg(long, value_name = "METRES")]
     thickness_m: Option<f64>,
-    /// Electric field of the radar
+    /// Direction of the radar's electric field
     #[arg(long, value_parser = one_of(POLARISATIONS), default_value = "vertical")]
     polarisation: Polarisation,
     /// Method; by default one that suits the target
@@ -76,7 +78,7 @@ pub struct Arguments {
     /// Use a mesh with edges of this length instead of the exact shape
     #[arg(long, value_name = "METRES")]
     mesh_edge_m: Option<f64>,
-    /// Numerical error to aim for, dB
+    /// Target of the numerical error, dB
     #[arg(long, value_name = "DB", default_value_t = 0.1)]
     tolerance_db: f64,
     /// Rounds; the fastest counts
@@ -99,7 +101,7 @@ enum How {
     /// Stationary phase on the exact shape
     #[value(alias = "highlight")]
     Specular,
-    /// Patches of curved triangles, as people with skins are made of: closed smooth meshes
+    /// Patches of curved triangles, as for people as skins; closed smooth meshes only
     Skin,
     /// Physical optics over adaptive facets
     Facets,

@@ -19,13 +19,13 @@ use crate::source::DEFAULT_SEED;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Scene file, with `body = "mesh"`: compare people with skins at several tolerances with dense physical optics. Without it,
+    /// Scene file, with `body = "mesh"`: compare people as skins, at several tolerances, with dense physical optics. Without it,
     /// compare the times of frames of five scenes with scipy's maps
     scene: Option<PathBuf>,
     /// Python with numpy and scipy, and sionna-rt to time it too; `python3` if absent
     #[arg(long, conflicts_with = "scene")]
     python: Option<PathBuf>,
-    /// Indices of the frames to compute by dense physical optics too, which takes minutes for each
+    /// Indices of the frames to compute also by dense physical optics, which takes up to half an hour for each
     #[arg(long, value_delimiter = ',', default_value = "10,30,50", requires = "scene")]
     frames: Vec<u64>,
     /// Tolerances, dB
@@ -34,13 +34,13 @@ pub struct Arguments {
     /// Number of people
     #[arg(long, requires = "scene")]
     people: Option<usize>,
-    /// Seed of everything random
+    /// Seed of all random draws
     #[arg(long, default_value_t = DEFAULT_SEED, requires = "scene")]
     seed: u64,
-    /// Dense physical optics leaves out paths by walls this far below the noise, dB
+    /// Dense physical optics leaves out paths by walls that are further below the noise than this, dB
     #[arg(long, value_name = "DB", default_value_t = 10.0, requires = "scene")]
     dense_margin_db: f64,
-    /// Folder that keeps frames of dense physical optics for later runs
+    /// Folder that stores frames of dense physical optics for later runs
     #[arg(long, value_name = "DIR", requires = "scene")]
     dense_frames: Option<PathBuf>,
     /// Print a JSON list of objects

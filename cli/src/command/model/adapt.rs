@@ -25,8 +25,8 @@ pub struct Arguments {
     /// Model file, or room-hqnn, which is built in
     model: PathBuf,
     /// Recordings of the room: a recording with labels, RECORDING=LABELS.txt or .label, or RECORDING=empty, RECORDING=one,
-    /// RECORDING=two for a recording of one class. Each recording whose classes are all in others, too, is held out in turn to
-    /// measure the gain
+    /// RECORDING=two for a recording of one class. Each recording whose classes are also in other recordings is held out in turn,
+    /// to measure the gain
     #[arg(value_name = "RECORDING[=LABEL]", value_hint = clap::ValueHint::AnyPath, required_unless_present_any = ["empty", "curve"])]
     recordings: Vec<String>,
     /// Recording of the empty room, the same as RECORDING=empty; may be given several times

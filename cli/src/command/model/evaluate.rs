@@ -46,20 +46,20 @@ pub struct Arguments {
     /// Split of a dataset; the test split if absent
     #[arg(long, value_enum)]
     split: Option<Split>,
-    /// Also evaluate recordings with thermal noise on the raw samples, at these ratios of the signal's variance to the noise's,
-    /// dB. Samples with noise are rounded and cut off at the ends of the ADC's range, as by a board: where they reach the ends,
-    /// there is less noise than the ratio says, and less than by the `raw_snr_db` of a dataset
+    /// Also evaluate recordings with thermal noise on the raw samples, at these signal-to-noise ratios, dB. Signal power is the
+    /// variance over the whole recording. Samples with noise are rounded and clipped to the ADC's range, as by a board: at the
+    /// ends of the range there is less noise than with the `raw_snr_db` of a dataset
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...", value_parser = thermal::snr_db)]
     thermal_snr_db: Vec<f64>,
     /// Also evaluate with parts of the maps replaced by noise of the same level, and with echoes moved and weakened. This shows
     /// which parts of a map the model relies on
     #[arg(long)]
     ablate: bool,
-    /// A folder of rungs, or one rung: sets of recordings that are simulated and evaluated with all models. Every set differs
-    /// from training data in one way. Frames in which someone enters or leaves are left out
+    /// Folder of rungs, or one rung. A rung is a set of recordings that are simulated and evaluated with all models; it differs
+    /// from the training data in one way. Frames in which someone enters or leaves are left out
     #[arg(long, value_name = "DIR|FILE.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused", "split"])]
     ladder: Option<PathBuf>,
-    /// Folder that keeps the recordings of the ladder for later runs. A recording is simulated again if its last frame has changed
+    /// Folder that stores the recordings of the ladder for later runs. A recording is simulated again if its last frame has changed
     #[arg(long, value_name = "DIR", requires = "ladder")]
     keep: Option<PathBuf>,
     /// Evaluate each rung's rooms without people for this number of hours instead of its recordings, to count false alarms an

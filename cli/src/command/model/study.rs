@@ -42,8 +42,8 @@ pub struct Arguments {
     /// Only write the report of the present results
     #[arg(long)]
     report_only: bool,
-    /// Only report the numbers of all trainings and of finished ones, the hours that the others take (by a few steps of each
-    /// network), and the number of scores under conditions that are left
+    /// Only report how many trainings there are, how many are done, the hours that the others take (from a few timed steps), and
+    /// how many evaluations on conditions are left
     #[arg(long, conflicts_with_all = ["report_only", "shard"])]
     plan: bool,
     /// Print one JSON object per training, and the report; with --plan, print one object

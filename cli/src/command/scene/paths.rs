@@ -12,29 +12,32 @@ use crate::picture::scene::{DrawnPath, Preview, draw};
 use crate::source::DEFAULT_SEED;
 use crate::{files, output};
 
+/// Text below the options in the help.
+const NOTES: &str = "\
+The Doppler shift is positive if a path becomes shorter; velocities in maps are positive if the range increases. Gain is \
+received over transmitted power, with antennas of gain 1 on boresight. Phase is that of the received field in the middle of \
+the chirp.";
+
 /// `radome scene paths`
-///
-/// Lengths, delays, Doppler shifts, gains and phases of every path from the transmitter to each receiver at one time. Gain is
-/// received over transmitted power with antennas of gain 1 on boresight; phase is that of the received field in the middle of
-/// the chirp.
 #[derive(clap::Args)]
+#[command(after_help = NOTES)]
 pub struct Arguments {
     /// Scene file
     scene: PathBuf,
     /// Time since the first frame, s
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     time: f64,
-    /// List only paths by way of the person with this number; the first is 0
+    /// List only paths that meet the person with this number; the first is 0
     #[arg(long, value_name = "N")]
     person: Option<usize>,
     /// Number of people, instead of the scene's own
     #[arg(long)]
     people: Option<usize>,
-    /// Seed of everything random
+    /// Seed of all random draws
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
-    /// Leave out paths this far below the noise of a cell of the map, dB. Simulations with an error of 0.5 dB leave out paths
-    /// 10 dB below it
+    /// Leave out paths that are further below the noise of a map cell than this, dB. Simulations with a tolerance of 0.5 dB use
+    /// 10
     #[arg(long, value_name = "DB", default_value_t = 10.0, allow_hyphen_values = true)]
     margin_db: f64,
     /// PNG file to write: the paths of the first receiver, from above and from the side

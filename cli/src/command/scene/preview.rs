@@ -25,7 +25,7 @@ pub struct Arguments {
     /// Number of frames for which people are drawn
     #[arg(long, default_value_t = 400)]
     frames: u64,
-    /// Seed of everything random
+    /// Seed of all random draws
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
     /// Number of people, instead of the scene's own

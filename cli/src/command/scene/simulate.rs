@@ -29,13 +29,13 @@ pub struct Arguments {
     /// Number of frames
     #[arg(long, default_value_t = 400)]
     frames: u64,
-    /// Seed of everything random
+    /// Seed of all random draws
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
     /// Number of people, instead of the scene's own
     #[arg(long)]
     people: Option<usize>,
-    /// Error of the echoes in the maps to aim for, rms over the cells above noise, dB; 0.5 if absent
+    /// Target error of the echoes in the maps, rms over the cells above noise, dB; 0.5 if absent
     #[arg(long, value_name = "DB")]
     tolerance_db: Option<f64>,
     /// Simulate only part I of N (from 0) of the frames, into a file such as NAME-shard-00003-of-00008.mcap; `auto/N` or `auto`

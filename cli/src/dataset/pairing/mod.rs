@@ -65,7 +65,7 @@ pub struct Settings {
     /// Body height of the people, m
     #[arg(long, value_name = "METRES", default_value_t = 1.75)]
     height_m: f64,
-    /// People who stay in one place are sitting
+    /// Simulate people who stay in one place as sitting
     #[arg(long)]
     seated: bool,
     /// Kind of map

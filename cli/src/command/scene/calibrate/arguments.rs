@@ -19,8 +19,8 @@ pub struct Arguments {
     pub output: Option<PathBuf>,
     #[command(flatten)]
     pub overwrite: Overwrite,
-    /// Scene that the recordings show, with their waveform; empty space if absent. Static echoes in the scene and the recordings
-    /// give the strength of echoes, and moving people are compared
+    /// Scene that the recordings show, with their waveform; empty space if absent. With a scene, its static echoes give the
+    /// strength of echoes, and moving people are compared
     #[arg(long, value_name = "FILE.toml")]
     pub scene: Option<PathBuf>,
     /// Receiver file with the values that are not measured; typical values of the datasheet if absent
