@@ -1,12 +1,13 @@
-//! Chirp frames from bytes: boards, protocols, recordings, the emulated board.
+//! Frames of chirps from bytes: boards, protocols, recordings, emulated boards.
 //!
-//! Everything that provides frames is a [`FrameSource`](radome_dsp::FrameSource): a [`Mcu7Stream`], a recording
-//! ([`recording::Recording`]), and either of them paced by [`RealTime`]. So are a recording that can be paused and
-//! sought ([`Player`]), and any source sent through an emulated board ([`EmulatedSource`]). Parsing is a pure function
-//! over bytes beside its encoder ([`protocol`], [`chip`]); input and output wrap it ([`board`], [`emulator`]). The
-//! library never prints: it reports errors and `tracing` events.
+//! All providers of frames implement [`FrameSource`](radome_dsp::FrameSource): streams of boards ([`Mcu7Stream`],
+//! [`DeepcraftStream`], [`Esp32Stream`]), recordings ([`recording::Recording`]), sources in real time ([`RealTime`]),
+//! recordings that can be paused and sought ([`Player`]), and sources sent through an emulated board
+//! ([`EmulatedSource`]). Parsers are pure functions over bytes, beside their encoders ([`protocol`], [`chip`]). Other
+//! modules do input and output ([`board`], [`emulator`]). The library never prints: it returns errors and emits
+//! `tracing` events.
 //!
-//! A recording is written and read back:
+//! This writes a recording and reads it back:
 //!
 //! ```
 //! use radome_driver::RecordingHeader;

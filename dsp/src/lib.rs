@@ -1,4 +1,4 @@
-//! Waveforms, frames and range-Doppler maps of the BGT60TR13C radar chip. Pure maths: no files, no sockets, no threads.
+//! Waveforms, frames and range-Doppler maps of the BGT60TR13C radar chip. Computations only: no files, sockets or threads.
 //!
 //! A [`FrameSource`] fills a [`Frame`], and an [`RdmProcessor`] computes its map, an [`Rdm`]:
 //!
@@ -34,12 +34,13 @@
 //! - [`decibel`]: conversion of power to dB.
 //! - [`spectrum`]: plans of FFTs, for all crates.
 //! - [`rdm`]: range-Doppler maps.
-//! - [`detect`]: CFAR, detections with range, speed and direction, a classical counter of people.
+//! - [`detect`]: CFAR, detections with range, radial velocity and direction, a classical counter of people.
 //! - [`statistics`]: distributions of cells, noise floor, static and moving power over seconds.
 //!
 //! # Conventions
-//! The whole workspace follows these conventions. They are stated here once.
-//! - **Units.** SI, and the unit stands in the name: `start_frequency_hz`, `range_m`. Angles are in radians.
+//! The whole workspace follows these conventions.
+//! - **Units.** SI, and the unit is part of the name: `start_frequency_hz`, `range_m`. Angles are in radians, except where
+//!   the name ends in `_deg`.
 //! - **Samples** are real 12-bit codes in `u16`, `[rx][chirp][sample]`; a recording is `[frame][rx][chirp][sample]`.
 //! - **Maps** are `f32` dB, `[rx][doppler][range]`. Zero Doppler is at index `M/2`; the velocity of index `i` is
 //!   `(i - M/2) * velocity_step`, **positive when receding**. Range bin `k` is at `k * range_step`. Both steps follow
@@ -55,7 +56,7 @@
 //!   same [`KernelLevel`] gives the same bits on any machine that has the level; the level is recorded and can be set. This
 //!   holds for sizes that are powers of two. Other sizes go through a library's f64 transform, which chooses its own
 //!   instructions, and may differ between machines in the last bit.
-//! - **Randomness** is a function of (seed, purpose, index), never of thread or order.
+//! - **Randomness** is a function of (seed, purpose, index), not of threads or their order.
 
 #![warn(clippy::missing_errors_doc, clippy::missing_panics_doc)]
 

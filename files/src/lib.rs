@@ -1,4 +1,15 @@
 //! Reading of files of bounded length, locks, parsing of TOML documents, and resolution of paths that files name.
+//!
+//! ```
+//! use std::collections::BTreeMap;
+//!
+//! type Rooms = BTreeMap<String, BTreeMap<String, [f64; 2]>>;
+//!
+//! let rooms: Rooms = radome_files::parse_toml("[room]\nsize_m = [4.0, 2.5]\n").expect("two values");
+//! assert_eq!(rooms["room"]["size_m"], [4.0, 2.5]);
+//! // Surplus values are an error.
+//! assert!(radome_files::parse_toml::<Rooms>("[room]\nsize_m = [4.0, 2.5, 3.0]\n").is_err());
+//! ```
 
 mod lock;
 

@@ -6,7 +6,7 @@
 //! Quantum-Classical Model Enabled by a Physics-Informed Radar Digital Twin".
 //!
 //! # Examples
-//! A network with random parameters classifies an empty map:
+//! A network with random parameters classifies a map of zeros:
 //! ```
 //! use radome_models::layer::KernelLevel;
 //! use radome_models::network::{Inference, Network, NetworkSpec};

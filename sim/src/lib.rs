@@ -1,4 +1,4 @@
-//! Chirp frames from physics: scenes, people, fields, receiver.
+//! Frames of chirps from physics: scenes, people, fields, receiver.
 //!
 //! [`Scene::load`] reads a room, a radar, a receiver and the people in it. A [`Simulator`] makes frames of it, as a
 //! [`radome_dsp::FrameSource`] or one by one:
@@ -27,20 +27,21 @@
 //! ```
 //!
 //! # Stages of a frame
-//! 1. [`people`]: the bodies of the people at the sample times, as thirteen ellipsoids or a skin.
-//! 2. [`echo`]: the echo of each ellipsoid by every audible pair of image antennas. [`echo::skin`]: the echo of a skin,
-//!    to a requested error. [`diffuse`]: echoes that walls scatter in all directions.
-//! 3. [`path_sampling`]: the sample times of each path. [`path_segment`]: every chirp between them. [`tracks`]: every
-//!    receiver.
+//! Static paths are computed once for a scene and seed ([`prepared_scene`]). Then each frame has these stages:
+//! 1. [`people`]: the bodies of the people at the sample times, as thirteen ellipsoids or a skin (a mesh).
+//! 2. [`echo`]: the echo of each ellipsoid by every pair of image antennas with which it can exceed the noise.
+//!    [`echo::skin`]: the echo of a skin, to a requested error. [`diffuse`]: echoes that walls scatter in all directions.
+//! 3. [`path_sampling`]: the sample times of each path. [`path_segment`]: interpolation to every chirp between them.
+//!    [`tracks`]: paths to all receivers.
 //! 4. [`synthesis`]: conversion of paths to ADC samples.
 //! 5. [`receiver`]: leakage, noise and rounding to codes.
 //!
 //! [`validation`] applies the same integrators to canonical targets with known solutions.
 //!
 //! # Conventions
-//! The conventions are those of [`radome_dsp`]. The room is the box `0..size`, x and y horizontal, z up. The radar's
-//! own axes are x boresight, y left, z up. Every random draw is a function of (seed, purpose, index). Frames are
-//! therefore byte-identical in any order and on any number of threads.
+//! The conventions are those of [`radome_dsp`]. The room, or the box around it, is `0..size`, x and y horizontal, z up.
+//! The radar's own axes are x boresight, y left, z up. Every random draw is a function of (seed, purpose, index).
+//! Frames are therefore byte-identical in any order and on any number of threads.
 
 pub mod chirp;
 pub mod diffraction;
