@@ -17,8 +17,7 @@
 use super::graph::{Graph, INPUT, Layer, Value};
 use super::hqnn::{self, Head};
 use crate::layer::DESCRIPTORS;
-
-const CLASSES: usize = 3;
+use crate::metrics::CLASSES;
 
 /// Descriptors and a linear head.
 pub(crate) fn linear() -> Graph {

@@ -10,6 +10,7 @@
 
 use super::graph::{Graph, INPUT, Layer};
 use crate::layer::{Activation, ConvGeometry};
+use crate::metrics::CLASSES;
 
 const CHANNELS: [usize; 5] = [16, 32, 64, 128, 256];
 const DENSE: [usize; 2] = [512, 128];
@@ -39,6 +40,6 @@ pub(crate) fn graph() -> Graph {
         value = g.add(format!("dropout{k}"), Layer::Dropout { probability: 0.5 }, &[value]);
         inputs = outputs;
     }
-    g.output = g.add("fc3", Layer::Linear { inputs, outputs: 3 }, &[value]);
+    g.output = g.add("fc3", Layer::Linear { inputs, outputs: CLASSES }, &[value]);
     g
 }

@@ -4,6 +4,7 @@
 
 use super::graph::{Graph, INPUT, Layer, Value};
 use crate::layer::{Activation, ConvGeometry};
+use crate::metrics::CLASSES;
 
 struct Stage {
     expansion: usize,
@@ -52,7 +53,7 @@ pub(crate) fn graph(channels: usize) -> Graph {
     value = conv_norm(&mut g, "features.8", [inputs, LAST, 1], 1, 1, Activation::Silu, value);
     value = g.add("avgpool", Layer::AveragePool { rows: 1, columns: 1 }, &[value]);
     value = g.add("classifier.0", Layer::Dropout { probability: 0.2 }, &[value]);
-    g.output = g.add("classifier.1", Layer::Linear { inputs: LAST, outputs: 3 }, &[value]);
+    g.output = g.add("classifier.1", Layer::Linear { inputs: LAST, outputs: CLASSES }, &[value]);
     g
 }
 

@@ -22,6 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use super::graph::{Graph, INPUT, Layer, Value};
 use crate::layer::Activation;
+use crate::metrics::CLASSES;
 use crate::quantum::CircuitSpec;
 
 /// Rows and columns (range, Doppler) after the adaptive pooling, in the paper.
@@ -31,7 +32,6 @@ pub const MOST_POOLED: usize = 64;
 /// Channels of the second block.
 const CHANNELS: usize = 32;
 const HIDDEN: usize = 64;
-const CLASSES: usize = 3;
 
 /// Position of the circuit in the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]

@@ -3,6 +3,7 @@
 
 use super::graph::{Graph, INPUT, Layer, Value};
 use crate::layer::{Activation, ConvGeometry};
+use crate::metrics::CLASSES;
 
 const STAGES: [usize; 4] = [64, 128, 256, 512];
 
@@ -20,7 +21,7 @@ pub(crate) fn graph() -> Graph {
         }
     }
     let pooled = g.add("avgpool", Layer::AveragePool { rows: 1, columns: 1 }, &[value]);
-    g.output = g.add("fc", Layer::Linear { inputs, outputs: 3 }, &[pooled]);
+    g.output = g.add("fc", Layer::Linear { inputs, outputs: CLASSES }, &[pooled]);
     g
 }
 
