@@ -16,13 +16,14 @@
 
 use super::graph::{Graph, INPUT, Layer, Value};
 use super::hqnn::{self, Head};
+use super::names;
 use crate::layer::DESCRIPTORS;
 use crate::metrics::CLASSES;
 
 /// Descriptors and a linear head.
 pub(crate) fn linear() -> Graph {
     let (mut g, features) = features();
-    g.output = g.add("head", Layer::Linear { inputs: DESCRIPTORS, outputs: CLASSES }, &[features]);
+    g.output = g.add(names::HEAD, Layer::Linear { inputs: DESCRIPTORS, outputs: CLASSES }, &[features]);
     g
 }
 
@@ -34,8 +35,8 @@ pub(crate) fn hqnn(head: &Head) -> Graph {
 
 fn features() -> (Graph, Value) {
     let mut g = Graph::default();
-    let found = g.add("descriptors", Layer::Descriptors, &[INPUT]);
-    let features = g.add("features", Layer::Standardise { width: DESCRIPTORS }, &[found]);
+    let found = g.add(names::DESCRIPTORS, Layer::Descriptors, &[INPUT]);
+    let features = g.add(names::FEATURES, Layer::Standardise { width: DESCRIPTORS }, &[found]);
     (g, features)
 }
 

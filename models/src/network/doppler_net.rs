@@ -34,6 +34,7 @@ pub(crate) fn graph() -> Graph {
     inputs *= 16;
     for (index, outputs) in DENSE.into_iter().enumerate() {
         let k = index + 1;
+        // The first of them is `names::HIDDEN_DENSE`.
         value = g.add(format!("fc{k}"), Layer::Linear { inputs, outputs }, &[value]);
         value =
             g.add(format!("fc_bn{k}"), Layer::BatchNorm { channels: outputs, activation: Activation::Relu }, &[value]);

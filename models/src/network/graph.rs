@@ -1,5 +1,6 @@
 //! Layers of a network in the order in which they run. Training, inference, costs and ONNX read this list, so that they agree.
 
+use super::names;
 use crate::layer::{Activation, ConvGeometry, DESCRIPTORS};
 use crate::quantum::CircuitSpec;
 
@@ -52,7 +53,7 @@ pub(crate) enum Layer {
 /// Layer with its name and its inputs.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Node {
-    /// Name of the layer, also the prefix of its parameters' names.
+    /// Name of the layer, also the prefix of its parameters' names. Some have a meaning ([`names`]).
     pub name: String,
     pub layer: Layer,
     pub inputs: Vec<Value>,
@@ -83,8 +84,6 @@ pub(crate) struct Graph {
     pub nodes: Vec<Node>,
     /// The logits.
     pub output: Value,
-    /// Logits of the linear head that replaces the head during the warm-up, if there is one.
-    pub warm_up: Option<Value>,
 }
 
 /// Size of a value for one map.
@@ -291,7 +290,7 @@ impl Node {
             ],
             Layer::Linear { inputs, outputs } => {
                 // The gain is six before a ReLU, else three: unit variance in, unit variance out.
-                let gain = if self.name == "fc1" { 6.0 } else { 3.0 };
+                let gain = if self.name == names::HIDDEN_DENSE { 6.0 } else { 3.0 };
                 vec![
                     declare("weight", vec![*outputs, *inputs], Start::Uniform((gain / *inputs as f32).sqrt())),
                     declare("bias", vec![*outputs], Start::Constant(0.0)),

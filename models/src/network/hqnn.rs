@@ -21,6 +21,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::graph::{Graph, INPUT, Layer, Value};
+use super::names;
 use crate::layer::Activation;
 use crate::metrics::CLASSES;
 use crate::quantum::CircuitSpec;
@@ -100,9 +101,9 @@ pub(crate) fn graph(pooled: [usize; 2], head: &Head) -> Graph {
     let mut g = Graph::default();
     let block1 = g.add("conv1", Layer::ConvReluPool { inputs: 1, outputs: 16 }, &[INPUT]);
     let block2 = g.add("conv2", Layer::ConvReluPool { inputs: 16, outputs: CHANNELS }, &[block1]);
-    let features = g.add("pool", Layer::AveragePool { rows: pooled[0], columns: pooled[1] }, &[block2]);
+    let features = g.add(names::POOL, Layer::AveragePool { rows: pooled[0], columns: pooled[1] }, &[block2]);
     let count = CHANNELS * pooled[0] * pooled[1];
-    let centred = g.add("features", Layer::Standardise { width: count }, &[features]);
+    let centred = g.add(names::FEATURES, Layer::Standardise { width: count }, &[features]);
     behind(g, centred, count, true, head)
 }
 
@@ -115,8 +116,8 @@ pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, hea
         let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
         let expectations = circuit_node(&mut g, circuit, *frozen, squashed);
         let hidden = hidden(&mut g, width, expectations);
-        g.output = linear(&mut g, "head", HIDDEN, CLASSES, hidden);
-        g.warm_up = Some(linear(&mut g, "warm_up", width, CLASSES, latent));
+        g.output = linear(&mut g, names::HEAD, HIDDEN, CLASSES, hidden);
+        linear(&mut g, names::WARM_UP, width, CLASSES, latent);
         return g;
     }
     let (inputs, from) = if deep { (HIDDEN, hidden(&mut g, count, centred)) } else { (count, centred) };
@@ -128,20 +129,20 @@ pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, hea
             if *placement == Placement::Beside {
                 seen = (g.add("beside", Layer::Concatenate, &[latent, seen.0]), 2 * width);
             }
-            linear(&mut g, "head", seen.1, CLASSES, seen.0)
+            linear(&mut g, names::HEAD, seen.1, CLASSES, seen.0)
         }
-        Head::Linear | Head::SquashedLinear => linear(&mut g, "head", width, CLASSES, seen),
+        Head::Linear | Head::SquashedLinear => linear(&mut g, names::HEAD, width, CLASSES, seen),
         Head::Dequantization | Head::SquashedDequantization => {
-            let dense = linear(&mut g, "head_hidden", width, width, seen);
+            let dense = linear(&mut g, names::HEAD_HIDDEN, width, width, seen);
             let hidden = g.add("head_relu", Layer::Activate(Activation::Relu), &[dense]);
-            linear(&mut g, "head", width, CLASSES, hidden)
+            linear(&mut g, names::HEAD, width, CLASSES, hidden)
         }
         Head::Trigonometric => {
             let features = g.add("trigonometric", Layer::Trigonometric, &[seen]);
-            linear(&mut g, "head", 5, CLASSES, features)
+            linear(&mut g, names::HEAD, 5, CLASSES, features)
         }
     };
-    g.warm_up = Some(linear(&mut g, "warm_up", width, CLASSES, latent));
+    linear(&mut g, names::WARM_UP, width, CLASSES, latent);
     g
 }
 
@@ -150,16 +151,16 @@ fn linear(g: &mut Graph, name: &str, inputs: usize, outputs: usize, from: Value)
 }
 
 fn hidden(g: &mut Graph, inputs: usize, from: Value) -> Value {
-    let dense = linear(g, "fc1", inputs, HIDDEN, from);
-    g.add("hidden", Layer::Activate(Activation::Relu), &[dense])
+    let dense = linear(g, names::HIDDEN_DENSE, inputs, HIDDEN, from);
+    g.add(names::HIDDEN, Layer::Activate(Activation::Relu), &[dense])
 }
 
 /// The latent after its standardisation.
 fn latent(g: &mut Graph, inputs: usize, width: usize, from: Value) -> Value {
-    let raw = linear(g, "fc2", inputs, width, from);
-    g.add("latent", Layer::Standardise { width }, &[raw])
+    let raw = linear(g, names::LATENT_DENSE, inputs, width, from);
+    g.add(names::LATENT, Layer::Standardise { width }, &[raw])
 }
 
 fn circuit_node(g: &mut Graph, circuit: &CircuitSpec, frozen: bool, squashed: Value) -> Value {
-    g.add("circuit", Layer::Circuit { circuit: circuit.clone(), frozen }, &[squashed])
+    g.add(names::CIRCUIT, Layer::Circuit { circuit: circuit.clone(), frozen }, &[squashed])
 }

@@ -3,11 +3,27 @@
 use std::collections::BTreeMap;
 
 use candle_core::Result;
+use thiserror::Error;
 
 use super::graph::{Graph, Layer, Value};
+use super::kind::NetworkKind;
+use super::names;
 use super::parameters::{Normalisation, Parameter, Parameters};
 use super::spec::NetworkSpec;
 use crate::kernel::KernelLevel;
+
+/// Error: a network has no layer of a name that training or adaptation looks for.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error(
+    "{network} has no layer named {layer}\n\nhint: name its layers as models/src/network/names.rs says, or correct \
+     NetworkKind::has_latent and reads_descriptors"
+)]
+pub struct MissingLayer {
+    /// The network.
+    pub network: NetworkKind,
+    /// The name.
+    pub layer: &'static str,
+}
 
 /// Network with its numbers.
 pub struct Network {
@@ -66,9 +82,20 @@ impl Network {
         self.parameters.values(false)
     }
 
-    /// The value that [`Network::latent`] gives, where there is one.
-    pub(crate) fn raw_latent(&self) -> Option<Value> {
-        self.graph.value("fc2").filter(|_| self.spec.kind.has_latent())
+    /// Result of a layer that this network must have.
+    ///
+    /// # Errors
+    /// The network has no layer of this name.
+    pub(crate) fn value_of(&self, layer: &'static str) -> std::result::Result<Value, MissingLayer> {
+        self.graph.value(layer).ok_or(MissingLayer { network: self.spec.kind, layer })
+    }
+
+    /// The value that [`Network::latent`] gives; `None` for networks without a latent.
+    ///
+    /// # Errors
+    /// The network must have a latent and lacks the layer.
+    pub(crate) fn raw_latent(&self) -> std::result::Result<Option<Value>, MissingLayer> {
+        self.spec.kind.has_latent().then(|| self.value_of(names::LATENT_DENSE)).transpose()
     }
 
     pub(crate) fn graph(&self) -> &Graph {
@@ -85,12 +112,12 @@ impl Network {
 
     /// Constants that standardise the latent before `pi * sigmoid`; empty if it is not standardised.
     pub fn latent_constants(&self) -> Normalisation {
-        self.parameters.normalisation("latent").cloned().unwrap_or_default()
+        self.parameters.normalisation(names::LATENT).cloned().unwrap_or_default()
     }
 
     /// Sets [`Network::latent_constants`].
     pub fn set_latent_constants(&mut self, constants: Normalisation) {
-        self.parameters.set_normalisation("latent", constants);
+        self.parameters.set_normalisation(names::LATENT, constants);
     }
 
     /// Folds the normalisation of the features into the weights and the bias of the dense layer behind them.
@@ -102,8 +129,8 @@ impl Network {
     /// # Errors
     /// No dense layer reads the features, or a tensor operation failed.
     pub fn fold_features(&mut self) -> Result<()> {
-        let Some(normalisation) = self.parameters.normalisation("features").cloned() else { return Ok(()) };
-        let behind = self.graph.value("features").and_then(|value| {
+        let Some(normalisation) = self.parameters.normalisation(names::FEATURES).cloned() else { return Ok(()) };
+        let behind = self.graph.value(names::FEATURES).and_then(|value| {
             self.graph.nodes.iter().find(|node| node.inputs == [value] && matches!(node.layer, Layer::Linear { .. }))
         });
         let Some(node) = behind else { candle_core::bail!("no dense layer reads the features") };
@@ -120,7 +147,7 @@ impl Network {
         }
         self.parameters.set_numbers(&weight_name, &weight)?;
         self.parameters.set_numbers(&bias_name, &bias)?;
-        self.parameters.set_normalisation("features", Normalisation::default());
+        self.parameters.set_normalisation(names::FEATURES, Normalisation::default());
         Ok(())
     }
 }

@@ -8,6 +8,7 @@ use rand_distr::{Distribution, Normal};
 use serde::{Deserialize, Serialize};
 
 use super::graph::{Declaration, Graph, Layer, Start};
+use super::names;
 use crate::layer::{BatchNormConstants, RunningStatistics};
 use crate::random::stream;
 
@@ -40,8 +41,8 @@ pub(crate) struct Parameters {
 const RUNNING: [&str; 2] = ["running_mean", "running_var"];
 
 /// Returns whether an array exists only in training.
-fn is_transient(name: &str) -> bool {
-    name.starts_with("warm_up.")
+pub(super) fn is_transient(name: &str) -> bool {
+    names::layer_of(name) == names::WARM_UP
 }
 
 impl Parameters {

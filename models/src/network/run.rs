@@ -71,9 +71,10 @@ impl Network {
     /// The latent before its standardisation, `[batch][width]`; `None` for networks without one.
     ///
     /// # Errors
-    /// `input` has another number of axes or is not f32 on the CPU, or a layer cannot read maps of this size.
+    /// `input` has another number of axes or is not f32 on the CPU, a layer cannot read maps of this size, or the layer of the
+    /// latent is missing.
     pub fn latent(&self, input: &Tensor) -> Result<Option<Tensor>> {
-        match self.raw_latent() {
+        match self.raw_latent().map_err(candle_core::Error::wrap)? {
             Some(value) => Ok(Some(self.run(input, value, Mode::Evaluation)?.take(value)?)),
             None => Ok(None),
         }

@@ -37,7 +37,7 @@ impl NetworkSpec {
     /// Number of trained parameters.
     pub fn parameter_count(&self) -> usize {
         let declared = self.graph().declarations();
-        let kept = declared.iter().filter(|declaration| !declaration.name.starts_with("warm_up."));
+        let kept = declared.iter().filter(|declaration| !parameters::is_transient(&declaration.name));
         kept.map(|declaration| declaration.shape.iter().product::<usize>()).sum()
     }
 

@@ -94,6 +94,27 @@ fn every_network_runs_and_learns() {
     }
 }
 
+/// Training finds the layers of every network by their names.
+#[test]
+fn layers_that_training_looks_for_are_there() {
+    for (name, spec) in named() {
+        let graph = spec.graph();
+        let has = |layer: &str| graph.value(layer).is_some();
+        let (reads_descriptors, has_latent) = (spec.kind.reads_descriptors(), spec.kind.has_latent());
+        assert_eq!(graph.nodes.iter().any(|node| node.layer == Layer::Descriptors), reads_descriptors, "{name}");
+        for (layer, expected) in [
+            (names::DESCRIPTORS, reads_descriptors),
+            (names::POOL, has_latent && !reads_descriptors),
+            (names::FEATURES, has_latent || reads_descriptors),
+            (names::LATENT, has_latent),
+            (names::WARM_UP, has_latent),
+        ] {
+            assert_eq!(has(layer), expected, "{name}: {layer}");
+        }
+        assert!(has(names::LATENT_DENSE) || !has_latent, "{name}");
+    }
+}
+
 /// The circuit is a linear function of the trigonometric features, so that a head on them can be the circuit's.
 #[test]
 fn the_trigonometric_head_can_be_the_circuit() {
@@ -126,6 +147,15 @@ mod hard_cases {
         let spec = NetworkSpec::named("doppler_net").expect("known");
         assert_eq!(spec.too_small_for(16, 64).as_deref(), Some("pool5"));
         assert_eq!(spec.too_small_for(32, 32), None);
+    }
+
+    /// Training went on without it: it measured the map instead, or fitted nothing.
+    #[test]
+    fn a_layer_that_training_does_not_find_is_named() {
+        let spec = NetworkSpec::named("resnet18").expect("known");
+        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
+        let error = network.value_of(names::LATENT).expect_err("missing").to_string();
+        assert!(error.starts_with("resnet18 has no layer named latent") && error.contains("hint: "), "{error}");
     }
 
     #[test]

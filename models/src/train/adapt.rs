@@ -27,7 +27,7 @@ use radome_dsp::{Rdm, RdmShape};
 use crate::dataset::{Dataset, Split};
 use crate::metrics::CLASSES;
 use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
-use crate::network::{Layer, Mode, Network, Value};
+use crate::network::{Layer, Mode, Network, Value, names};
 use recording::MOST_FRAMES;
 use tail::{Confusions, Tail, last_node, shift_strength};
 
@@ -87,11 +87,12 @@ impl Adapter {
     /// Starts the adaptation of a model.
     ///
     /// # Errors
-    /// [`AdaptError::Network`] if the network does not end in a linear layer.
+    /// [`AdaptError::Network`] if the network does not end in a linear layer, [`AdaptError::Layer`] if it reads descriptors and does
+    /// not standardise them.
     pub fn new(model: Model) -> Result<Self, AdaptError> {
-        let (kind, graph) = (model.card.network, model.network.graph());
+        let kind = model.card.network;
         let given = if kind.reads_descriptors() {
-            graph.value("features")
+            Some(model.network.value_of(names::FEATURES)?)
         } else {
             last_node(&model.network).and_then(|node| node.inputs.first().copied())
         };

@@ -8,7 +8,7 @@ use thiserror::Error;
 
 use crate::dataset::{DatasetError, Split};
 use crate::model::{ClassifyError, ModelError};
-use crate::network::{NetworkKind, UnreadableMaps, WeightsError};
+use crate::network::{MissingLayer, NetworkKind, UnreadableMaps, WeightsError};
 use crate::standardise::StandardiseError;
 
 /// Error of a training.
@@ -47,6 +47,9 @@ pub enum TrainError {
     /// The network cannot read such maps.
     #[error(transparent)]
     Maps(#[from] UnreadableMaps),
+    /// The network lacks a layer that training looks for.
+    #[error(transparent)]
+    Layer(#[from] MissingLayer),
     /// Maps cannot be standardised.
     #[error(transparent)]
     Standardise(#[from] StandardiseError),

@@ -16,7 +16,7 @@ use super::spec::FullBatch;
 use super::start::collect;
 use crate::layer::{backward, softmax};
 use crate::metrics::CLASSES;
-use crate::network::{Mode, Network, Parameter};
+use crate::network::{Mode, Network, Parameter, names};
 
 /// Least gain of a step, as a share of the loss.
 const LEAST_GAIN: f64 = 1e-7;
@@ -38,7 +38,7 @@ pub(super) fn fit(
     latent_penalty: f64,
 ) -> Result<bool, TrainError> {
     let graph = network.graph();
-    let Some(given) = graph.value("descriptors") else { return Ok(true) };
+    let given = network.value_of(names::DESCRIPTORS)?;
     let positions: Vec<usize> = (0..data.train.maps.len()).collect();
     let rows = collect(network, data, &data.train, &positions, given)?;
     let width = rows.first().map_or(0, Vec::len);
@@ -47,10 +47,10 @@ pub(super) fn fit(
     let total: f64 = data.train.labels.iter().map(weight).sum();
     let samples: Vec<_> = data.train.labels.iter().map(|label| (certain(*label), weight(label) / total)).collect();
 
-    let is_fitted = |p: &&Parameter| is_trained(network, p) && !p.name.starts_with("warm_up.");
+    let is_fitted = |p: &&Parameter| is_trained(network, p) && names::layer_of(&p.name) != names::WARM_UP;
     let parameters = ParameterVector::new(network.trained().iter().filter(is_fitted).collect());
     let penalties = parameters.by_parameter(|p| if is_weight(p) { settings.weight_penalty } else { 0.0 });
-    let latent = graph.value("latent").filter(|_| latent_penalty > 0.0);
+    let latent = (latent_penalty > 0.0).then(|| network.value_of(names::LATENT)).transpose()?;
     let wanted: Vec<_> = [graph.output].into_iter().chain(latent).collect();
     let mode = Mode::Training { seed: 0, step: 0, penalty: latent_penalty as f32 };
     let found = minimise(parameters.numbers()?, settings.steps, LEAST_GAIN, |numbers| {

@@ -15,11 +15,11 @@ use super::head_start;
 use super::outcome::{EpochReport, StepTimes};
 use super::spec::{LatentStandardisation, TrainSpec};
 use super::start::{
-    self, collect, descriptor_normalisation, feature_normalisation, moments, place_hidden, place_latent,
+    self, collect, descriptor_normalisation, feature_normalisation, latent_arrays, moments, place_hidden, place_latent,
 };
 use crate::layer::{KernelLevel, backward, cross_entropy};
 use crate::metrics::{Metrics, most_probable};
-use crate::network::{Mode, Network, NetworkKind, Normalisation, TorchvisionWeights, Value};
+use crate::network::{MissingLayer, Mode, Network, Normalisation, TorchvisionWeights, Value, names};
 use crate::random::stream;
 
 /// Steps that are timed.
@@ -55,41 +55,64 @@ impl<'a> Run<'a> {
             weights.apply(&network)?;
         }
         let mut run = Self::around(data, spec, start, network);
-        let of = |network: &Network, name: &str, positions: &[usize]| {
-            let value = network.graph().value(name).unwrap_or_default();
-            collect(network, data, &data.train, positions, value)
-        };
-        let mut positions: Vec<usize> = (0..data.train.maps.len()).collect();
         if spec.network.reads_descriptors() {
-            // Measured on all maps, because some descriptors are non-zero on few of them.
-            let descriptors = of(&run.network, "descriptors", &positions)?;
-            run.network.parameters_mut().set_normalisation("features", descriptor_normalisation(&descriptors));
+            run.normalise_descriptors()?;
         }
-        if !spec.network.has_latent() {
-            return Ok(run);
-        }
-        positions.shuffle(&mut stream(spec.seed, "start maps", start));
-        positions.truncate(start::START_MAPS);
-        if spec.network == NetworkKind::Hqnn {
-            let features = of(&run.network, "pool", &positions)?;
-            run.network
-                .parameters_mut()
-                .set_normalisation("features", feature_normalisation(&features, spec.feature_sigma));
-        }
-        // The network may have no hidden layer before the latent.
-        let graph = run.network.graph();
-        if graph.value("hidden").is_some_and(|hidden| Some(hidden) < graph.value("latent")) {
-            place_hidden(&run.network, &of(&run.network, "hidden", &positions)?)?;
-        }
-        place_latent(&run.network, &of(&run.network, "fc2", &positions)?, spec.latent_sigma)?;
-        if spec.latent != LatentStandardisation::None {
-            run.measure_latent()?;
-        }
-        run.warming_up = true;
-        if spec.linear_epochs() == 0 {
-            run.start_head()?;
+        if spec.network.has_latent() {
+            run.start_latent()?;
         }
         Ok(run)
+    }
+
+    /// Gives each descriptor mean 0 and standard deviation 1.
+    fn normalise_descriptors(&mut self) -> Result<(), TrainError> {
+        // Measured on all maps, because some descriptors are non-zero on few of them.
+        let all: Vec<usize> = (0..self.data.train.maps.len()).collect();
+        let descriptors = self.results(names::DESCRIPTORS, &all)?;
+        self.set_feature_constants(descriptor_normalisation(&descriptors))
+    }
+
+    /// Scales the layers up to the latent by some maps, and begins the warm-up.
+    fn start_latent(&mut self) -> Result<(), TrainError> {
+        let mut positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
+        positions.shuffle(&mut stream(self.spec.seed, "start maps", self.start));
+        positions.truncate(start::START_MAPS);
+        if !self.spec.network.reads_descriptors() {
+            let pooled = self.results(names::POOL, &positions)?;
+            self.set_feature_constants(feature_normalisation(&pooled, self.spec.feature_sigma))?;
+        }
+        if self.has_hidden_before_latent()? {
+            place_hidden(&self.network, &self.results(names::HIDDEN, &positions)?)?;
+        }
+        place_latent(&self.network, &self.results(names::LATENT_DENSE, &positions)?, self.spec.latent_sigma)?;
+        if self.spec.latent != LatentStandardisation::None {
+            self.measure_latent()?;
+        }
+        self.warming_up = true;
+        if self.spec.linear_epochs() == 0 {
+            self.start_head()?;
+        }
+        Ok(())
+    }
+
+    /// Returns whether a hidden layer comes before the latent. There may be none, or one behind the circuit.
+    fn has_hidden_before_latent(&self) -> Result<bool, MissingLayer> {
+        if self.network.graph().value(names::HIDDEN_DENSE).is_none() {
+            return Ok(false);
+        }
+        Ok(self.network.value_of(names::HIDDEN)? < self.network.value_of(names::LATENT)?)
+    }
+
+    /// Output of a layer for the training maps at `positions`, row by row.
+    fn results(&self, layer: &'static str, positions: &[usize]) -> Result<Vec<Vec<f32>>, TrainError> {
+        collect(&self.network, self.data, &self.data.train, positions, self.network.value_of(layer)?)
+    }
+
+    /// Sets the constants by which the features are standardised until the end of the training.
+    fn set_feature_constants(&mut self, constants: Normalisation) -> Result<(), TrainError> {
+        self.network.value_of(names::FEATURES)?;
+        self.network.parameters_mut().set_normalisation(names::FEATURES, constants);
+        Ok(())
     }
 
     fn around(data: &'a Data, spec: &'a TrainSpec, start: u64, network: Network) -> Self {
@@ -140,9 +163,9 @@ impl<'a> Run<'a> {
     /// Everything that [`Run::resume`] needs.
     pub(super) fn state(&self) -> Result<RunState, TrainError> {
         let parameters = self.network.parameters();
-        let normalisations = ["features", "latent"]
-            .iter()
-            .filter_map(|name| Some(((*name).to_owned(), parameters.normalisation(name)?.clone())));
+        let normalisations = [names::FEATURES, names::LATENT]
+            .into_iter()
+            .filter_map(|name| Some((name.to_owned(), parameters.normalisation(name)?.clone())));
         Ok(RunState {
             start: self.start,
             epoch: self.epoch,
@@ -160,7 +183,10 @@ impl<'a> Run<'a> {
 
     /// Ends the warm-up: [`head_start`] gives the parameters of the head and the map of the latent.
     fn start_head(&mut self) -> Result<(), TrainError> {
-        let Some(latent) = self.network.graph().value("latent") else { return Ok(()) };
+        if !self.spec.network.has_latent() {
+            return Ok(());
+        }
+        let latent = self.network.value_of(names::LATENT)?;
         let mut positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
         positions.shuffle(&mut stream(self.spec.seed, "circuit maps", self.start));
         positions.truncate(start::START_MAPS);
@@ -195,7 +221,8 @@ impl<'a> Run<'a> {
     /// Folds `u = matrix (z - mean) / sigma + offset` with `z = weight h + bias` into weight and bias.
     fn place(&self, placing: &head_start::AffineMap, found: &Normalisation) -> Result<(), TrainError> {
         let parameters = self.network.parameters();
-        let (weight, bias) = (parameters.numbers("fc2.weight")?, parameters.numbers("fc2.bias")?);
+        let [weight_name, bias_name] = latent_arrays();
+        let (weight, bias) = (parameters.numbers(&weight_name)?, parameters.numbers(&bias_name)?);
         let width = bias.len();
         let inputs = weight.len() / width.max(1);
         let (mut new_weight, mut new_bias) = (vec![0.0f32; weight.len()], placing.offset.clone());
@@ -207,8 +234,8 @@ impl<'a> Run<'a> {
                 new_weight.iter_mut().skip(k * inputs).zip(row).for_each(|(new, old)| *new += m * old);
             }
         }
-        parameters.set_numbers("fc2.weight", &new_weight)?;
-        parameters.set_numbers("fc2.bias", &new_bias)?;
+        parameters.set_numbers(&weight_name, &new_weight)?;
+        parameters.set_numbers(&bias_name, &new_bias)?;
         Ok(())
     }
 
@@ -227,9 +254,8 @@ impl<'a> Run<'a> {
     }
 
     /// Logits that are trained: the head's, or those of the linear head in the warm-up.
-    fn output(&self) -> Value {
-        let graph = self.network.graph();
-        if self.warming_up { graph.warm_up.unwrap_or(graph.output) } else { graph.output }
+    fn output(&self) -> Result<Value, MissingLayer> {
+        if self.warming_up { self.network.value_of(names::WARM_UP) } else { Ok(self.network.graph().output) }
     }
 
     /// Weight of the penalty on the mean square of the latent, for heads with `pi * sigmoid`.
@@ -302,7 +328,7 @@ impl<'a> Run<'a> {
         let step_s = mean_s(TIMED_STEPS, || self.train_batch(&batch, &mut Vec::new()).map(|_| ()))?;
         let part = &self.data.validation;
         let positions: Vec<usize> = (0..part.maps.len().min(start::EVALUATION_BATCH)).collect();
-        let output = self.output();
+        let output = self.output()?;
         let batch_s = mean_s(1, || collect(&self.network, self.data, part, &positions, output).map(|_| ()))?;
         Ok(StepTimes { head_s, step_s, validation_map_s: batch_s / positions.len().max(1) as f64 })
     }
@@ -333,7 +359,7 @@ impl<'a> Run<'a> {
         let (input, labels) = self.data.augmented(batch, &self.spec.augmentation, self.spec.seed, self.epoch)?;
         // Each start has its own draws of dropped values.
         let step = (self.start << 32) + self.step as u64;
-        let output = self.output();
+        let output = self.output()?;
         let penalty = if self.warming_up { 0.0 } else { self.penalty() as f32 };
         let mode = Mode::Training { seed: self.spec.seed, step, penalty };
         let values = self.network.run(&input, output, mode)?;
@@ -346,7 +372,7 @@ impl<'a> Run<'a> {
         }
         predictions(logits, &labels, pairs)?;
         let gradients = backward(&loss)?;
-        let latent_rows: Option<Vec<Vec<f32>>> = match (self.spec.latent, self.network.raw_latent()) {
+        let latent_rows: Option<Vec<Vec<f32>>> = match (self.spec.latent, self.network.raw_latent()?) {
             (LatentStandardisation::Running { .. }, Some(raw)) => Some(values.get(raw)?.to_vec2()?),
             _ => None,
         };
@@ -383,11 +409,11 @@ impl<'a> Run<'a> {
             if !head_start::is_trained(&self.network, parameter) {
                 return 0.0;
             }
-            let factor = match parameter.name.split('.').next() {
-                Some("circuit") => self.spec.angle_rate,
-                Some("head" | "head_hidden" | "warm_up") => self.spec.head_rate,
+            let factor = match names::layer_of(&parameter.name) {
+                names::CIRCUIT => self.spec.angle_rate,
+                names::HEAD | names::HEAD_HIDDEN | names::WARM_UP => self.spec.head_rate,
                 // No layer before it is trained, so it learns at the head's rate.
-                Some("fc2") if self.spec.network.reads_descriptors() => self.spec.head_rate,
+                names::LATENT_DENSE if self.spec.network.reads_descriptors() => self.spec.head_rate,
                 _ => 1.0,
             };
             (rate * factor) as f32
@@ -405,7 +431,7 @@ impl<'a> Run<'a> {
 
     fn validate(&self) -> Result<(f64, Metrics), TrainError> {
         let part = &self.data.validation;
-        let output = self.output();
+        let output = self.output()?;
         let (mut loss, mut weight, mut pairs) = (0.0, 0.0, Vec::new());
         let positions: Vec<usize> = (0..part.maps.len()).collect();
         for batch in positions.chunks(start::EVALUATION_BATCH) {
@@ -427,7 +453,7 @@ impl<'a> Run<'a> {
 
     /// Measures mean and sigma of the latent over the training split.
     fn measure_latent(&mut self) -> Result<(), TrainError> {
-        let Some(raw) = self.network.raw_latent() else { return Ok(()) };
+        let Some(raw) = self.network.raw_latent()? else { return Ok(()) };
         let positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
         let latent = collect(&self.network, self.data, &self.data.train, &positions, raw)?;
         self.network.set_latent_constants(moments(&latent));
@@ -468,6 +494,7 @@ fn predictions(logits: &Tensor, labels: &[usize], pairs: &mut Vec<(Occupancy, Oc
 mod hard_cases {
     use super::super::data::tests::made_up;
     use super::*;
+    use crate::network::NetworkKind;
     use crate::standardise::MapReference;
     use crate::train::Maps;
 

@@ -2,7 +2,7 @@
 
 use super::data::{Data, Part};
 use super::error::TrainError;
-use crate::network::{Mode, Network, Normalisation, Value};
+use crate::network::{Mode, Network, Normalisation, Value, names};
 
 /// Training maps that the start is measured on.
 pub(super) const START_MAPS: usize = 256;
@@ -78,17 +78,24 @@ pub(super) fn place_hidden(network: &Network, hidden: &[Vec<f32>]) -> Result<(),
     let count = hidden.iter().map(Vec::len).sum::<usize>().max(1);
     let square = hidden.iter().flatten().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>() / count as f64;
     let factor = (0.5 / square.max(1e-12)).sqrt() as f32;
-    let mut weight = network.parameters().numbers("fc1.weight")?;
+    let name = format!("{}.weight", names::HIDDEN_DENSE);
+    let mut weight = network.parameters().numbers(&name)?;
     weight.iter_mut().for_each(|w| *w *= factor);
-    network.parameters().set_numbers("fc1.weight", &weight)?;
+    network.parameters().set_numbers(&name, &weight)?;
     Ok(())
+}
+
+/// Names of weight `[component][input]` and bias of the dense layer before the latent.
+pub(super) fn latent_arrays() -> [String; 2] {
+    ["weight", "bias"].map(|what| format!("{}.{what}", names::LATENT_DENSE))
 }
 
 /// Rescales the layer before the latent so that each component has mean 0 and standard deviation `sigma`.
 pub(super) fn place_latent(network: &Network, latent: &[Vec<f32>], sigma: f32) -> Result<(), TrainError> {
     let found = moments(latent);
-    let mut weight = network.parameters().numbers("fc2.weight")?;
-    let mut bias = network.parameters().numbers("fc2.bias")?;
+    let [weight_name, bias_name] = latent_arrays();
+    let mut weight = network.parameters().numbers(&weight_name)?;
+    let mut bias = network.parameters().numbers(&bias_name)?;
     let width = (weight.len() / bias.len().max(1)).max(1);
     let columns = found.mean.iter().zip(&found.sigma);
     for ((row, bias), (mean, found)) in weight.chunks_exact_mut(width).zip(&mut bias).zip(columns) {
@@ -96,7 +103,7 @@ pub(super) fn place_latent(network: &Network, latent: &[Vec<f32>], sigma: f32) -
         row.iter_mut().for_each(|w| *w *= factor);
         *bias = (*bias - mean) * factor;
     }
-    network.parameters().set_numbers("fc2.weight", &weight)?;
-    network.parameters().set_numbers("fc2.bias", &bias)?;
+    network.parameters().set_numbers(&weight_name, &weight)?;
+    network.parameters().set_numbers(&bias_name, &bias)?;
     Ok(())
 }

@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use crate::dataset::DatasetError;
 use crate::model::ClassifyError;
-use crate::network::NetworkKind;
+use crate::network::{MissingLayer, NetworkKind};
 
 /// Error of an adaptation.
 #[derive(Debug, Error)]
@@ -13,6 +13,9 @@ pub enum AdaptError {
     /// The network has no layer to adapt.
     #[error("{network} does not end in a linear layer; only such networks can be adapted")]
     Network { network: NetworkKind },
+    /// The network lacks a layer that adaptation looks for.
+    #[error(transparent)]
+    Layer(#[from] MissingLayer),
     /// No frame has a label.
     #[error(
         "none of the {recordings} recordings has a labelled frame\n\nhint: label them, or say what all of a recording shows: RECORDING=empty"

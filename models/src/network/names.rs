@@ -1,0 +1,38 @@
+//! Names of layers by which training and adaptation find them. Arrays in files are named after their layers.
+//!
+//! A dense layer of any other name starts as one without an activation behind it, and learns at the learning rate.
+
+/// The descriptors of a map ([`Layer::Descriptors`](super::Layer::Descriptors)). Training normalises its output by all maps, and
+/// minimises the loss over all maps at once behind it.
+pub(crate) const DESCRIPTORS: &str = "descriptors";
+/// Pooled maps of a network with a latent. Training normalises its output by some maps.
+pub(crate) const POOL: &str = "pool";
+/// Standardisation that reads [`DESCRIPTORS`] or [`POOL`] and holds their constants while training, which are folded into the
+/// dense layer behind it at the end. In a network of descriptors, adaptation fits the layers behind it.
+pub(crate) const FEATURES: &str = "features";
+/// Dense layer with a ReLU behind it, for which its weights start. Where the ReLU is [`HIDDEN`] and comes before the latent, they
+/// are then rescaled by some maps.
+pub(crate) const HIDDEN_DENSE: &str = "fc1";
+/// The ReLU behind [`HIDDEN_DENSE`].
+pub(crate) const HIDDEN: &str = "hidden";
+/// Dense layer whose output is the latent before its standardisation. Training scales it by some maps, and folds the map of the
+/// latent that fits the head into it. In a network of descriptors it learns at `head_rate`.
+pub(crate) const LATENT_DENSE: &str = "fc2";
+/// Standardisation that reads [`LATENT_DENSE`]. The layers behind it are fitted when the warm-up ends.
+pub(crate) const LATENT: &str = "latent";
+/// Linear head that reads [`LATENT`] and gives the logits of the warm-up. Only training has it: it is in no model file and does not
+/// count as a part of the network.
+pub(crate) const WARM_UP: &str = "warm_up";
+/// Quantum circuit; its angles learn at `angle_rate`.
+pub(crate) const CIRCUIT: &str = "circuit";
+/// Angles of [`CIRCUIT`]: they start anywhere on the circle, and may be frozen.
+pub(crate) const CIRCUIT_ANGLES: &str = "circuit.theta";
+/// Dense layer that gives the logits; it learns at `head_rate`.
+pub(crate) const HEAD: &str = "head";
+/// Dense layer before [`HEAD`]; it learns at `head_rate`.
+pub(crate) const HEAD_HIDDEN: &str = "head_hidden";
+
+/// Name of the layer that an array belongs to.
+pub(crate) fn layer_of(array: &str) -> &str {
+    array.rsplit_once('.').map_or(array, |(layer, _)| layer)
+}
