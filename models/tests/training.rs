@@ -10,7 +10,8 @@ use radome_models::occupancy_filter::Smoothing;
 use radome_models::standardise::MapReference;
 use radome_models::train::{Augmentation, LatentStandardisation, Superpose, Sway};
 use radome_models::{
-    Classifier, ClassifyError, Dataset, Model, ModelError, TrainError, TrainSpec, train, train_with_checkpoint,
+    Classifier, ClassifyError, Dataset, Model, ModelError, NetworkSpec, TrainError, TrainSpec, networks, train,
+    train_with_checkpoint,
 };
 
 use crate::support::{Maps, dataset, header};
@@ -42,6 +43,11 @@ fn everything() -> Augmentation {
 fn brief() -> (Dataset, TrainSpec) {
     let set = dataset(Maps { size: 16, sequences: [3, 2, 1], length: 3, ..Maps::default() });
     (set, TrainSpec { epochs: 2, linear_epochs: Some(1), starts: 2, batch_size: 8, ..quick() })
+}
+
+/// Kinds of networks that read descriptors.
+fn descriptor_networks() -> impl Iterator<Item = NetworkKind> {
+    NetworkKind::ALL.into_iter().filter(|network| network.reads_descriptors())
 }
 
 /// Settings for training a network of map descriptors.
@@ -103,7 +109,7 @@ fn every_seed_learns_to_count() {
 #[test]
 fn descriptors_learn_to_count() {
     let set = dataset(easy());
-    for network in [NetworkKind::DescriptorLinear, NetworkKind::DescriptorHqnn] {
+    for network in descriptor_networks() {
         for seed in [11, 22, 33] {
             let spec = TrainSpec { seed, epochs: 12, linear_epochs: Some(6), learning_rate: 5e-3, ..quick() };
             let outcome = train(&set, &descriptors(network, spec), &mut |_| {}).expect("training");
@@ -121,6 +127,20 @@ fn descriptors_learn_to_count() {
                 assert_same_at_another_gain(&mut loaded, map, answer, 1e-2);
             }
         }
+    }
+}
+
+/// Asserts that a training ends for every network, because it finds the layers that it scales and fits.
+#[test]
+fn every_network_is_trained() {
+    let set = dataset(Maps { size: 32, sequences: [3, 2, 1], length: 3, ..Maps::default() });
+    let (_, any) = brief();
+    for network in networks() {
+        let NetworkSpec { kind, head, .. } = NetworkSpec::named(&network.name).expect("known");
+        let spec = TrainSpec { network: kind, head, starts: 1, ..any.clone() };
+        let spec = if kind.reads_descriptors() { descriptors(kind, spec) } else { spec };
+        let outcome = train(&set, &spec, &mut |_| {}).unwrap_or_else(|error| panic!("{}: {error}", network.name));
+        assert_eq!(outcome.history.len(), spec.epochs, "{}", network.name);
     }
 }
 
@@ -475,7 +495,7 @@ mod hard_cases {
     #[test]
     fn descriptors_of_other_maps_than_over_noise_are_refused() {
         let (set, spec) = brief();
-        for network in [NetworkKind::DescriptorLinear, NetworkKind::DescriptorHqnn] {
+        for network in descriptor_networks() {
             let described = descriptors(network, spec.clone());
             for (bad, found) in [
                 (TrainSpec { reference: MapReference::Absolute, ..described.clone() }, "absolute"),

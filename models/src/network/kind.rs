@@ -10,7 +10,7 @@ use crate::standardise::MapReference;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum NetworkKind {
-    /// The paper's backbone of two convolutions and a narrow latent, with a [`Head`](super::Head).
+    /// The paper's backbone of two convolutions and a narrow latent, with a head.
     #[default]
     Hqnn,
     /// Five convolution blocks, three dense layers.
@@ -24,9 +24,9 @@ pub enum NetworkKind {
     /// EfficientNet-B0 with torchvision's stem, of which each of the three channels sees the map.
     #[serde(rename = "efficientnet_b0_rgb")]
     EfficientNetB0Rgb,
-    /// Descriptors of a map ([`crate::layer::descriptors`]) and a linear head.
+    /// Descriptors of a map and a linear head.
     DescriptorLinear,
-    /// Descriptors of a map, a narrow latent and a [`Head`](super::Head).
+    /// Descriptors of a map, a narrow latent and a head.
     DescriptorHqnn,
 }
 
@@ -51,15 +51,40 @@ pub struct UnreadableMaps {
 }
 
 impl NetworkKind {
+    /// All kinds, in the order of lists.
+    pub const ALL: [NetworkKind; 7] = [
+        NetworkKind::Hqnn,
+        NetworkKind::DopplerNet,
+        NetworkKind::ResNet18,
+        NetworkKind::EfficientNetB0,
+        NetworkKind::EfficientNetB0Rgb,
+        NetworkKind::DescriptorLinear,
+        NetworkKind::DescriptorHqnn,
+    ];
+
     /// Returns whether the network describes maps by [`crate::layer::descriptors`]: it reads dB over noise that are not
-    /// standardised.
+    /// standardised. The names of such networks begin with `descriptor_`.
     pub fn reads_descriptors(self) -> bool {
-        matches!(self, NetworkKind::DescriptorLinear | NetworkKind::DescriptorHqnn)
+        match self {
+            NetworkKind::DescriptorLinear | NetworkKind::DescriptorHqnn => true,
+            NetworkKind::Hqnn
+            | NetworkKind::DopplerNet
+            | NetworkKind::ResNet18
+            | NetworkKind::EfficientNetB0
+            | NetworkKind::EfficientNetB0Rgb => false,
+        }
     }
 
     /// Returns whether the network has a narrow latent and a [`Head`](super::Head).
     pub fn has_latent(self) -> bool {
-        matches!(self, NetworkKind::Hqnn | NetworkKind::DescriptorHqnn)
+        match self {
+            NetworkKind::Hqnn | NetworkKind::DescriptorHqnn => true,
+            NetworkKind::DopplerNet
+            | NetworkKind::ResNet18
+            | NetworkKind::EfficientNetB0
+            | NetworkKind::EfficientNetB0Rgb
+            | NetworkKind::DescriptorLinear => false,
+        }
     }
 
     /// Checks that the network can read maps of this reference and orientation.

@@ -26,7 +26,7 @@ impl NetworkSpec {
 
     /// Finds a network by its name, one of [`networks`].
     pub fn named(name: &str) -> Option<Self> {
-        named().into_iter().find(|(known, _)| *known == name).map(|(_, spec)| spec)
+        named().into_iter().find(|(known, _)| known == name).map(|(_, spec)| spec)
     }
 
     /// Names and shapes of the arrays in a model file, in order.
@@ -64,26 +64,23 @@ impl NetworkSpec {
     }
 }
 
-/// Networks with their names, as commands and studies spell them.
-pub(super) fn named() -> Vec<(&'static str, NetworkSpec)> {
-    let head = NetworkSpec::with_head;
-    let kind = |kind| NetworkSpec { kind, pooled: PAPER_POOLED, head: Head::default() };
-    let circuit = |frozen| Head::Circuit { circuit: Default::default(), frozen, placement: Placement::Latent };
-    vec![
-        ("hqnn", head(Head::default())),
-        ("estimator_matched", head(Head::Linear)),
-        ("dequantization", head(Head::Dequantization)),
-        ("squashed_linear", head(Head::SquashedLinear)),
-        ("squashed_dequantization", head(Head::SquashedDequantization)),
-        ("trigonometric", head(Head::Trigonometric)),
-        ("frozen_angles", head(circuit(true))),
-        ("doppler_net", kind(NetworkKind::DopplerNet)),
-        ("resnet18", kind(NetworkKind::ResNet18)),
-        ("efficientnet_b0", kind(NetworkKind::EfficientNetB0)),
-        ("efficientnet_b0_rgb", kind(NetworkKind::EfficientNetB0Rgb)),
-        ("descriptor_linear", kind(NetworkKind::DescriptorLinear)),
-        ("descriptor_hqnn", kind(NetworkKind::DescriptorHqnn)),
-    ]
+/// Networks with their names, as commands and studies spell them: each kind with the paper's head, and the HQNN with other heads.
+pub(super) fn named() -> Vec<(String, NetworkSpec)> {
+    let frozen = Head::Circuit { circuit: Default::default(), frozen: true, placement: Placement::Latent };
+    let heads = [
+        ("estimator_matched", Head::Linear),
+        ("dequantization", Head::Dequantization),
+        ("squashed_linear", Head::SquashedLinear),
+        ("squashed_dequantization", Head::SquashedDequantization),
+        ("trigonometric", Head::Trigonometric),
+        ("frozen_angles", frozen),
+    ];
+    let with_head = |(name, head): (&str, Head)| (name.to_owned(), NetworkSpec::with_head(head));
+    let of_kind =
+        |kind: NetworkKind| (kind.to_string(), NetworkSpec { kind, pooled: PAPER_POOLED, head: Head::default() });
+    let others = NetworkKind::ALL.into_iter().filter(|kind| *kind != NetworkKind::Hqnn);
+    let hqnns = std::iter::once(of_kind(NetworkKind::Hqnn)).chain(heads.map(with_head));
+    hqnns.chain(others.map(of_kind)).collect()
 }
 
 /// Name, size and cost of a network.
@@ -101,8 +98,8 @@ pub struct NetworkInfo {
 
 /// All networks and heads of the paper, of its fair controls, and the plain classifiers of descriptors.
 pub fn networks() -> Vec<NetworkInfo> {
-    let info = |(name, spec): (&str, NetworkSpec)| NetworkInfo {
-        name: name.to_owned(),
+    let info = |(name, spec): (String, NetworkSpec)| NetworkInfo {
+        name,
         parameters: spec.parameter_count(),
         multiply_adds: spec.multiply_adds(128, 128),
         input: [1, 128, 128],

@@ -10,34 +10,48 @@ fn maps(batch: usize, range: usize, doppler: usize) -> Tensor {
     Tensor::from_vec(cells, (batch, range, doppler), &Device::Cpu).expect("tensor")
 }
 
-/// Numbers of parameters that the paper states, and those of torchvision.
+/// Numbers of parameters that the paper states, those of torchvision, and sums by hand for the paper's controls and descriptors.
 #[test]
-fn parameters_are_the_papers() {
+fn every_network_has_the_known_number_of_parameters() {
+    const BEFORE_HEAD: usize = 66_447 - 4 - 9;
     let expected = [
         ("hqnn", 66_447),
         ("estimator_matched", 66_443),
         ("dequantization", 66_449),
+        ("squashed_linear", BEFORE_HEAD + 9),
+        ("squashed_dequantization", BEFORE_HEAD + 6 + 9),
+        ("trigonometric", BEFORE_HEAD + 5 * 3 + 3),
+        ("frozen_angles", 66_447),
         ("doppler_net", 2_558_307),
         ("resnet18", 11_171_779),
         ("efficientnet_b0", 4_010_815),
         ("efficientnet_b0_rgb", 4_011_391),
+        ("descriptor_linear", 47 * 3 + 3),
+        ("descriptor_hqnn", 47 * 2 + 2 + 4 + 9),
     ];
-    for (name, parameters) in expected {
-        let spec = NetworkSpec::named(name).expect(name);
-        assert_eq!(spec.parameter_count(), parameters, "{name}");
-    }
+    let found: Vec<(String, usize)> = named().into_iter().map(|(name, spec)| (name, spec.parameter_count())).collect();
+    assert_eq!(found, expected.map(|(name, parameters)| (name.to_owned(), parameters)));
 }
 
 /// Errors name a network as files and commands do; they had names of the code.
 #[test]
 fn kinds_are_written_as_users_type_them() {
-    for (_, NetworkSpec { kind, .. }) in named() {
+    for kind in NetworkKind::ALL {
         let name = kind.to_string();
         assert_eq!(serde_json::json!(kind), name.as_str());
         assert_eq!(NetworkSpec::named(&name).map(|spec| spec.kind), Some(kind));
+        assert_eq!(name.starts_with("descriptor_"), kind.reads_descriptors(), "help texts and docs say so: {name}");
     }
     let error = kind::UnreadableMaps { network: NetworkKind::DescriptorLinear, found: "they are transposed" };
     assert!(error.to_string().starts_with("descriptor_linear describes maps"), "{error}");
+}
+
+/// A kind that is not listed could not be trained by its name.
+#[test]
+fn every_kind_is_listed() {
+    let schema = serde_json::json!(schemars::schema_for!(NetworkKind));
+    let variants = schema["oneOf"].as_array().expect("variants").iter().map(|variant| variant["const"].clone());
+    assert_eq!(variants.collect::<Vec<_>>(), NetworkKind::ALL.map(|kind| serde_json::json!(kind)));
 }
 
 /// ResNet-18 is known for 1.82 G multiply-adds at 3 x 224 x 224; ours differ by the stem's two channels and the classes.
@@ -78,8 +92,8 @@ fn folding_the_feature_scale_leaves_the_answer_alone() {
 /// Every network answers, and every trained number that reaches the answer has a gradient.
 #[test]
 fn every_network_runs_and_learns() {
-    for (name, spec) in named() {
-        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect(name);
+    for (name, spec) in &named() {
+        let network = Network::initialise(spec, 3, 0, KernelLevel::detect()).expect(name);
         let input = maps(3, 64, 64);
         let output = network.graph().output;
         let mut values = network.run(&input, output, Mode::Training { seed: 1, step: 1, penalty: 0.0 }).expect(name);
