@@ -19,8 +19,10 @@
 //!    training maps ([`FullBatch`]), which hardly depends on the seed.
 //! 8. *Calibration.* One temperature, fitted on the validation split (Guo et al., ICML 2017).
 //!
-//! `docs/studies` has results over seeds and comparisons of heads under equal treatment. Networks without a narrow latent are
-//! trained by the same steps without 1 to 4, from one start.
+//! Networks without a narrow latent are trained by the same steps without 1 to 4; those of descriptors keep step 1. They have as
+//! many starts as the settings say, except in a study ([`crate::study`]), which gives them one.
+//!
+//! `docs/studies` has results over seeds and comparisons of heads under equal treatment.
 
 mod adam;
 mod adapt;

@@ -71,7 +71,8 @@ pub struct TrainSpec {
     pub learning_rate: f64,
     /// Step size of the circuit's angles, as a multiple of `learning_rate`.
     pub angle_rate: f64,
-    /// Step size of the head's dense layers, and of all where the network reads descriptors, as a multiple of `learning_rate`.
+    /// Step size of the layers `head`, `head_hidden` and `warm_up`, and of `fc2` in a network of descriptors, as a multiple of
+    /// `learning_rate`. Networks with neither latent nor descriptors have none of these layers.
     pub head_rate: f64,
     /// Steps over which the step size rises to its full value.
     pub warm_up_steps: usize,
@@ -79,8 +80,7 @@ pub struct TrainSpec {
     pub starts: u64,
     /// Epochs that each is given before one is chosen, at most `epochs`.
     pub start_epochs: usize,
-    /// Number of first epochs in which a linear head reads the latent directly (see [the recipe](super)); half of all epochs if
-    /// absent.
+    /// Number of first epochs in which a linear head reads the latent directly; half of all epochs if absent.
     pub linear_epochs: Option<usize>,
     /// Standard deviation that features are scaled to while training.
     pub feature_sigma: f32,
@@ -97,8 +97,7 @@ pub struct TrainSpec {
     /// Whether maps are standardised by scene and class, as in the paper, which leaks the label of every map to the network. Such
     /// models classify maps with labels only.
     pub label_leaking_cells: bool,
-    /// Time over which the model averages the evidence of frames, s, saved with it
-    /// ([`EvidenceMean`](crate::evidence_mean::EvidenceMean)). The training sees single maps. 0 if absent.
+    /// Time over which the model averages the evidence of frames, s, saved with it. The training sees single maps. 0 if absent.
     #[serde(skip_serializing_if = "crate::is_default")]
     pub memory_s: f64,
     /// Settings of the filter over frames, saved with the model.
@@ -120,9 +119,8 @@ pub struct TrainSpec {
     pub augmentation: Augmentation,
     /// Instruction set of the inner loops; the fastest available one if absent.
     pub kernel_level: Option<KernelLevel>,
-    /// torchvision's weights for ResNet-18 or EfficientNet-B0 to start from, as safetensors
-    /// ([`TorchvisionWeights`](crate::network::TorchvisionWeights)). What they hold decides the outcome, not where they lie. In a
-    /// file, relative to that file.
+    /// torchvision's weights for ResNet-18 or EfficientNet-B0 to start from, as safetensors. What they hold decides the outcome,
+    /// not where they lie. In a file, relative to that file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights: Option<PathBuf>,
 }
