@@ -14,7 +14,7 @@ metadata describe the kind of map and its standardisation, as JSON under the key
 place of the model: --model FILE.onnx. This requires onnxruntime:\n\n  \
 pip install --no-deps --target .ort onnxruntime==1.31.1 && export ORT_DYLIB_PATH=$PWD/.ort\n\n\
 ORT_DYLIB_PATH names the library; without it, the library of python3's onnxruntime is used.\n\n\
-The networks descriptor_linear and descriptor_hqnn have no ONNX form: use their model files.";
+Networks whose names begin with descriptor_ have no ONNX form: use their model files.";
 
 /// `radome model export`
 #[derive(clap::Args)]

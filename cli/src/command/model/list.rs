@@ -10,8 +10,8 @@ doppler_net, resnet18, efficientnet_b0, efficientnet_b0_rgb
 descriptor_linear        47 descriptors of a map and a linear head: the baseline
 descriptor_hqnn          the same 47 descriptors, two numbers, and the paper's circuit or another head
 
-The last two read maps over their own noise: their training spec needs reference = { over_noise = { skip_range_bins = 3 } }. \
-They have no ONNX form.";
+Networks whose names begin with descriptor_ read maps over their own noise: their training spec needs \
+reference = { over_noise = { skip_range_bins = 3 } }. They have no ONNX form.";
 
 /// `radome model list`
 #[derive(clap::Args)]

@@ -21,7 +21,7 @@ pub struct Arguments {
     /// TOML file with the settings of the training; absent settings have defaults
     #[arg(long, value_name = "FILE.toml")]
     spec: Option<PathBuf>,
-    /// Network, as `radome model list` names it; descriptor_linear and descriptor_hqnn need `reference.over_noise` in the spec
+    /// Network, as `radome model list` names it; those whose names begin with descriptor_ need `reference.over_noise` in the spec
     #[arg(long)]
     network: Option<String>,
     /// torchvision's weights to start from, for resnet18, efficientnet_b0 and efficientnet_b0_rgb: its .pth as safetensors
