@@ -12,9 +12,24 @@ const ADD_RELU: &str = "add_relu";
 /// Number of values that one task processes.
 pub(super) const CHUNK: usize = 1 << 14;
 
-/// A function of each value.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Activation {
+/// Defines the activations and the list of all, which tests go through.
+macro_rules! activations {
+    ($($(#[$doc:meta])* $name:ident,)*) => {
+        /// A function of each value.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+        pub enum Activation {
+            $($(#[$doc])* $name,)*
+        }
+
+        #[cfg(test)]
+        impl Activation {
+            /// All activations.
+            pub(crate) const ALL: &'static [Activation] = &[$(Activation::$name,)*];
+        }
+    };
+}
+
+activations! {
     /// The value itself.
     None,
     /// `max(x, 0)`; a NaN stays.
@@ -25,20 +40,29 @@ pub enum Activation {
     Sigmoid,
 }
 
-/// Codes of activations for constant parameters of kernels.
-const RELU: u8 = Activation::Relu as u8;
-const SILU: u8 = Activation::Silu as u8;
-const SIGMOID: u8 = Activation::Sigmoid as u8;
+impl Activation {
+    /// The activation of one value by the exponential of the standard library, for inference where no convolution or dense layer
+    /// comes before it. It rounds otherwise than [`activate`], which runs in vectors.
+    #[inline]
+    pub(crate) fn of(self, x: f32) -> f32 {
+        match self {
+            Activation::Relu if x < 0.0 => 0.0,
+            Activation::None | Activation::Relu => x,
+            Activation::Silu => x / (1.0 + (-x).exp()),
+            Activation::Sigmoid => 1.0 / (1.0 + (-x).exp()),
+        }
+    }
+}
 
-/// Compiles `$body` once for each activation, whose code is the constant `$code` there, and runs that of `$activation`.
+/// Compiles `$body` once for each activation, which is the constant `$constant` there, and runs that of `$activation`.
 macro_rules! by_activation {
-    ($activation:expr, $code:ident => $body:expr) => {
-        by_activation!($activation, $code => $body; None Relu Silu Sigmoid)
+    ($activation:expr, $constant:ident => $body:expr) => {
+        by_activation!($activation, $constant => $body; None Relu Silu Sigmoid)
     };
-    ($activation:expr, $code:ident => $body:expr; $($name:ident)*) => {
+    ($activation:expr, $constant:ident => $body:expr; $($name:ident)*) => {
         match $activation {
             $(Activation::$name => {
-                const $code: u8 = Activation::$name as u8;
+                const $constant: Activation = Activation::$name;
                 $body
             })*
         }
@@ -70,45 +94,45 @@ fn sigmoid<const FUSED: bool>(x: f32) -> f32 {
     1.0 / (1.0 + exponential::<FUSED>(-x))
 }
 
-/// The activation of `x`.
+/// The activation of `x`. In loops, `activation` is a constant ([`by_activation`]).
 #[inline(always)]
-pub(super) fn activate<const FUSED: bool, const A: u8>(x: f32) -> f32 {
-    match A {
-        RELU if x < 0.0 => 0.0,
-        SILU => x * sigmoid::<FUSED>(x),
-        SIGMOID => sigmoid::<FUSED>(x),
-        _ => x,
+pub(super) fn activate<const FUSED: bool>(activation: Activation, x: f32) -> f32 {
+    match activation {
+        Activation::Relu if x < 0.0 => 0.0,
+        Activation::None | Activation::Relu => x,
+        Activation::Silu => x * sigmoid::<FUSED>(x),
+        Activation::Sigmoid => sigmoid::<FUSED>(x),
     }
 }
 
 /// Computes `gradient` times the derivative of the activation at `x`. The derivative of ReLU is zero at zero, as in
-/// PyTorch.
+/// PyTorch. In loops, `activation` is a constant ([`by_activation`]).
 #[inline(always)]
-pub(super) fn descend<const FUSED: bool, const A: u8>(x: f32, gradient: f32) -> f32 {
-    match A {
-        RELU if x <= 0.0 => 0.0,
-        SILU => {
+pub(super) fn descend<const FUSED: bool>(activation: Activation, x: f32, gradient: f32) -> f32 {
+    match activation {
+        Activation::Relu if x <= 0.0 => 0.0,
+        Activation::None | Activation::Relu => gradient,
+        Activation::Silu => {
             let s = sigmoid::<FUSED>(x);
             gradient * s * multiply_add::<FUSED>(x, 1.0 - s, 1.0)
         }
-        SIGMOID => {
+        Activation::Sigmoid => {
             let s = sigmoid::<FUSED>(x);
             gradient * s * (1.0 - s)
         }
-        _ => gradient,
     }
 }
 
 for_each_level! {
     fn forward(activation: Activation, input: &[f32], output: &mut [f32]) {
-        by_activation!(activation, A => output.iter_mut().zip(input).for_each(|(y, &x)| *y = activate::<FUSED, A>(x)))
+        by_activation!(activation, A => output.iter_mut().zip(input).for_each(|(y, &x)| *y = activate::<FUSED>(A, x)))
     }
 }
 
 for_each_level! {
     fn backward(activation: Activation, input: &[f32], gradient: &mut [f32]) {
         by_activation!(
-            activation, A => gradient.iter_mut().zip(input).for_each(|(g, &x)| *g = descend::<FUSED, A>(x, *g))
+            activation, A => gradient.iter_mut().zip(input).for_each(|(g, &x)| *g = descend::<FUSED>(A, x, *g))
         )
     }
 }
@@ -116,7 +140,7 @@ for_each_level! {
 for_each_level! {
     /// Replaces values by their activation.
     pub(super) fn in_place(activation: Activation, values: &mut [f32]) {
-        by_activation!(activation, A => values.iter_mut().for_each(|v| *v = activate::<FUSED, A>(*v)))
+        by_activation!(activation, A => values.iter_mut().for_each(|v| *v = activate::<FUSED>(A, *v)))
     }
 }
 
@@ -124,7 +148,7 @@ for_each_level! {
     /// Replaces values by the activation of their sums with others.
     pub(super) fn add_in_place(activation: Activation, values: &mut [f32], others: &[f32]) {
         by_activation!(
-            activation, A => values.iter_mut().zip(others).for_each(|(v, &o)| *v = activate::<FUSED, A>(*v + o))
+            activation, A => values.iter_mut().zip(others).for_each(|(v, &o)| *v = activate::<FUSED>(A, *v + o))
         )
     }
 }
@@ -166,7 +190,7 @@ impl Operation for Activate {
 for_each_level! {
     fn sum_relu(a: &[f32], b: &[f32], output: &mut [f32]) {
         for ((y, &a), &b) in output.iter_mut().zip(a).zip(b) {
-            *y = activate::<FUSED, RELU>(a + b);
+            *y = activate::<FUSED>(Activation::Relu, a + b);
         }
     }
 }

@@ -186,7 +186,7 @@ for_each_level! {
         by_activation!(activation, A => {
             for (input, output) in input.chunks(length).zip(output.chunks_mut(length)) {
                 for (((y, &x), &a), &b) in output.iter_mut().zip(input).zip(scale).zip(shift) {
-                    *y = activate::<FUSED, A>(multiply_add::<FUSED>(x, a, b));
+                    *y = activate::<FUSED>(A, multiply_add::<FUSED>(x, a, b));
                 }
             }
         })
@@ -206,7 +206,7 @@ for_each_level! {
         by_activation!(activation, A => {
             for (input, gradient) in input.chunks(length).zip(gradient.chunks_mut(length)) {
                 for (k, (&x, g)) in input.iter().zip(gradient).enumerate() {
-                    *g = descend::<FUSED, A>(multiply_add::<FUSED>(x, scale[k], shift[k]), *g);
+                    *g = descend::<FUSED>(A, multiply_add::<FUSED>(x, scale[k], shift[k]), *g);
                     sum[k] += *g;
                     product[k] = multiply_add::<FUSED>(*g, x - mean[k], product[k]);
                 }

@@ -363,16 +363,6 @@ impl Kernel {
     }
 }
 
-fn activate(activation: Activation, x: f32) -> f32 {
-    match activation {
-        Activation::None => x,
-        Activation::Relu if x < 0.0 => 0.0,
-        Activation::Relu => x,
-        Activation::Silu => x / (1.0 + (-x).exp()),
-        Activation::Sigmoid => 1.0 / (1.0 + (-x).exp()),
-    }
-}
-
 impl Step {
     fn run(&self, buffers: &[Feature], output: &mut Feature) -> Result<()> {
         let in_place = self.inputs.first() == Some(&self.output);
@@ -403,12 +393,12 @@ impl Step {
             Kernel::ScaleChannels => output.scale_channels(input(1)?)?,
             Kernel::Add { rectified } => add(input(1)?, *rectified, output)?,
             Kernel::Activate(function) => {
-                output.values_mut().iter_mut().for_each(|x| *x = activate(*function, *x));
+                output.values_mut().iter_mut().for_each(|x| *x = function.of(*x));
             }
             Kernel::Affine { scale, shift, activation } => {
                 for cell in output.values_mut().chunks_exact_mut(channels) {
                     let constants = scale.iter().zip(shift);
-                    cell.iter_mut().zip(constants).for_each(|(x, (a, b))| *x = activate(*activation, *x * a + b));
+                    cell.iter_mut().zip(constants).for_each(|(x, (a, b))| *x = activation.of(*x * a + b));
                 }
             }
             Kernel::Standardise { mean, factor } => standardise(mean, factor, output)?,
@@ -438,7 +428,7 @@ fn add(other: &Feature, rectified: bool, output: &mut Feature) -> Result<()> {
     let function = if rectified { Activation::Relu } else { Activation::None };
     for_each_chunk(output.values_mut(), CHUNK, |index, values| {
         let other = &other.values()[index * CHUNK..];
-        values.iter_mut().zip(other).for_each(|(x, y)| *x = activate(function, *x + y));
+        values.iter_mut().zip(other).for_each(|(x, y)| *x = function.of(*x + y));
     });
     Ok(())
 }
