@@ -23,10 +23,8 @@ pub(crate) const LATENT: &str = "latent";
 /// Linear head that reads [`LATENT`] and gives the logits of the warm-up. Only training has it: it is in no model file and does not
 /// count as a part of the network.
 pub(crate) const WARM_UP: &str = "warm_up";
-/// Quantum circuit; its angles learn at `angle_rate`.
+/// Quantum circuit. Its angles learn at `angle_rate`; the fit at the end of the warm-up starts them anywhere on the circle.
 pub(crate) const CIRCUIT: &str = "circuit";
-/// Angles of [`CIRCUIT`]: they start anywhere on the circle, and may be frozen.
-pub(crate) const CIRCUIT_ANGLES: &str = "circuit.theta";
 /// Dense layer that gives the logits; it learns at `head_rate`.
 pub(crate) const HEAD: &str = "head";
 /// Dense layer before [`HEAD`]; it learns at `head_rate`.

@@ -12,7 +12,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::adam::Adam;
 use super::error::TrainError;
 use crate::layer::{backward, cross_entropy};
-use crate::network::{Layer, Mode, Network, Parameter, Value, names};
+use crate::network::{Layer, Mode, Network, Node, Parameter, Value, names};
 use crate::random::stream;
 
 /// Random starts of the search.
@@ -60,7 +60,7 @@ pub(super) fn search(
     for index in 0..SEARCHES {
         let mut rng = stream(seed, "head start", start * SEARCHES + index);
         for Parameter { name, variable } in head.iter().copied().filter(|p| is_trained(network, p)) {
-            let bound = if name == names::CIRCUIT_ANGLES { std::f32::consts::PI } else { 1.0 };
+            let bound = if names::layer_of(name) == names::CIRCUIT { std::f32::consts::PI } else { 1.0 };
             let values: Vec<f32> = if name.ends_with(".bias") {
                 vec![0.0; variable.elem_count()]
             } else {
@@ -133,8 +133,9 @@ pub(super) fn parameters_behind(network: &Network, latent: Value) -> Vec<&Parame
 
 /// Returns whether an array is trained at all: angles may be frozen.
 pub(super) fn is_trained(network: &Network, parameter: &Parameter) -> bool {
-    let frozen = |layer: &Layer| matches!(layer, Layer::Circuit { frozen: true, .. });
-    !(parameter.name == names::CIRCUIT_ANGLES && network.graph().nodes.iter().any(|node| frozen(&node.layer)))
+    let is_frozen = |node: &Node| matches!(node.layer, Layer::Circuit { frozen: true, .. });
+    let layer = names::layer_of(&parameter.name);
+    !network.graph().nodes.iter().any(|node| node.name == layer && is_frozen(node))
 }
 
 fn identity(width: usize) -> Vec<f32> {
