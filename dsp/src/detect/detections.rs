@@ -77,7 +77,6 @@ pub struct RangeProfile(Vec<Complex64>);
 pub struct Detector {
     waveform: Waveform,
     baselines: Vec<Baseline>,
-    range_window: Vec<f64>,
     doppler_window: Vec<f64>,
     range_fft: RangeFft,
     /// Spectrum of one chirp.
@@ -97,11 +96,10 @@ impl Detector {
         let shape = waveform.shape();
         let length = RANGE_PADDING * shape.samples;
         let bins = length / 2;
-        let range_fft = RangeFft::new(shape.samples, length);
+        let range_fft = RangeFft::new(Window::Hann.weights(shape.samples), length);
         Detector {
             waveform: waveform.clone(),
             baselines: baselines.to_vec(),
-            range_window: Window::Hann.weights(shape.samples),
             doppler_window: Window::Hann.weights(shape.chirps),
             spectrum: vec![Complex64::default(); range_fft.bins()],
             range_fft,
@@ -248,7 +246,7 @@ impl Detector {
 
     /// Width of a padded range bin, m.
     fn bin_m(&self) -> f64 {
-        self.waveform.range_step_m(RANGE_PADDING * self.range_window.len())
+        self.waveform.range_step_m(RANGE_PADDING * self.waveform.request.samples_per_chirp)
     }
 
     /// Computes the complex maps of all receivers and their power. Returns the profiles of the mean chirps.
@@ -259,9 +257,9 @@ impl Detector {
         let mut profile = vec![Complex64::default(); shape.rx * bins];
         for (index, chirp) in frame.codes.chunks_exact(shape.samples).enumerate() {
             let (rx, m) = (index / chirps, index % chirps);
-            let mean = chirp.iter().map(|&code| f64::from(code)).sum::<f64>() / shape.samples as f64;
-            let windowed = chirp.iter().zip(&self.range_window).map(|(&code, w)| (f64::from(code) - mean) * w);
-            self.range_fft.transform(windowed, &mut self.spectrum);
+            // Only ratios of powers are used: any scale will do.
+            let codes = chirp.iter().map(|&code| f64::from(code));
+            self.range_fft.transform_codes(codes, |windowed| windowed, &mut self.spectrum);
             for (bin, value) in self.spectrum.iter().take(bins).enumerate() {
                 if let Some(cell) = self.cells.get_mut((rx * bins + bin) * chirps + m) {
                     *cell = *value;

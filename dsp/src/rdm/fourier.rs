@@ -18,7 +18,6 @@ const BLOCK: usize = 8;
 
 /// Transforms, buffers and the window of frames.
 pub(super) struct FourierTransform {
-    range_window: Vec<f64>,
     doppler_window: Vec<f64>,
     range_fft: RangeFft,
     doppler_fft: Arc<dyn Fft<f64>>,
@@ -38,18 +37,17 @@ impl FourierTransform {
     pub(super) fn new(plan: &MapPlan, level: KernelLevel) -> Self {
         let RdmShape { doppler, range, .. } = plan.shape;
         let length = plan.range_fft_length;
-        let samples = plan.frame_shape.samples;
+        let window = plan.range_window.clone();
         // The library chooses its instructions itself, except in its scalar planner.
         let (range_fft, doppler_fft) = if level == KernelLevel::Portable {
-            (RangeFft::scalar(samples, length), FftPlannerScalar::<f64>::new().plan_fft_forward(doppler))
+            (RangeFft::scalar(window, length), FftPlannerScalar::<f64>::new().plan_fft_forward(doppler))
         } else {
-            (RangeFft::new(samples, length), complex_fft(doppler))
+            (RangeFft::new(window, length), complex_fft(doppler))
         };
         let bins = range_fft.bins();
         let zero = Complex64::new(0.0, 0.0);
         let history = if plan.is_across_frames { plan.channels.len() * range * plan.slow_length } else { 0 };
         FourierTransform {
-            range_window: plan.range_window.clone(),
             doppler_window: plan.doppler_window.clone(),
             bins,
             spectra: vec![zero; BLOCK * bins],
@@ -71,8 +69,8 @@ impl FourierTransform {
 
     /// Computes the range FFT of one chirp into row `row` of `spectra`.
     fn range_transform(&mut self, chirp: &[f32], row: usize) {
-        let windowed = chirp.iter().zip(&self.range_window).map(|(x, w)| f64::from(*x) * w);
-        self.range_fft.transform(windowed, &mut self.spectra[row * self.bins..(row + 1) * self.bins]);
+        let spectrum = &mut self.spectra[row * self.bins..(row + 1) * self.bins];
+        self.range_fft.transform(chirp.iter().map(|x| f64::from(*x)), spectrum);
     }
 
     /// Computes the power of one channel `[chirp][sample]` into the map's cells.

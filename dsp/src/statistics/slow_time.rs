@@ -36,7 +36,6 @@ pub struct SlowTimeStatistics {
     waveform: Waveform,
     /// Number of frames of a window.
     window: usize,
-    taper: Vec<f64>,
     fft: RangeFft,
     /// Profiles `[frame][rx][bin]` of the current window.
     profiles: Vec<Vec<Complex64>>,
@@ -87,8 +86,7 @@ impl SlowTimeStatistics {
         SlowTimeStatistics {
             waveform: waveform.clone(),
             window,
-            taper: Window::Hann.weights(shape.samples),
-            fft: RangeFft::new(shape.samples, shape.samples),
+            fft: RangeFft::new(Window::Hann.weights(shape.samples), shape.samples),
             profiles: Vec::new(),
             last_sequence: 0,
             windows: 0,
@@ -109,8 +107,7 @@ impl SlowTimeStatistics {
             self.end();
         }
         self.last_sequence = frame.sequence;
-        // Amplitude of a sine over full scale.
-        let scale = 2.0 / (self.taper.iter().sum::<f64>() * 2048.0);
+        let factor = self.fft.full_scale_factor();
         let (mut chirp, mut spectrum) = (vec![0.0; shape.samples], vec![Complex64::default(); self.fft.bins()]);
         let mut profile = Vec::with_capacity(self.still.len());
         for codes in frame.codes.chunks(shape.chirps * shape.samples) {
@@ -118,9 +115,8 @@ impl SlowTimeStatistics {
             for one in codes.chunks(shape.samples) {
                 chirp.iter_mut().zip(one).for_each(|(sum, &code)| *sum += f64::from(code));
             }
-            let mean = chirp.iter().sum::<f64>() / shape.samples as f64;
-            let windowed = chirp.iter().zip(&self.taper).map(|(x, w)| (x - mean) * w * scale / shape.chirps as f64);
-            self.fft.transform(windowed, &mut spectrum);
+            // The sum of all chirps becomes their mean.
+            self.fft.transform_codes(chirp.iter().copied(), |x| x * factor / shape.chirps as f64, &mut spectrum);
             profile.extend(spectrum.iter().take(shape.samples / 2));
         }
         self.profiles.push(profile);
