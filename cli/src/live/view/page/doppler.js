@@ -1,11 +1,11 @@
 // Velocity over time: for each velocity, the echo with the highest level over the noise of its range.
 
-import { begin, clock, painter, palette, theme, ticks } from './plot.js';
+import { LEAKAGE_BINS, begin, clock, painter, palette, theme, ticks } from './plot.js';
 
 /** Number of columns that are kept. */
 const COLUMNS = 480;
 /** dB over noise that the colours span: an exponential's tail over a hundred ranges is 7. */
-const LOW = 6, HIGH = 36, NEAR = 3;
+const LOW = 6, HIGH = 36;
 const LEFT = 42, BOTTOM = 20, TOP = 6;
 
 export class DopplerView {
@@ -32,7 +32,7 @@ export class DopplerView {
     const out = new Uint32Array(this.column.data.buffer);
     for (let d = 0; d < doppler; d++) {
       let over = -Infinity;
-      for (let r = NEAR; r < range; r++) {
+      for (let r = LEAKAGE_BINS; r < range; r++) {
         const byte = bytes[d * range + r], v = low + step * byte - floor[r];
         if (byte !== 255 && v > over) over = v;
       }

@@ -1,9 +1,7 @@
 // A range-Doppler map: range to the right, velocity upwards, dB as colour.
 
-import { begin, palette, painter, theme, ticks } from './plot.js';
+import { LEAKAGE_BINS, STANDS_OUT_DB, begin, palette, painter, theme, ticks } from './plot.js';
 
-/** Number of range bins next to the antenna that contain leakage. */
-const NEAR = 3;
 const LEFT = 42, BOTTOM = 34, RIGHT = 52, TOP = 6;
 
 export class MapView {
@@ -52,20 +50,21 @@ export class MapView {
 
   none(text) { this.header = null; this.message = text; this.strongest = null; this.draw(); }
 
-  /** Finds the cell with the highest level over the noise. */
+  /** Finds the cell with the highest level over the noise of its range. */
   find() {
-    const { range, doppler } = this.header;
+    const { range } = this.header;
     let best = -Infinity, at = -1;
     for (let i = 0; i < this.db.length; i++) {
       const r = i % range;
-      if (r < NEAR) continue;
+      if (r < LEAKAGE_BINS) continue;
       const over = this.overFloor ? this.db[i] : this.db[i] - this.floor[r];
       if (over > best) { best = over; at = i; }
     }
-    // Noise alone reaches this in one cell of ten thousand maps' worth: exponential power, and a margin.
-    if (at < 0) return null;
-    return { ...this.cell(at), over: best };
+    return at < 0 ? null : { ...this.cell(at), over: best };
   }
+
+  /** The strongest cell, if it stands out of the noise. */
+  found() { return this.strongest?.over > STANDS_OUT_DB ? this.strongest : null; }
 
   cell(index) {
     const { range, doppler, range_step_m, velocity_step_m_per_s } = this.header;
@@ -142,8 +141,9 @@ export class MapView {
     g.textAlign = 'left';
     g.fillText('m/s', 4, height - 5);
     g.strokeStyle = '#fff';
-    if (this.strongest && this.strongest.over > 18) {
-      const [r, d] = [this.strongest.index % range, Math.floor(this.strongest.index / range)];
+    const found = this.found();
+    if (found) {
+      const [r, d] = [found.index % range, Math.floor(found.index / range)];
       g.globalAlpha = 0.8;
       g.beginPath();
       g.arc(x(r), y(d), 9, 0, 7);
@@ -166,7 +166,8 @@ export class MapView {
       const v = c.velocity_m_per_s, way = Math.abs(v) < 0.05 ? 'still' : v > 0 ? 'receding' : 'approaching';
       return `${c.range_m.toFixed(2)} m, ${v > 0 ? '+' : ''}${v.toFixed(2)} m/s (${way}), ${c.db.toFixed(0)} ${unit}`;
     };
-    this.echo.textContent = this.strongest && this.strongest.over > 18 ? `strongest echo: ${words(this.strongest)}` : 'no echo stands out of the noise';
+    const found = this.found();
+    this.echo.textContent = found ? `strongest echo: ${words(found)}` : 'no echo stands out of the noise';
     if (this.pointed) this.pointed.textContent = this.cross ? `· pointed at: ${words({ ...this.cell(this.cross[1] * this.header.range + this.cross[0]) })}` : '';
   }
 }

@@ -1,4 +1,12 @@
-// Shared parts of all plots: colours, a canvas at the screen's resolution, ticks.
+// Shared parts of all plots: limits of echoes, colours, a canvas at the screen's resolution, ticks.
+
+/** Number of range bins beside the antenna where no echo is sought, because of leakage: that of dsp/src/detect/detections.rs. */
+export const LEAKAGE_BINS = 3;
+/**
+ * Level over the noise of its range above which an echo stands out, dB. The power of noise is exponential: of the cells of ten
+ * thousand maps one reaches 13 dB. The rest is a margin.
+ */
+export const STANDS_OUT_DB = 18;
 
 const VIRIDIS = [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99], [170, 220, 50], [253, 231, 37]];
 
