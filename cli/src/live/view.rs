@@ -1,17 +1,20 @@
 //! Live page: shows data and answers of the sensor in a browser. Labels can be edited; recordings can be played, paused
 //! and sought.
 //!
-//! The classifier's thread passes the newest frame on ([`feed`]) and continues. A thread of the pages computes their
-//! maps, at most thirty per second and only those that a page shows. [`server`] serves the pages, [`policy`] decides on
-//! access, [`control`] handles requests of a page, and [`labels`] keeps the labels. [`adaptation`] offers a command
-//! that uses the labels, and [`partner`] is the simulation that mirrors a recording.
+//! The classifier's thread passes the newest frame on ([`feed`]) and continues. A thread of the pages keeps the answers of
+//! the last minutes ([`history`]) and makes pictures ([`picture`]), at most thirty per second and only those that a page
+//! shows. [`server`] serves the pages, [`policy`] decides on access, [`control`] handles requests of a page, and [`labels`]
+//! keeps the labels. [`adaptation`] offers a command that uses the labels, and [`partner`] is the simulation that mirrors a
+//! recording.
 
 mod adaptation;
 mod control;
 mod cut_labels;
 mod feed;
+mod history;
 mod labels;
 mod partner;
+mod picture;
 mod policy;
 mod server;
 mod shared;

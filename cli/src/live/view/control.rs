@@ -5,8 +5,9 @@ use radome_driver::LabelSpan;
 use radome_dsp::Occupancy;
 use serde::Deserialize;
 
-use super::feed::{Look, PageId};
+use super::feed::PageId;
 use super::labels::Book;
+use super::picture::Look;
 use super::shared::Shared;
 
 /// Longest name of the person who labels, characters.

@@ -1,6 +1,6 @@
 // Connection: receives pictures and news, sends requests. Each picture is acknowledged, so that a slow page gets fewer.
 
-/** Header and parts of a picture: see feed.rs. */
+/** Header and parts of a picture: see picture.rs. */
 export function decode(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));

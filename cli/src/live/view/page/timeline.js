@@ -18,7 +18,7 @@ export class History {
     this.columns = ['empty', 'one', 'two', 'occupied', 'truth', 'transition', 'gap', 'label'].map(name => this[name] = new Uint8Array(MOST));
   }
 
-  /** Adds rows whose values have the order of `Point::row` in feed.rs. */
+  /** Adds rows whose values have the order of `Point::row` in history.rs. */
   add(rows) {
     for (const [, time, p, label, occupied, truth, transition, gap] of rows) {
       let at = this.length;
