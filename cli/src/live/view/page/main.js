@@ -46,8 +46,7 @@ const link = new Link({
     if (isNew) arrived_ms = performance.now();
     timeline.now = answer.time_s;
     timeline.draw();
-    if (silent_s()) unsay();
-    else say(answer);
+    say(silent_s() ? null : answer);
     if (header.map) {
       const floor = floats(parts.floor);
       map.take(header.map, parts.map, floor);
@@ -100,7 +99,7 @@ const link = new Link({
     $('status').textContent = { open: '', lost: 'no connection', locked: 'a token is needed: open the link that the program shows', over: 'the run is over' }[state];
     $('status').classList.toggle('bad', state !== 'open');
     if (state === 'open') look();
-    else unsay();
+    else say(null);
   },
 });
 /** Sends a request. The user learns of one that is not sent; what to look at is sent again when the connection is back. */
@@ -155,36 +154,31 @@ async function copyCommand() {
   }
 }
 
-/** Shows an answer, also in the title: tabs of several rooms are told apart by it. */
+/** Shows the text of an answer, also in the title: tabs of several rooms are told apart by it. */
 function answered(text) {
   if ($('answer').value !== text) $('answer').value = text;
   const { hello } = page, title = hello ? `${text} · ${hello.name ?? brief(hello.source)} · radome` : 'radome';
   if (document.title !== title) document.title = title;
 }
 
-const PEOPLE = { empty: 'empty', one: 'one', two: 'two' };
+/**
+ * Shows an answer in all its fields. `null` stands for none: the fields are cleared and the plots of the last frame
+ * dimmed, so that old ones do not look like the present ones.
+ */
 function say(answer) {
-  document.body.classList.remove('stale');
-  const text = PEOPLE[answer.label] ?? (answer.warming_up ? `warming up ${answer.warming_up}` : answer.no_signal ? 'no signal' : '–');
-  answered(text);
-  $('confidence').textContent = answer.probabilities && answer.label ? `${(100 * answer.probabilities[answer.label]).toFixed(0)} %` : '';
-  $('occupied').hidden = !answer.probabilities;
-  $('occupied').textContent = answer.occupied ? 'occupied' : 'not occupied';
-  $('occupied').classList.toggle('on', answer.occupied);
-  $('truth').textContent = answer.truth ? `truth: ${answer.truth}${answer.transition ? ', coming or going' : ''}` : '';
-  if (page.state === 'open') {
+  const { label, probabilities, occupied, truth, transition, warming_up, no_signal } = answer ?? {};
+  document.body.classList.toggle('stale', !answer);
+  answered(label ?? (warming_up ? `warming up ${warming_up}` : no_signal ? 'no signal' : '–'));
+  $('confidence').textContent = probabilities && label ? `${(100 * probabilities[label]).toFixed(0)} %` : '';
+  $('occupied').hidden = !probabilities;
+  $('occupied').textContent = occupied ? 'occupied' : 'not occupied';
+  $('occupied').classList.toggle('on', Boolean(occupied));
+  $('truth').textContent = truth ? `truth: ${truth}${transition ? ', coming or going' : ''}` : '';
+  if (!answer) health.put('frames/s', '–');
+  else if (page.state === 'open') {
     $('status').textContent = `frame ${answer.sequence} · ${clock(answer.time_s, 2)}`;
     $('status').classList.remove('bad');
   }
-}
-
-/** Clears the answer and dims the plots of the last frame, so that old ones do not look like the present ones. */
-function unsay() {
-  document.body.classList.add('stale');
-  answered('–');
-  $('confidence').textContent = $('truth').textContent = '';
-  $('occupied').hidden = true;
-  health.put('frames/s', '–');
 }
 
 /** Seconds without a frame if they are too many, else 0. A recording may be paused at a frame. */
@@ -196,7 +190,7 @@ function silent_s() {
 setInterval(() => {
   const seconds = silent_s();
   if (!seconds || page.state !== 'open') return;
-  unsay();
+  say(null);
   $('status').textContent = `no frames for ${Math.floor(seconds)} s`;
   $('status').classList.add('bad');
 }, 500);
