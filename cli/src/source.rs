@@ -33,6 +33,8 @@ use crate::panics::Guarded;
 
 /// Default seed of a simulation.
 pub const DEFAULT_SEED: u64 = 1;
+/// Default number of frames of a simulation that a command reads to its end: a scene has no end.
+const SIMULATED_FRAMES: u64 = 100;
 
 /// Source of frames and its options, as every command that reads frames takes them.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -111,6 +113,16 @@ impl SourceArgs {
             as_playback: false,
             give_up_after: self.give_up_after_s,
         })
+    }
+
+    /// Returns the options with which a command opens a source that it reads to its end. Without `--frames`, a simulation ends
+    /// after 100.
+    ///
+    /// # Errors
+    /// Those of [`SourceArgs::options`].
+    pub fn finite_options(&self) -> anyhow::Result<SourceOptions> {
+        let options = self.options()?;
+        Ok(SourceOptions { frames: options.frames.or(Some(SIMULATED_FRAMES)), ..options })
     }
 }
 

@@ -23,9 +23,6 @@ const REFLECTOR_M: f64 = 0.3;
 /// Number of frames over which a reflector is averaged.
 const REFLECTOR_FRAMES: u64 = 50;
 
-/// Number of frames of a simulation without --frames: a scene has no end.
-const SIMULATED_FRAMES: u64 = 100;
-
 /// `radome recording echoes`
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -89,9 +86,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let truth = arguments.reflector.as_deref().map(reflector).transpose()?;
     let calibration = arguments.angles.as_deref().map(read).transpose()?.unwrap_or_default();
     let frames = arguments.source.frames;
-    let mut options = arguments.source.options()?;
-    options.frames.get_or_insert(SIMULATED_FRAMES);
-    let source = source::open(&arguments.source.source, &options)?.frames;
+    let source = source::open(&arguments.source.source, &arguments.source.finite_options()?)?.frames;
     let waveform = source.waveform().clone();
     let receivers = Receivers::new(waveform.request.rx_antennas, calibration);
     if receivers.baselines().is_empty() {

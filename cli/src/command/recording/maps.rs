@@ -13,9 +13,6 @@ use crate::picture::plot;
 use crate::source::{self, SourceArgs};
 use crate::{files, output};
 
-/// Default number of frames of a simulation.
-const SIMULATED_FRAMES: u64 = 100;
-
 /// `radome recording maps`
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -120,9 +117,7 @@ struct Counts {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     arguments.check_outputs()?;
-    let mut options = arguments.source.options()?;
-    options.frames.get_or_insert(SIMULATED_FRAMES);
-    let source = source::open(&arguments.source.source, &options)?;
+    let source = source::open(&arguments.source.source, &arguments.source.finite_options()?)?;
     let waveform = source.frames.waveform().clone();
     let mut processor = RdmProcessor::new(&arguments.spec(&waveform)?, &waveform)?;
     let mut map = processor.empty_map();
