@@ -194,6 +194,34 @@ impl Frame {
     }
 }
 
+/// Error for a frame that does not fit the waveform of a processor, a detector or a counter.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[allow(missing_docs, reason = "the message says what each field is")]
+pub enum FrameMismatch {
+    /// The shape of the frame is not that of the waveform.
+    #[error("frame {sequence} is {got}, expected {expected}: is this from another waveform?")]
+    Shape { sequence: u64, expected: FrameShape, got: FrameShape },
+    /// The frame has fewer or more samples than the shape says.
+    #[error("frame {sequence} holds {got} samples, expected {expected}")]
+    Length { sequence: u64, expected: usize, got: usize },
+}
+
+impl FrameMismatch {
+    /// Checks that a frame has this shape, and as many codes.
+    pub(crate) fn check(frame: &Frame, expected: FrameShape) -> Result<(), Self> {
+        if frame.shape != expected {
+            return Err(Self::Shape { sequence: frame.sequence, expected, got: frame.shape });
+        }
+        Self::check_length(frame.sequence, frame.codes.len(), expected)
+    }
+
+    /// Checks that a frame of this shape has as many samples.
+    pub(crate) fn check_length(sequence: u64, got: usize, shape: FrameShape) -> Result<(), Self> {
+        let expected = shape.codes();
+        if got == expected { Ok(()) } else { Err(Self::Length { sequence, expected, got }) }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

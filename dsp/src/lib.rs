@@ -75,9 +75,9 @@ pub mod detect;
 
 pub mod statistics;
 
-pub use frame::{Frame, FrameShape, MAX_CODE, Occupancy, ReceiverFault, Truth};
+pub use frame::{Frame, FrameMismatch, FrameShape, MAX_CODE, Occupancy, ReceiverFault, Truth};
 pub use level::KernelLevel;
-pub use rdm::{MapError, MapFlags, MapStatus, Rdm, RdmProcessor, RdmShape, RdmSpec};
+pub use rdm::{MapFlags, MapStatus, Rdm, RdmProcessor, RdmShape, RdmSpec};
 pub use source::{FrameSource, Gap, GapReason, SourceError, SourceEvent, source_from_fn};
 pub use statistics::noise_floor_db;
 pub use waveform::{

@@ -1,7 +1,7 @@
 //! Thermal noise on the raw samples of frames, added before maps are computed.
 
 use radome_dsp::rdm::SampleScale;
-use radome_dsp::{Frame, MapError, MapStatus, Rdm, RdmProcessor};
+use radome_dsp::{Frame, FrameMismatch, MapStatus, Rdm, RdmProcessor};
 use radome_models::stream;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -65,7 +65,7 @@ impl<'a> NoisyProcessor<'a> {
     ///
     /// # Errors
     /// Those of [`RdmProcessor::process`].
-    pub fn process(&mut self, frame: &Frame, map: &mut Rdm) -> Result<MapStatus, MapError> {
+    pub fn process(&mut self, frame: &Frame, map: &mut Rdm) -> Result<MapStatus, FrameMismatch> {
         let Some(noise) = &self.noise else { return self.processor.process(frame, map) };
         noise.samples(frame, self.processor.spec().scale, &mut self.samples);
         self.processor.process_changed_samples(frame, &self.samples, map)

@@ -12,7 +12,7 @@ use thiserror::Error;
 
 use super::cfar::{CellDetection, CellReach, Cfar, CfarError, CfarSpec};
 use crate::rdm::{Channels, SlowTime, SpecError, StaticRemoval};
-use crate::{Frame, MapError, MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform};
+use crate::{Frame, FrameMismatch, MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform};
 
 /// False-alarm rate in a cell of the map over chirps.
 const FALSE_ALARM_RATE: f64 = 1e-6;
@@ -47,7 +47,7 @@ pub enum CounterError {
     Spec(#[from] SpecError),
     /// The frame does not fit the waveform.
     #[error(transparent)]
-    Map(#[from] MapError),
+    Frame(#[from] FrameMismatch),
     /// The detector's window does not fit the maps.
     #[error("{0}\n\nhint: people can be counted in frames of at least 20 samples and 2 chirps")]
     Cfar(#[from] CfarError),
@@ -143,7 +143,8 @@ impl CfarCounter {
     /// Observes the next frame.
     ///
     /// # Errors
-    /// [`CounterError::Map`] if the frame's shape is not the waveform's, or if the number of its codes is not that of its shape.
+    /// [`CounterError::Frame`] if the frame's shape is not the waveform's, or if the number of its codes is not that of its
+    /// shape.
     pub fn observe(&mut self, frame: &Frame) -> Result<Observation, CounterError> {
         let is_map = self.moving.process(frame, &mut self.map)? == MapStatus::Ready;
         let walking = if is_map { count(&self.cfar.detect(&self.map, 0), &self.map) } else { 0 };

@@ -14,7 +14,7 @@ use rustfft::Fft;
 
 use super::angle::Baseline;
 use crate::spectrum::{RangeFft, complex_fft, peak_offset};
-use crate::{Frame, MapError, Waveform, Window};
+use crate::{Frame, FrameMismatch, Waveform, Window};
 
 /// Points of the range FFT for each sample. Padding lets the offset of a peak from its bin be interpolated.
 const RANGE_PADDING: usize = 2;
@@ -72,7 +72,7 @@ pub struct RangeProfile(Vec<Complex64>);
 ///     println!("{:.2} m, {:.2} m/s, {direction:?}", detection.range_m, detection.velocity_m_per_s);
 /// }
 /// assert!(detections.is_empty(), "a frame without signal");
-/// # Ok::<(), radome_dsp::MapError>(())
+/// # Ok::<(), radome_dsp::FrameMismatch>(())
 /// ```
 pub struct Detector {
     waveform: Waveform,
@@ -113,8 +113,8 @@ impl Detector {
     /// Detects motion within a frame, the strongest first. Returns the frame's profile too, for [`Detector::detect_still`].
     ///
     /// # Errors
-    /// [`MapError`] if the frame's shape is not the waveform's, or if the number of its codes is not that of its shape.
-    pub fn detect_moving(&mut self, frame: &Frame) -> Result<(Vec<Detection>, RangeProfile), MapError> {
+    /// [`FrameMismatch`] if the frame's shape is not the waveform's, or if the number of its codes is not that of its shape.
+    pub fn detect_moving(&mut self, frame: &Frame) -> Result<(Vec<Detection>, RangeProfile), FrameMismatch> {
         let profile = self.transform(frame)?;
         let (doppler, bins) = (self.doppler_window.len(), self.bins);
         let noise: Vec<f64> =
@@ -250,9 +250,9 @@ impl Detector {
     }
 
     /// Computes the complex maps of all receivers and their power. Returns the profiles of the mean chirps.
-    fn transform(&mut self, frame: &Frame) -> Result<RangeProfile, MapError> {
+    fn transform(&mut self, frame: &Frame) -> Result<RangeProfile, FrameMismatch> {
         let shape = self.waveform.shape();
-        MapError::check(frame, shape)?;
+        FrameMismatch::check(frame, shape)?;
         let (bins, chirps) = (self.bins, shape.chirps);
         let mut profile = vec![Complex64::default(); shape.rx * bins];
         for (index, chirp) in frame.codes.chunks_exact(shape.samples).enumerate() {
@@ -441,10 +441,10 @@ mod tests {
             assert!(detector.detect_still(&[&profile; 5]).is_empty() && detector.detect_still(&[]).is_empty());
             let mut other = waveform.shape();
             other.chirps += 1;
-            assert!(matches!(detector.detect_moving(&Frame::zeroed(other)), Err(MapError::Shape { .. })));
+            assert!(matches!(detector.detect_moving(&Frame::zeroed(other)), Err(FrameMismatch::Shape { .. })));
             let mut cut = Frame::zeroed(waveform.shape());
             cut.codes.pop();
-            assert!(matches!(detector.detect_moving(&cut), Err(MapError::Length { .. })));
+            assert!(matches!(detector.detect_moving(&cut), Err(FrameMismatch::Length { .. })));
         }
 
         #[test]

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::{Frame, FrameShape, KernelLevel, WaveformMismatch};
+use crate::{KernelLevel, WaveformMismatch};
 
 /// Largest number of points of an FFT: eight times the samples that a chirp can have.
 pub(super) const MOST_FFT_POINTS: usize = 1 << 15;
@@ -12,34 +12,6 @@ pub(super) const LEAST_CHANGE_S: f64 = 0.01;
 pub(super) const MOST_CHANGE_S: f64 = 1000.0;
 /// Largest number of cells of a map: 256 MiB of them.
 pub(super) const MOST_CELLS: usize = 1 << 26;
-
-/// Error for a frame that does not fit the processor.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[allow(missing_docs, reason = "the message says what each field is")]
-pub enum MapError {
-    /// The shape of the frame is not that of the waveform.
-    #[error("frame {sequence} is {got}, expected {expected}: is this from another waveform?")]
-    Shape { sequence: u64, expected: FrameShape, got: FrameShape },
-    /// The frame has fewer or more samples than the shape says.
-    #[error("frame {sequence} holds {got} samples, expected {expected}")]
-    Length { sequence: u64, expected: usize, got: usize },
-}
-
-impl MapError {
-    /// Checks that a frame has this shape, and as many codes.
-    pub(crate) fn check(frame: &Frame, expected: FrameShape) -> Result<(), MapError> {
-        if frame.shape != expected {
-            return Err(MapError::Shape { sequence: frame.sequence, expected, got: frame.shape });
-        }
-        Self::check_length(frame.sequence, frame.codes.len(), expected)
-    }
-
-    /// Checks that a frame of this shape has as many samples.
-    pub(super) fn check_length(sequence: u64, got: usize, shape: FrameShape) -> Result<(), MapError> {
-        let expected = shape.codes();
-        if got == expected { Ok(()) } else { Err(MapError::Length { sequence, expected, got }) }
-    }
-}
 
 /// Error for frames whose maps cannot be compared with those of another waveform.
 #[derive(Debug, Clone, PartialEq, Error)]

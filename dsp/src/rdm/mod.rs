@@ -21,7 +21,7 @@ mod saturation;
 mod spec;
 
 pub use axes::{AxesCoverage, LEAST_CHIRPS, LEAST_SAMPLED_BAND_HZ, LEAST_SAMPLES, MOST_AXIS_BINS, PhysicalAxes};
-pub use error::{MapError, MapMismatch, SpecError};
+pub use error::{MapMismatch, SpecError};
 pub use library_chain::LibraryChain;
 pub use map::{MapFlags, Rdm, RdmShape};
 pub use processor::{MapStatus, RdmProcessor};

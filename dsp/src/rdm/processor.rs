@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::error::{MapError, SpecError};
+use super::error::SpecError;
 use super::fourier::FourierTransform;
 use super::lanes::{Input, LaneTransform, Output};
 use super::map::{MapFlags, Rdm, RdmShape};
@@ -10,7 +10,7 @@ use super::physical::PhysicalTransform;
 use super::plan::MapPlan;
 use super::saturation::saturated_codes;
 use super::spec::{Channels, RdmSpec, StaticRemoval};
-use crate::{Frame, KernelLevel, Waveform, decibel};
+use crate::{Frame, FrameMismatch, KernelLevel, Waveform, decibel};
 
 /// Outcome of processing a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -48,7 +48,7 @@ pub enum MapStatus {
 /// assert_eq!(status, MapStatus::Ready);
 /// // No signal: all cells read the floor.
 /// assert!((map.at(0, 64, 10) + 200.0).abs() < 1e-3);
-/// # Ok::<(), radome_dsp::MapError>(())
+/// # Ok::<(), radome_dsp::FrameMismatch>(())
 /// ```
 pub struct RdmProcessor {
     spec: RdmSpec,
@@ -184,12 +184,12 @@ impl RdmProcessor {
     /// Computes the map of `frame` and, if the spec says so, of the frames before it.
     ///
     /// # Errors
-    /// [`MapError`] if the frame's shape is not the waveform's, or if the number of its codes is not that of its shape. State and
-    /// map are then unchanged.
+    /// [`FrameMismatch`] if the frame's shape is not the waveform's, or if the number of its codes is not that of its shape.
+    /// State and map are then unchanged.
     ///
     /// # Panics
     /// If `map` has fewer cells than [`shape`](Self::shape) says.
-    pub fn process(&mut self, frame: &Frame, map: &mut Rdm) -> Result<MapStatus, MapError> {
+    pub fn process(&mut self, frame: &Frame, map: &mut Rdm) -> Result<MapStatus, FrameMismatch> {
         self.process_changed(frame, frame, map)
     }
 
@@ -201,9 +201,14 @@ impl RdmProcessor {
     ///
     /// # Panics
     /// If `map` has fewer cells than [`shape`](Self::shape) says.
-    pub fn process_changed(&mut self, received: &Frame, changed: &Frame, map: &mut Rdm) -> Result<MapStatus, MapError> {
-        MapError::check(received, self.plan.frame_shape)?;
-        MapError::check(changed, self.plan.frame_shape)?;
+    pub fn process_changed(
+        &mut self,
+        received: &Frame,
+        changed: &Frame,
+        map: &mut Rdm,
+    ) -> Result<MapStatus, FrameMismatch> {
+        FrameMismatch::check(received, self.plan.frame_shape)?;
+        FrameMismatch::check(changed, self.plan.frame_shape)?;
         let used = self.plan.used();
         let codes = &changed.codes[self.begin(received)];
         let saturated = saturated_codes(self.level, codes);
@@ -228,8 +233,8 @@ impl RdmProcessor {
     /// the spec's scale, `[rx][chirp][sample]` of all channels, and need not be codes.
     ///
     /// # Errors
-    /// Those of [`process`](Self::process), and [`MapError::Length`] if the number of samples is not that of a frame. State and map
-    /// are then unchanged.
+    /// Those of [`process`](Self::process), and [`FrameMismatch::Length`] if the number of samples is not that of a frame. State
+    /// and map are then unchanged.
     ///
     /// # Panics
     /// If `map` has fewer cells than [`shape`](Self::shape) says.
@@ -238,9 +243,9 @@ impl RdmProcessor {
         received: &Frame,
         samples: &[f32],
         map: &mut Rdm,
-    ) -> Result<MapStatus, MapError> {
-        MapError::check(received, self.plan.frame_shape)?;
-        MapError::check_length(received.sequence, samples.len(), self.plan.frame_shape)?;
+    ) -> Result<MapStatus, FrameMismatch> {
+        FrameMismatch::check(received, self.plan.frame_shape)?;
+        FrameMismatch::check_length(received.sequence, samples.len(), self.plan.frame_shape)?;
         let (used, source) = (self.plan.used(), self.begin(received));
         self.samples[used].copy_from_slice(&samples[source]);
         self.find_alive(received);
@@ -251,12 +256,17 @@ impl RdmProcessor {
     /// pass through and are counted in the map's flags.
     ///
     /// # Errors
-    /// [`MapError::Length`] if the number of samples is not that of a frame. State and map are then unchanged.
+    /// [`FrameMismatch::Length`] if the number of samples is not that of a frame. State and map are then unchanged.
     ///
     /// # Panics
     /// If `map` has fewer cells than [`shape`](Self::shape) says.
-    pub fn process_samples(&mut self, sequence: u64, samples: &[f32], map: &mut Rdm) -> Result<MapStatus, MapError> {
-        MapError::check_length(sequence, samples.len(), self.plan.frame_shape)?;
+    pub fn process_samples(
+        &mut self,
+        sequence: u64,
+        samples: &[f32],
+        map: &mut Rdm,
+    ) -> Result<MapStatus, FrameMismatch> {
+        FrameMismatch::check_length(sequence, samples.len(), self.plan.frame_shape)?;
         self.follow(sequence);
         self.samples.copy_from_slice(samples);
         if let Transform::Physical(transform) = &mut self.transform {
