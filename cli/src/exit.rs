@@ -28,11 +28,19 @@ impl Ended {
     }
 }
 
-/// Error of an option whose value the program checks itself, such as one that must not be quoted. Its exit status is that
-/// of wrong use.
+/// Error of an argument that the program checks itself, such as one that must not be quoted or that has no effect. Its exit
+/// status is that of wrong use.
 #[derive(Debug, thiserror::Error)]
 #[error(transparent)]
 pub struct WrongUse(pub anyhow::Error);
+
+/// Returns a [`WrongUse`] with this message, as `anyhow::bail!` returns other errors.
+macro_rules! wrong_use {
+    ($($message:tt)*) => {
+        anyhow::bail!($crate::exit::WrongUse(anyhow::anyhow!($($message)*)))
+    };
+}
+pub(crate) use wrong_use;
 
 /// Prints the error of a failed command on stderr; returns the exit status.
 pub fn report(outcome: &anyhow::Result<Ended>) -> ExitCode {
@@ -61,12 +69,18 @@ mod tests {
         format!("{code:?}") == format!("{:?}", ExitCode::from(expected))
     }
 
+    fn misused(argument: &str) -> anyhow::Result<Ended> {
+        wrong_use!("no such option {argument}")
+    }
+
     #[test]
     fn every_end_has_its_status() {
         assert!(is(report(&Ok(Ended::with_loss(false))), 0));
         assert!(is(report(&Ok(Ended::with_loss(true))), 3));
         assert!(is(report(&Err(anyhow::anyhow!("no such board"))), 1));
-        assert!(is(report(&Err(WrongUse(anyhow::anyhow!("no such option")).into())), 2));
+        assert!(is(report(&misused("--none")), 2));
+        assert!(is(report(&misused("--none").context("cannot begin")), 2));
+        assert_eq!(misused("--none").expect_err("an error").to_string(), "no such option --none");
         let closed: anyhow::Result<Ended> = Err(output::StdoutClosed.into());
         assert!(is(report(&closed), 0));
         assert!(is(report(&closed.context("cannot say it")), 0));

@@ -8,6 +8,7 @@ use radome_driver::recording::text::config_path;
 use radome_driver::recording::{Existing, Format, Partial, RecordingError, utc};
 use radome_driver::{Recorder, RecorderOptions, RecordingHeader};
 
+use crate::exit::wrong_use;
 use crate::files;
 
 /// Returns whether `-o` names stdout: `-`. A file of this name is `./-`.
@@ -51,10 +52,12 @@ impl Overwrite {
     /// name. Existing non-files, such as devices, may be written to.
     ///
     /// # Errors
-    /// The folder is missing, the file exists and is not to be replaced, the output is an input or a file of one, or it is
-    /// named `-`, where this would be no stdout.
+    /// The folder is missing, or the file exists and is not to be replaced. [`WrongUse`](crate::exit::WrongUse) if the output is
+    /// an input or a file of one, or if it is named `-`, where this would be no stdout.
     pub fn check_name(self, path: &Path, inputs: &[&Path]) -> anyhow::Result<()> {
-        ensure!(!is_stdout(path), "this output does not go to stdout\n\nhint: name a file; ./- is one of this name");
+        if is_stdout(path) {
+            wrong_use!("this output does not go to stdout\n\nhint: name a file; ./- is one of this name");
+        }
         files::check_parent(path)?;
         inputs.iter().try_for_each(|input| check_not_input(path, input))?;
         if !self.overwrite && path.is_file() {
@@ -86,7 +89,7 @@ fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
     let configuration = config_path(&read).and_then(|path| path.canonicalize().ok());
     let is_configuration = configuration.is_some_and(|configuration| configuration == written);
     if written == read || is_configuration || (written.starts_with(read) && is_part) {
-        bail!("{} is input and output at once\n\nhint: choose another name", output.display());
+        wrong_use!("{} is input and output at once\n\nhint: choose another name", output.display());
     }
     Ok(())
 }
@@ -178,11 +181,11 @@ pub const MODEL_HINT: &str = "end its name in .safetensors; radome model export 
 /// Fails if the name of an output stands for another format than the one that is written. `own` are the endings of that format.
 ///
 /// # Errors
-/// The name has an ending of another format.
+/// [`WrongUse`](crate::exit::WrongUse) if the name has an ending of another format.
 pub fn check_ending(path: &Path, own: &[&str], hint: &str) -> anyhow::Result<()> {
     let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
     if ENDINGS.contains(&ending.as_str()) && !own.contains(&ending.as_str()) {
-        bail!("{}: what is written is not what .{ending} stands for\n\nhint: {hint}", path.display());
+        wrong_use!("{}: what is written is not what .{ending} stands for\n\nhint: {hint}", path.display());
     }
     Ok(())
 }
@@ -190,13 +193,14 @@ pub fn check_ending(path: &Path, own: &[&str], hint: &str) -> anyhow::Result<()>
 /// Fails if the name of a new recording implies another format than MCAP.
 ///
 /// # Errors
-/// The name is that of a text recording.
+/// [`WrongUse`](crate::exit::WrongUse) if the name is that of a text recording.
 pub fn check_is_mcap(path: &Path) -> anyhow::Result<()> {
-    ensure!(
-        Format::of_output(path) != Some(Format::Text),
-        "{}: frames are recorded as MCAP only\n\nhint: record to FILE.mcap, then radome recording convert FILE.mcap FILE.txt",
-        path.display()
-    );
+    if Format::of_output(path) == Some(Format::Text) {
+        wrong_use!(
+            "{}: frames are recorded as MCAP only\n\nhint: record to FILE.mcap, then radome recording convert FILE.mcap FILE.txt",
+            path.display()
+        );
+    }
     Ok(())
 }
 

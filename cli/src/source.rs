@@ -28,6 +28,7 @@ use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
+use crate::exit::wrong_use;
 use crate::judge::{self, BUILT_IN};
 use crate::panics::Guarded;
 
@@ -76,7 +77,7 @@ impl SourceArgs {
     /// Refuses options without effect on this source. A source that does not exist is reported when it is opened.
     ///
     /// # Errors
-    /// An option is for another kind of source.
+    /// [`WrongUse`](crate::exit::WrongUse) for an option of another kind of source.
     pub fn check(&self) -> anyhow::Result<()> {
         let input = self.input();
         let schemes = ["serial:", "usb:", "deepcraft:"];
@@ -91,7 +92,7 @@ impl SourceArgs {
             ("--speed", self.speed.is_some(), is_board, "a board has its own pace"),
         ] {
             if is_given && is_unused {
-                bail!("{option} has no effect on {}: {why}\n\nhint: leave it out", self.source);
+                wrong_use!("{option} has no effect on {}: {why}\n\nhint: leave it out", self.source);
             }
         }
         Ok(())

@@ -266,11 +266,8 @@ pub fn success_at_once(commands: impl IntoIterator<Item = Command>) {
 ///
 /// # Panics
 /// If the program succeeds or fails in another way.
-pub fn failure(mut command: impl BorrowMut<Command>) -> String {
-    let command: &mut Command = command.borrow_mut();
-    let (status, _, said) = outcome(&mut *command);
-    assert_eq!(status, Some(1), "{command:?}: {said}");
-    said
+pub fn failure(command: impl BorrowMut<Command>) -> String {
+    ends_with(command, 1)
 }
 
 /// Runs a command that must fail with exit status 1 and say all of this on stderr.
@@ -280,6 +277,36 @@ pub fn failure(mut command: impl BorrowMut<Command>) -> String {
 pub fn fails_with(mut command: impl BorrowMut<Command>, parts: &[&str]) {
     let command: &mut Command = command.borrow_mut();
     let said = failure(&mut *command);
+    says_all(command, &said, parts);
+}
+
+/// Runs a command that must be refused as wrong use, with exit status 2; returns its stderr.
+///
+/// # Panics
+/// If the program succeeds or fails in another way.
+pub fn wrong_use(command: impl BorrowMut<Command>) -> String {
+    ends_with(command, 2)
+}
+
+/// Runs a command that must be refused as wrong use, with exit status 2, and say all of this on stderr.
+///
+/// # Panics
+/// If the program succeeds, fails in another way, or does not say it.
+pub fn wrong_use_with(mut command: impl BorrowMut<Command>, parts: &[&str]) {
+    let command: &mut Command = command.borrow_mut();
+    let said = wrong_use(&mut *command);
+    says_all(command, &said, parts);
+}
+
+/// Runs a command that must end with this status; returns its stderr.
+fn ends_with(mut command: impl BorrowMut<Command>, expected: i32) -> String {
+    let command: &mut Command = command.borrow_mut();
+    let (status, _, said) = outcome(&mut *command);
+    assert_eq!(status, Some(expected), "{command:?}: {said}");
+    said
+}
+
+fn says_all(command: &Command, said: &str, parts: &[&str]) {
     for part in parts {
         assert!(said.contains(part), "{command:?} does not say {part:?}: {said}");
     }

@@ -10,7 +10,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_models::ModelCard;
 use radome_tests::{
     add_signal, command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand,
-    write_file,
+    write_file, wrong_use_with,
 };
 use serde_json::Value;
 
@@ -244,13 +244,10 @@ mod hard_cases {
         std::fs::write(text.path(), "no recording").expect("writable");
         fails_with(adapt(&[]).arg("nowhere.mcap=empty"), &["nowhere.mcap"]);
         fails_with(adapt(&[]).arg(text.path()), &[&text.path().display().to_string()]);
-        for (recordings, expected) in [
-            (&["0-1"][..], "no label"),
-            (&["0-1=empty", "0-1=one"][..], "named twice"),
-            (&["0-1=three"][..], "not empty, one or two"),
-        ] {
+        for (recordings, expected) in [(&["0-1"][..], "no label"), (&["0-1=empty", "0-1=one"][..], "named twice")] {
             fails_with(adapt(recordings), &[expected]);
         }
+        wrong_use_with(adapt(&["0-1=three"]), &["not empty, one or two"]);
         let folder = tempfile::tempdir().expect("a folder");
         let none = folder.path().join("none.mcap");
         let header = Recording::open(&made().join("0-1.mcap")).expect("opens").header();

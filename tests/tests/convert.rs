@@ -9,7 +9,7 @@ use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource};
 use radome_tests::{
     command, convert, fails_with, failure, fixture, frames, json_lines_of, labels_of, limited, radome, shared,
-    simulate, subcommand, success,
+    simulate, subcommand, success, wrong_use_with,
 };
 use serde_json::Value;
 
@@ -266,9 +266,10 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
         simulated(&at("x.mcap"), "25");
-        let refused = |from: &str, to: &str| failure(command!("recording convert", at(from), at(to)));
-        assert!(refused("x.mcap", "x.mcap").contains("input and output"));
-        assert!(refused("x.mcap", "y.wav").contains("--to"));
+        let convert = |from: &str, to: &str| command!("recording convert", at(from), at(to));
+        wrong_use_with(convert("x.mcap", "x.mcap"), &["input and output"]);
+        wrong_use_with(convert("x.mcap", "y.wav"), &["--to"]);
+        let refused = |from: &str, to: &str| failure(convert(from, to));
         assert!(refused("x.mcap", "absent/y.mcap").contains("mkdir"));
         assert!(refused("z.mcap", "y.mcap").contains("z.mcap"));
         std::fs::create_dir(at("full")).expect("creates");

@@ -10,7 +10,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{
     add_signal, command, convert, fails_with, failure, fixture, fixture_text, frames, json_lines, labels_of,
-    model_of_one_waveform, npy, outcome, simulate, subcommand, success, write_file,
+    model_of_one_waveform, npy, outcome, simulate, subcommand, success, write_file, wrong_use_with,
 };
 
 /// TOML section for maps of one channel in decibels.
@@ -402,11 +402,8 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
     assert_eq!(Some(&held), found.as_array());
 
     // Labels that overlap, run backwards or lie outside the recording are refused by name, and nothing is written.
-    for (span, what) in [
-        ("3:2=one", "'one' is reversed"),
-        ("14:16=two", "'two' from 14 to 16 s is out of range"),
-        ("1:2=two", "overlap"),
-    ] {
+    wrong_use_with(label("one.mcap").args(["--span", "3:2=one"]), &["'one' is reversed"]);
+    for (span, what) in [("14:16=two", "'two' from 14 to 16 s is out of range"), ("1:2=two", "overlap")] {
         fails_with(label("one.mcap").args(["--span", span]), &[what]);
     }
     assert_eq!(labels_of(&path("one.mcap")), held);

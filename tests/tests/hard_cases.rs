@@ -3,7 +3,9 @@
 
 use std::path::Path;
 
-use radome_tests::{command, fails_with, failure, fixture, json_lines, limited, npy, subcommand, write_file};
+use radome_tests::{
+    command, fails_with, failure, fixture, json_lines, limited, npy, outcome, subcommand, write_file, wrong_use_with,
+};
 use serde_json::json;
 
 /// Shape of the made-up recording: frames, channels, chirps, samples.
@@ -36,13 +38,17 @@ fn maps(folder: &Path) -> (serde_json::Value, Vec<f32>) {
 /// Messages had radians for the degrees that were given, and words of the parser of another format.
 #[test]
 fn targets_that_cannot_be_computed_are_told_in_the_words_of_the_options() {
-    let rcs = |option: &str, value: &str, expected: &str| {
-        let said = failure(command!("bench rcs sphere", option, value));
+    for (option, value, status, expected) in [
+        ("--azimuth-deg", "1e9", 1, "the azimuth is 1000000000 degrees"),
+        ("--elevation-deg", "91", 1, "the elevation is 91 degrees"),
+        ("--material", "foo", 2, "--material is \"foo\", expected one of pec, skin, concrete, "),
+        ("--edge-m", "1", 2, "--edge-m does not belong to sphere"),
+    ] {
+        let (ended, _, said) = outcome(command!("bench rcs sphere", option, value));
+        assert_eq!(ended, Some(status), "{said}");
         assert!(said.contains(expected) && !said.contains(" rad") && !said.contains("variant"), "{said}");
-    };
-    rcs("--azimuth-deg", "1e9", "the azimuth is 1000000000 degrees");
-    rcs("--elevation-deg", "91", "the elevation is 91 degrees");
-    rcs("--material", "foo", "--material is \"foo\", expected one of pec, skin, concrete, ");
+    }
+    wrong_use_with(subcommand("bench rcs teapot"), &["there is no target teapot", "hint: plate, "]);
 }
 
 #[test]

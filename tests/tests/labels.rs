@@ -8,7 +8,7 @@ use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
 use radome_tests::{
     command, convert, failure, fixture, json_lines, json_lines_of, labels_of, maps_of, radome, simulate, subcommand,
-    success,
+    success, wrong_use,
 };
 use serde_json::Value;
 use tungstenite::Message;
@@ -53,12 +53,12 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     assert!(!said.contains("no class"), "a word for each label is enough: {said}");
     let (_, said) = success(label("run.mcap", &["--span", "2:3=three"]));
     assert!(said.contains("no class, such as 'three'"), "{said}");
-    let said = failure(label("run.mcap", &["--propose", "truth", "--who", "me"]));
+    let said = wrong_use(label("run.mcap", &["--propose", "truth", "--who", "me"]));
     assert!(said.contains("--who names the author") && said.contains("hint: "), "{said}");
     // Files of labels hold no author, which was dropped without a word.
     convert(&path("run.mcap"), &path("run.txt"));
     for (name, output) in [("run.txt", &[][..]), ("run.mcap", &["-o", file.as_str()][..])] {
-        let said = failure(label(name, &["--span", "0:1=empty", "--who", "me"]).args(output));
+        let said = wrong_use(label(name, &["--span", "0:1=empty", "--who", "me"]).args(output));
         assert!(said.contains("--who has no effect") && !path("run.label").exists(), "{name}: {said}");
     }
 
@@ -93,7 +93,7 @@ fn labels_are_replaced_and_erased_where_it_is_asked_for() {
     assert_eq!(found(), ["0.0-1.0 two", "1.0-2.0 a knock", "1.0-2.0 one", "2.0-3.0 two"]);
     success(label(&["--erase", "0.5:1.5"]));
     assert_eq!(found(), ["0.0-0.5 two", "1.5-2.0 a knock", "1.5-2.0 one", "2.0-3.0 two"]);
-    let said = failure(label(&["--span", "0.7:0.7=one"]));
+    let said = wrong_use(label(&["--span", "0.7:0.7=one"]));
     assert!(said.contains("no duration"), "{said}");
 }
 

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use radome_tests::{
     command, fails_with, fixture, json_lines, json_lines_of, model_of_one_waveform, simulate, success, write_file,
+    wrong_use_with,
 };
 use serde_json::Value;
 
@@ -172,13 +173,11 @@ mod hard_cases {
             ("both.txt", "0\t0.2\tempty\n0.1\t0.3\tone\n", "overlap"),
             ("free.txt", "0\t0.2\tsomebody coughs\n", "no label"),
             ("broken.txt", "0\tempty\n", "line 1"),
-            ("absent.txt", "", "no file of labels"),
         ] {
-            if !text.is_empty() {
-                std::fs::write(folder.path().join(name), text).expect("writable");
-            }
+            std::fs::write(folder.path().join(name), text).expect("writable");
             fails_with(evaluate("cfar").arg(given(name)), &[expected]);
         }
+        wrong_use_with(evaluate("cfar").arg(given("absent.txt")), &["no file of labels"]);
     }
 
     #[test]

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use radome_tests::running::Running;
 use radome_tests::{
-    command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success, write_file,
+    command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success,
+    write_file, wrong_use_with,
 };
 
 /// Small dataset of halls, made once for all tests. Its rows have the splits of its spec, which no training changes.
@@ -274,11 +275,11 @@ mod hard_cases {
         fails_with(mixed.arg("run.mcap=one"), &["a dataset is evaluated by itself", "hint: "]);
         // A name that stands for another format is refused, before any work.
         let named = |name: &str| folder.path().join(name);
-        fails_with(
+        wrong_use_with(
             command!("model train", maps(), "-o", named("a.onnx")),
             &["a.onnx", "radome model export writes ONNX"],
         );
-        fails_with(command!("model export", &model, "-o", named("a.safetensors")), &["end its name in .onnx"]);
+        wrong_use_with(command!("model export", &model, "-o", named("a.safetensors")), &["end its name in .onnx"]);
         std::fs::write(named("a.onnx"), "x").expect("writable");
         fails_with(command!("model export", named("a.onnx"), "-o", named("b.onnx")), &["an ONNX file can only judge"]);
         std::fs::remove_file(named("a.onnx")).expect("removed");

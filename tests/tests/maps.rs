@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use radome_tests::{command, fails_with, failure, fixture, json_lines, shared};
+use radome_tests::{command, failure, fixture, json_lines, shared, wrong_use_with};
 
 #[test]
 fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
@@ -76,8 +76,11 @@ fn an_array_on_stdout_is_the_file() {
         assert!(said.contains(&format!("--rx {rx}: frames have 2 receive channels")), "{said}");
     }
     // An array is no picture, and a picture no array.
-    fails_with(command!("recording maps", &input, "-o", &picture), &["map.png", "--png writes a picture"]);
-    fails_with(command!("recording maps --overwrite", &input, "--png", &path), &["maps.npy", "-o writes the array"]);
+    wrong_use_with(command!("recording maps", &input, "-o", &picture), &["map.png", "--png writes a picture"]);
+    wrong_use_with(
+        command!("recording maps --overwrite", &input, "--png", &path),
+        &["maps.npy", "-o writes the array"],
+    );
     assert!(!picture.exists());
-    fails_with(command!("recording maps --json -o -", &input), &["--json", "stdout"]);
+    wrong_use_with(command!("recording maps --json -o -", &input), &["--json", "stdout"]);
 }

@@ -4,7 +4,8 @@ use std::path::Path;
 use std::process::Stdio;
 
 use radome_tests::{
-    command, fails_with, failure, fixture, json_lines, radome, simulate, subcommand, success, write_file,
+    command, fails_with, failure, fixture, json_lines, radome, simulate, subcommand, success, write_file, wrong_use,
+    wrong_use_with,
 };
 use serde_json::json;
 
@@ -132,7 +133,7 @@ fn no_output_takes_the_place_of_what_is_read() {
         std::fs::copy(fixture(input), &copy).expect("copies");
         let before = std::fs::read(&copy).expect("readable");
         let words = command.split(' ').map(|word| word.replace("INPUT", &copy.to_string_lossy()));
-        let said = failure(radome().args(words).arg("-o").arg(&copy).arg("--overwrite"));
+        let said = wrong_use(radome().args(words).arg("-o").arg(&copy).arg("--overwrite"));
         assert!(said.contains("is input and output at once"), "{command}: {said}");
         assert!(std::fs::read(&copy).expect("readable") == before, "{command} changed its input");
     }
@@ -149,7 +150,7 @@ fn an_output_that_is_a_folder_is_refused_before_any_work() {
         fails_with(command.arg(fixture(input)).arg("-o").arg(folder.path()), &["is a folder", "hint: "]);
     }
     let judged = fixture("formats/judged.mcap");
-    fails_with(command!("recording answers", &judged, "-o -"), &["does not go to stdout"]);
+    wrong_use_with(command!("recording answers", &judged, "-o -"), &["does not go to stdout"]);
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use radome_tests::{
     command, fails_with, failure, fixture, fixture_text, frames, json_lines, outcome, radome, simulate, success,
-    write_file,
+    write_file, wrong_use, wrong_use_with,
 };
 
 fn simulated(folder: &Path, name: &str, threads: &str) -> Vec<u8> {
@@ -79,7 +79,7 @@ mod hard_cases {
             (board, "--speed", "2"),
         ] {
             for command in [&["recording", "echoes"][..], &["live", "--model", model]] {
-                let said = failure(radome().args(command).args([source, option, value]));
+                let said = wrong_use(radome().args(command).args([source, option, value]));
                 assert!(said.contains(&format!("{option} has no effect on {source}")), "{command:?}: {said}");
             }
         }
@@ -132,7 +132,7 @@ mod hard_cases {
         for options in ["--frames 2", "--frames 2 --shard 0/2"] {
             let (scene, text) = (fixture("scenes/corridor.toml"), folder.path().join("z.txt"));
             let simulate = command!("scene simulate", scene, ..options.split(' '), "-o", text);
-            fails_with(simulate, &["z", "MCAP only", "hint: "]);
+            wrong_use_with(simulate, &["z", "MCAP only", "hint: "]);
         }
         assert_eq!(std::fs::read_dir(folder.path()).expect("readable").count(), 0);
     }

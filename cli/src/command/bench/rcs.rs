@@ -12,6 +12,7 @@ use radome_sim::validation::{Method, Outline, Polarisation, Problem, Setup, Targ
 use serde::Serialize;
 
 use super::point::least_ms;
+use crate::exit::wrong_use;
 use crate::one_of::one_of;
 use crate::output;
 
@@ -220,7 +221,7 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
         "ellipsoid" => {
             let axes = a.axes_m.clone().unwrap_or_else(|| vec![0.12, 0.17, 0.3]);
             let Ok(axes) = <[f64; 3]>::try_from(axes) else {
-                bail!("--axes-m takes three numbers, as in --axes-m 0.12,0.17,0.3");
+                wrong_use!("--axes-m takes three numbers, as in --axes-m 0.12,0.17,0.3");
             };
             (Target::Ellipsoid { semi_axes_m: DVec3::from_array(axes) }, &["axes-m"])
         }
@@ -242,7 +243,7 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
     ];
     if let Some((name, _)) = given.iter().find(|(name, given)| *given && !sizes.contains(name)) {
         let takes = if sizes.is_empty() { "no size".to_owned() } else { format!("--{}", sizes.join(", --")) };
-        bail!("--{name} does not belong to {}\n\nhint: it takes {takes}", a.target);
+        wrong_use!("--{name} does not belong to {}\n\nhint: it takes {takes}", a.target);
     }
     Ok(target)
 }
@@ -257,7 +258,7 @@ const WELD_TOLERANCE_M: f64 = 1e-6;
 fn mesh_file(path: &str) -> anyhow::Result<Target> {
     let lower = path.to_ascii_lowercase();
     if !lower.ends_with(".stl") && !lower.ends_with(".obj") {
-        bail!(
+        wrong_use!(
             "there is no target {path}\n\nhint: plate, dihedral, trihedral, cavity, sphere, cylinder, ellipsoid, mirror, or a \
              file that ends in .stl or .obj"
         )
@@ -293,19 +294,19 @@ fn boundary(arguments: &Arguments) -> anyhow::Result<Wall> {
         "skin" => Some(SKIN_PERMITTIVITY),
         _ => {
             let Some(material) = Material::named(name) else {
-                bail!("--material is {name:?}, expected one of pec, skin, {}", Material::NAMES.join(", "));
+                wrong_use!("--material is {name:?}, expected one of pec, skin, {}", Material::NAMES.join(", "));
             };
             let Some(permittivity) = material.permittivity(arguments.frequency_hz) else {
-                bail!("{name} reflects nothing\n\nhint: choose pec, skin or a building material");
+                wrong_use!("{name} reflects nothing\n\nhint: choose pec, skin or a building material");
             };
             Some(permittivity)
         }
     };
     match (permittivity, arguments.thickness_m) {
         (None, None) => Ok(Wall::Conductor),
-        (None, Some(_)) => bail!("--thickness-m does not belong to {name}, which nothing passes"),
+        (None, Some(_)) => wrong_use!("--thickness-m does not belong to {name}, which nothing passes"),
         (Some(permittivity), None) => Ok(Wall::HalfSpace { permittivity }),
-        (Some(_), Some(t)) if !(t > 0.0 && t.is_finite()) => bail!("--thickness-m {t} is no thickness"),
+        (Some(_), Some(t)) if !(t > 0.0 && t.is_finite()) => wrong_use!("--thickness-m {t} is no thickness"),
         (Some(permittivity), Some(thickness_m)) => Ok(Wall::Slab { permittivity, thickness_m }),
     }
 }

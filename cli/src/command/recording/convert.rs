@@ -7,6 +7,7 @@ use radome_driver::recording::{Format, Recording, RecordingError, RecordingWrite
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
+use crate::exit::wrong_use;
 use crate::live::screen::lost_besides;
 use crate::output_file::Overwrite;
 use crate::{files, labels, output, shell, viewers};
@@ -67,7 +68,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Some(to) => to.format(),
         None => match Format::of_output(path) {
             Some(format) => Some(format),
-            None => bail!(
+            None => wrong_use!(
                 "the name {} does not say which format to write\n\nhint: --to infineon, --to mcap, --to text or --to viewers",
                 path.display()
             ),

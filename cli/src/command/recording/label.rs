@@ -2,13 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
+use radome_driver::recording::span_check::check_spans;
 use radome_dsp::{Frame, FrameSource};
 use serde_json::json;
 
 use crate::dataset::detector;
+use crate::exit::wrong_use;
 use crate::output_file::Overwrite;
 use crate::{labels, output, source};
 
@@ -70,7 +72,9 @@ fn parse_span(text: &str) -> Result<LabelSpan, String> {
         let (start_s, end_s) = times(interval)?;
         Some(LabelSpan::new(start_s, end_s, label.trim()))
     });
-    span.ok_or_else(|| format!("'{text}': expected START_S:END_S=LABEL such as 0.5:12=empty"))
+    let span = span.ok_or_else(|| format!("'{text}': expected START_S:END_S=LABEL such as 0.5:12=empty"))?;
+    check_spans(std::slice::from_ref(&span), None).map_err(|error| error.to_string())?;
+    Ok(span)
 }
 
 fn times(text: &str) -> Option<(f64, f64)> {
@@ -92,7 +96,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return show(arguments);
     }
     if arguments.who.is_some() && arguments.span.is_empty() && arguments.from.is_none() {
-        bail!(
+        wrong_use!(
             "--who names the author of labels by --span and --from, and there are none\n\nhint: leave it out; labels of --propose name the \
              proposer"
         );
@@ -102,7 +106,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => Recording::open(&arguments.recording).map(|recording| matches!(recording, Recording::Mcap(_))),
     };
     if arguments.who.is_some() && !holds_authors()? {
-        bail!(
+        wrong_use!(
             "--who has no effect: files of labels hold no authors\n\nhint: leave it out; labels in an MCAP recording hold them"
         );
     }

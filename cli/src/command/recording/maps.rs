@@ -6,6 +6,7 @@ use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
 use radome_dsp::{MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform};
 use serde_json::json;
 
+use crate::exit::wrong_use;
 use crate::live::pipeline::{Item, Items};
 use crate::map_preset::MapPreset;
 use crate::output_file::{Overwrite, check_ending, is_stdout};
@@ -60,11 +61,15 @@ impl Arguments {
         if let Some(picture) = &self.png {
             self.overwrite.check(picture, &inputs)?;
             check_ending(picture, &["png", "svg"], "end the picture's name in .png or .svg; -o writes the array")?;
-            ensure!(self.output.as_ref() != Some(picture), "-o and --png name one file\n\nhint: name two");
+            if self.output.as_ref() == Some(picture) {
+                wrong_use!("-o and --png name one file\n\nhint: name two");
+            }
         }
         match &self.output {
             None if self.png.is_none() => {
-                bail!("nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both")
+                wrong_use!(
+                    "nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both"
+                )
             }
             None => Ok(()),
             Some(path) if !is_stdout(path) => {
@@ -72,7 +77,7 @@ impl Arguments {
                 check_ending(path, &["npy"], "end the array's name in .npy; --png writes a picture")
             }
             Some(_) if self.json => {
-                bail!("the array and --json cannot both go to stdout\n\nhint: name a file with -o maps.npy")
+                wrong_use!("the array and --json cannot both go to stdout\n\nhint: name a file with -o maps.npy")
             }
             Some(_) => output::check_no_terminal(),
         }

@@ -9,14 +9,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::{Context, anyhow, bail, ensure};
+use anyhow::{Context, bail, ensure};
 use percent_encoding::percent_decode_str;
 use rumqttc::v5::MqttOptions;
 use rumqttc::{TlsConfiguration, Transport};
 use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject;
 
-use crate::exit::WrongUse;
+use crate::exit::{WrongUse, wrong_use};
 
 const GRAMMAR: &str = "\n\nhint: mqtt://HOST, mqtt://USER@HOST:PORT or mqtts://HOST; the password comes from \
                        --mqtt-password-file FILE or RADOME_MQTT_PASSWORD";
@@ -79,8 +79,7 @@ impl BrokerArguments {
             let tls = tls(self.mqtt_ca.as_deref())?;
             options.set_transport(Transport::tls_with_config(TlsConfiguration::Rustls(Arc::new(tls))));
         } else if self.mqtt_ca.is_some() {
-            let error = anyhow!("--mqtt-ca is for connections that are encrypted\n\nhint: --mqtt mqtts://HOST");
-            return Err(WrongUse(error).into());
+            wrong_use!("--mqtt-ca is for connections that are encrypted\n\nhint: --mqtt mqtts://HOST");
         }
         Ok(options)
     }

@@ -14,7 +14,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, anyhow, ensure};
+use anyhow::{Context, ensure};
 use radome_driver::{BoardIdentity, RecordingHeader};
 use radome_dsp::Occupancy;
 use rumqttc::v5::MqttOptions;
@@ -29,7 +29,7 @@ use self::keep::{Keeper, Report, Reports, Saver};
 use self::latest::{Latest, LatestSink};
 use super::access::{self, Access};
 use super::sink::Sink;
-use crate::exit::WrongUse;
+use crate::exit::wrong_use;
 
 /// Options of the connections to other programs.
 #[derive(clap::Args, Default)]
@@ -59,7 +59,7 @@ impl Arguments {
     /// certificates are read here alone: a pipe can be read once.
     ///
     /// # Errors
-    /// [`WrongUse`] for an option that is wrong; a file of the password or of certificates cannot be read.
+    /// [`WrongUse`](crate::exit::WrongUse) for an option that is wrong; a file of the password or of certificates cannot be read.
     pub fn broker(&self) -> anyhow::Result<Option<(Broker, MqttOptions)>> {
         let Some(broker) = self.broker.broker()? else { return Ok(None) };
         check_prefix(&self.mqtt_discovery_prefix)?;
@@ -179,10 +179,9 @@ fn tell_of_unkept_reports() -> anyhow::Result<()> {
 /// Fails for a prefix that is not valid in a topic.
 fn check_prefix(prefix: &str) -> anyhow::Result<()> {
     if prefix.trim_matches('/').is_empty() || prefix.contains(['#', '+', '\0']) {
-        let error = anyhow!(
+        wrong_use!(
             "--mqtt-discovery-prefix {prefix:?}: expected a topic without # and +\n\nhint: Home Assistant's own is homeassistant"
         );
-        return Err(WrongUse(error).into());
     }
     Ok(())
 }

@@ -3,11 +3,12 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow, bail, ensure};
+use anyhow::{Context, anyhow, bail};
 use radome_driver::LabelSpan;
 use radome_driver::recording::span_check::check_spans;
 use radome_dsp::{Frame, Occupancy, Waveform};
 
+use crate::exit::wrong_use;
 use crate::labels;
 
 pub struct LabelledRecording {
@@ -55,11 +56,12 @@ impl LabelledRecording {
         }
         let (path, spans) = match after {
             Some((path, file)) if !Path::new(input).exists() => {
-                ensure!(
-                    Path::new(file).is_file(),
-                    "{input}: {file} is not empty, one or two, and no file of labels\n\nhint: RECORDING=empty, RECORDING=one, \
-                     RECORDING=two, RECORDING=LABELS.txt, or RECORDING alone if it holds labels"
-                );
+                if !Path::new(file).is_file() {
+                    wrong_use!(
+                        "{input}: {file} is not empty, one or two, and no file of labels\n\nhint: RECORDING=empty, RECORDING=one, \
+                         RECORDING=two, RECORDING=LABELS.txt, or RECORDING alone if it holds labels"
+                    );
+                }
                 (PathBuf::from(path), labels::read(Path::new(file))?)
             }
             _ => {
