@@ -296,3 +296,14 @@ impl Picture {
         Some(message.into())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::detect::LEAKAGE_BINS;
+
+    #[test]
+    fn the_page_seeks_echoes_in_the_bins_of_the_detector() {
+        let script = include_str!("page/plot.js");
+        assert!(script.contains(&format!("LEAKAGE_BINS = {LEAKAGE_BINS};")));
+    }
+}
