@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use proptest::prelude::*;
-use radome_driver::recording::infineon::InfineonReader;
+use radome_driver::recording::infineon::{self, InfineonReader};
 use radome_driver::recording::{Existing, Format, Recording, RecordingError, RecordingWriter, WriteReport, mcap};
 use radome_driver::{LabelSpan, McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
@@ -275,6 +275,34 @@ mod hard_cases {
             assert!(matches!(error, RecordingError::NotRegular { .. }), "{error}");
             let said = error.to_string();
             assert!(said.contains("pipe.mcap: not a regular file") && said.contains("hint: "), "{said}");
+        }
+    }
+
+    /// Regression test: a pipe in the place of a folder's file was waited for without end, and a file of any length was read
+    /// into memory.
+    #[cfg(unix)]
+    #[test]
+    fn files_of_a_folder_that_are_pipes_or_too_long_are_refused_at_once() {
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        let mut frames = simulated(&waveform, 3, 1);
+        frames[1].temperature_millicelsius = Some(25_000);
+        // Nothing is read of meta.json.
+        for name in infineon::FILES.into_iter().filter(|name| *name != "meta.json") {
+            for is_pipe in [true, false] {
+                let (_folder, path) = in_folder("session");
+                write(&path, Format::Infineon, &waveform, &frames);
+                let file = path.join("RadarIfxAvian_00").join(name);
+                std::fs::remove_file(&file).expect("was written");
+                match is_pipe {
+                    true => make_pipe(&file),
+                    // No data, and no room on the disk.
+                    false => {
+                        std::fs::File::create(&file).and_then(|file| file.set_len((1 << 30) + 1)).expect("creates")
+                    }
+                }
+                let said = Recording::open(&path).expect_err(name).to_string();
+                assert!(said.contains(name), "{name}, {is_pipe}: {said}");
+            }
         }
     }
 

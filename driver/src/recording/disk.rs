@@ -1,5 +1,8 @@
-//! Operations on files that a power cut can interrupt. Recordings, labels and outputs change on the disk through these
-//! functions only. Tests can therefore make each operation fail, be lost or be incomplete.
+//! Operations on files that a power cut can interrupt. MCAP recordings, labels and the names of outputs change on the
+//! disk through these functions only. Tests can therefore make each operation fail, be lost or be incomplete.
+//!
+//! Samples of the other formats are written directly. Until they are on the disk, they have a hidden name:
+//! [`Partial`](super::Partial).
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -23,6 +26,13 @@ pub(super) fn append(mut file: &File, path: &Path, at: u64, bytes: &[u8]) -> io:
 pub(super) fn overwrite(mut file: &File, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()> {
     file.seek(SeekFrom::Start(at))?;
     append(file, path, at, bytes)
+}
+
+/// Writes a small file and waits until it is on the disk.
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let file = File::create(path)?;
+    append(&file, path, 0, bytes)?;
+    sync(&file, path)
 }
 
 /// Shortens a file, or extends it with zeros.

@@ -8,17 +8,33 @@
 mod writer;
 
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use radome_dsp::{Frame, FrameShape, FrameSource, MAX_CODE, SourceError, SourceEvent, Waveform};
+use radome_files::TEXT_LIMIT_BYTES;
 
+use super::input::{self, open_file, read_text};
 use super::vendor_config::read_waveform;
-use super::vendor_fields::read_text;
 use super::{Extent, Position, RecordingError, first_index, time_ns, warn_once};
 
 pub(super) use writer::InfineonWriter;
 
+// Files in a radar's folder.
+const DATA: &str = "radar.npy";
+const TIMES: &str = "radar_timestamp.csv";
+const TEMPERATURES: &str = "temperature.npy";
+const TEMPERATURE_TIMES: &str = "temperature_timestamp.csv";
+const CONFIG: &str = "config.json";
+const META: &str = "meta.json";
+const VERSION: &str = "format.version";
+/// Names of all files in a radar's folder. A session's folder around it has one of the same names.
+pub const FILES: [&str; 7] = [DATA, TIMES, TEMPERATURES, TEMPERATURE_TIMES, CONFIG, META, VERSION];
+/// Beginning of the names of the radars' folders in a session.
+const RADAR: &str = "RadarIfxAvian_";
+
+/// Length limit of the files of times and temperatures, bytes: 50 million frames.
+const SERIES_LIMIT_BYTES: u64 = 1 << 30;
 /// Newest version of the format that is supported.
 const SUPPORTED_VERSION: &str = "1.0.0";
 /// Stamps from here on are Unix times: 1 January 1980, ns. A board's clock starts at zero.
@@ -54,11 +70,12 @@ impl InfineonReader {
     /// [`RecordingError`] if a file is absent or cannot be read, if the configuration does not state a waveform, or if
     /// it contradicts the data.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let folder = radar_folder(path)?;
-        check_version(&folder.join("format.version"))?;
-        let config = folder.join("config.json");
-        let data = folder.join("radar.npy");
-        let mut file = BufReader::new(File::open(&data).map_err(RecordingError::io(&data, "cannot be opened"))?);
+        let first = radar_folders(path)?.into_iter().next();
+        let folder = first.ok_or_else(|| RecordingError::Unknown { path: path.to_owned() })?;
+        check_version(&folder.join(VERSION))?;
+        let config = folder.join(CONFIG);
+        let data = folder.join(DATA);
+        let mut file = BufReader::new(open_file(&data)?);
         let length = file.get_ref().metadata().map_err(RecordingError::io(&data, "cannot be read"))?.len();
         let header = NpyHeader::read(&mut file, &data)?;
         if header.type_string != "<u2" {
@@ -78,7 +95,7 @@ impl InfineonReader {
             return Err(RecordingError::Shape { data, got: of_data.to_string(), config, expected: shape.to_string() });
         }
         let mut left_out = Vec::new();
-        let timestamps_ns = read_timestamps(&folder.join("radar_timestamp.csv"), Some(frames), &mut left_out)?;
+        let timestamps_ns = read_timestamps(&folder.join(TIMES), Some(frames), &mut left_out)?;
         for reason in &left_out {
             warn_once(format!("{reason}; the times of all frames are made of the frame interval"));
         }
@@ -117,6 +134,11 @@ impl InfineonReader {
     /// Number of whole frames in the file; less than [`FrameSource::frame_count`] if the file was cut short.
     pub fn whole_frames(&self) -> u64 {
         (self.available / self.bytes.len().max(1) as u64).min(self.frames)
+    }
+
+    /// Returns whether the file has all frames that its header states.
+    pub fn is_complete(&self) -> bool {
+        self.whole_frames() == self.frames
     }
 
     /// Time of a frame from the start of the acquisition, ns.
@@ -214,20 +236,39 @@ impl FrameSource for InfineonReader {
     }
 }
 
-/// Finds the folder that holds `radar.npy`: the given one, or the first `RadarIfxAvian_NN` in it.
-fn radar_folder(path: &Path) -> Result<PathBuf, RecordingError> {
-    if path.join("radar.npy").exists() || path.join("config.json").exists() {
-        return Ok(path.to_owned());
+/// Finds the radars' own folders: the given one, or every `RadarIfxAvian_NN` in it, by name. A folder that has none is no
+/// recording.
+///
+/// # Errors
+/// [`RecordingError`] if the folder cannot be listed.
+pub fn radar_folders(path: &Path) -> Result<Vec<PathBuf>, RecordingError> {
+    // Either is enough: if the other is absent, the error names it. A config.json is not: other tools write one, too.
+    if [DATA, VERSION].iter().any(|name| path.join(name).exists()) {
+        return Ok(vec![path.to_owned()]);
     }
-    let entries = std::fs::read_dir(path).map_err(RecordingError::io(path, "cannot be listed"))?;
-    let is_radar = |name: &std::ffi::OsStr| name.to_string_lossy().starts_with("RadarIfxAvian_");
-    let mut radars: Vec<_> = entries.flatten().filter(|e| is_radar(&e.file_name())).map(|e| e.path()).collect();
+    let cannot = || RecordingError::io(path, "cannot be listed");
+    let mut radars = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(cannot())? {
+        let entry = entry.map_err(cannot())?.path();
+        if is_radar(&entry) && entry.is_dir() {
+            radars.push(entry);
+        }
+    }
     radars.sort();
-    radars.into_iter().next().ok_or_else(|| RecordingError::Unknown { path: path.to_owned() })
+    Ok(radars)
+}
+
+/// Returns the folder of the session that a radar's own folder is in; `None` if its name is no radar's.
+pub fn session_of(radar: &Path) -> Option<&Path> {
+    radar.parent().filter(|_| is_radar(radar))
+}
+
+fn is_radar(folder: &Path) -> bool {
+    folder.file_name().is_some_and(|name| name.to_string_lossy().starts_with(RADAR))
 }
 
 fn check_version(path: &Path) -> Result<(), RecordingError> {
-    let text = read_text(path)?;
+    let text = read_text(path, TEXT_LIMIT_BYTES)?;
     let text = text.trim();
     let numbers: Option<Vec<u32>> = text.split('.').map(|n| n.parse().ok()).collect();
     match numbers.as_deref() {
@@ -297,7 +338,7 @@ fn read_timestamps(
     expected: Option<u64>,
     left_out: &mut Vec<String>,
 ) -> Result<Option<Vec<u64>>, RecordingError> {
-    let text = match read_text(path) {
+    let text = match read_text(path, SERIES_LIMIT_BYTES) {
         Ok(text) => text,
         Err(RecordingError::Missing { .. }) => return Ok(None),
         Err(error @ RecordingError::Corrupt { .. }) => {
@@ -346,16 +387,15 @@ fn parse_time_ns(text: &str) -> Option<u64> {
 }
 
 fn read_temperatures(folder: &Path, left_out: &mut Vec<String>) -> Result<Vec<(u64, f64)>, RecordingError> {
-    let path = folder.join("temperature.npy");
-    let times = read_timestamps(&folder.join("temperature_timestamp.csv"), None, left_out)?;
+    let path = folder.join(TEMPERATURES);
+    let times = read_timestamps(&folder.join(TEMPERATURE_TIMES), None, left_out)?;
     let Some(times) = times else { return Ok(Vec::new()) };
-    if !path.exists() {
-        return Ok(Vec::new());
-    }
-    let mut file = BufReader::new(File::open(&path).map_err(RecordingError::io(&path, "cannot be opened"))?);
-    let header = NpyHeader::read(&mut file, &path)?;
-    let mut bytes = Vec::new();
-    file.read_to_end(&mut bytes).map_err(RecordingError::io(&path, "cannot be read"))?;
+    let content = match input::read(&path, SERIES_LIMIT_BYTES) {
+        Err(RecordingError::Missing { .. }) => return Ok(Vec::new()),
+        content => content?,
+    };
+    let header = NpyHeader::read(&mut Cursor::new(&content), &path)?;
+    let bytes = content.get(header.data_offset as usize..).unwrap_or(&[]);
     let values: Vec<f64> = match header.type_string.as_str() {
         "<f8" => bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
         "<f4" => bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),

@@ -3,19 +3,20 @@
 //! Most state a waveform (`fmcw_single_shape`); some state the metrics that it has to reach (`fmcw_scene`:
 //! [`super::vendor_scene`]).
 
-use std::io::Write;
 use std::path::Path;
 
 use radome_dsp::{FrameShape, Waveform, WaveformRequest};
+use radome_files::TEXT_LIMIT_BYTES;
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::vendor_fields::{Fields, read_text};
-use super::{RecordingError, vendor_scene};
+use super::input::read_text;
+use super::vendor_fields::Fields;
+use super::{RecordingError, disk, vendor_scene};
 
 /// Reads a configuration; `data` is the shape of the frames beside it, if known.
 pub(super) fn read_waveform(path: &Path, data: Option<FrameShape>) -> Result<Waveform, RecordingError> {
-    let text = read_text(path)?;
+    let text = read_text(path, TEXT_LIMIT_BYTES)?;
     let root: Value = serde_json::from_str(&text).map_err(|e| RecordingError::Corrupt {
         path: path.into(),
         offset: text.split_inclusive('\n').take(e.line().saturating_sub(1)).map(str::len).sum::<usize>() as u64
@@ -86,15 +87,5 @@ pub(super) fn write_json(path: &Path, value: &Value) -> Result<(), RecordingErro
     let mut serializer = serde_json::Serializer::with_formatter(&mut bytes, formatter);
     value.serialize(&mut serializer).map_err(|e| RecordingError::cannot_write(path)(e.into()))?;
     bytes.push(b'\n');
-    write_file(path, &bytes)
-}
-
-/// Writes a small file and waits until it is on the disk.
-pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RecordingError> {
-    let write = || {
-        let mut file = std::fs::File::create(path)?;
-        file.write_all(bytes)?;
-        file.sync_all()
-    };
-    write().map_err(RecordingError::cannot_write(path))
+    disk::write_file(path, &bytes).map_err(RecordingError::cannot_write(path))
 }

@@ -61,13 +61,3 @@ impl Fields<'_> {
         RxMask::from_antennas(&antennas).map_err(|e| self.error(field, e.to_string()))
     }
 }
-
-/// Reads a small text file.
-pub(super) fn read_text(path: &Path) -> Result<String, RecordingError> {
-    let bytes = std::fs::read(path).map_err(RecordingError::io(path, "cannot be read"))?;
-    String::from_utf8(bytes).map_err(|e| RecordingError::Corrupt {
-        path: path.to_owned(),
-        offset: e.utf8_error().valid_up_to() as u64,
-        reason: "not text in UTF-8".into(),
-    })
-}

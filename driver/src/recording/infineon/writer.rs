@@ -7,10 +7,12 @@ use std::path::{Path, PathBuf};
 use radome_dsp::Frame;
 use serde_json::json;
 
-use super::{FIRST_UNIX_NS, SUPPORTED_VERSION};
+use super::{
+    CONFIG, DATA, FIRST_UNIX_NS, META, RADAR, SUPPORTED_VERSION, TEMPERATURE_TIMES, TEMPERATURES, TIMES, VERSION,
+};
 use crate::recording::mcap::RecordingHeader;
 use crate::recording::partial::Partial;
-use crate::recording::vendor_config::{write_file, write_json, write_waveform};
+use crate::recording::vendor_config::{write_json, write_waveform};
 use crate::recording::{RecordingError, Tally, WriteReport, disk, utc};
 
 /// Length of the vendor's headers, bytes: any number of frames fits, so that the header can be filled in last.
@@ -65,9 +67,9 @@ impl InfineonWriter {
             return Err(RecordingError::Occupied { path: path.to_owned() });
         }
         let partial = Partial::folder(path)?;
-        let folder = partial.path().join("RadarIfxAvian_00");
+        let folder = partial.path().join(format!("{RADAR}00"));
         std::fs::create_dir(&folder).map_err(RecordingError::cannot_write(path))?;
-        let data = folder.join("radar.npy");
+        let data = folder.join(DATA);
         let mut file = BufWriter::new(File::create(&data).map_err(RecordingError::cannot_write(&data))?);
         file.write_all(&[0; HEADER_BYTES]).map_err(RecordingError::cannot_write(&data))?;
         Ok(InfineonWriter {
@@ -113,13 +115,13 @@ impl InfineonWriter {
         let cannot = || RecordingError::cannot_write(&self.data);
         self.file.seek(SeekFrom::Start(0)).map_err(cannot())?;
         self.file.write_all(&npy_header("<u2", &shape_text)).map_err(cannot())?;
-        self.file.flush().and_then(|()| self.file.get_ref().sync_all()).map_err(cannot())?;
+        self.file.flush().and_then(|()| disk::sync(self.file.get_ref(), &self.data)).map_err(cannot())?;
         let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
 
         let mut omitted = self.tally.omitted();
         let stamps_ns = self.stamps(&mut omitted);
         if let Some(stamps_ns) = &stamps_ns {
-            write_seconds(&self.folder.join("radar_timestamp.csv"), stamps_ns.iter().copied())?;
+            self.write_file(TIMES, seconds(stamps_ns.iter().copied()).as_bytes())?;
             self.write_temperatures(stamps_ns)?;
         } else if !self.temperatures.is_empty() {
             omitted.push("temperatures, for want of times".into());
@@ -171,16 +173,16 @@ impl InfineonWriter {
         }
         let mut bytes = npy_header("<f8", &format!("({},)", self.temperatures.len()));
         bytes.extend(self.temperatures.iter().flat_map(|(_, milli)| (f64::from(*milli) / 1e3).to_le_bytes()));
-        write_file(&self.folder.join("temperature.npy"), &bytes)?;
+        self.write_file(TEMPERATURES, &bytes)?;
         let times = self.temperatures.iter().filter_map(|(index, _)| stamps_ns.get(*index).copied());
-        write_seconds(&self.folder.join("temperature_timestamp.csv"), times)
+        self.write_file(TEMPERATURE_TIMES, seconds(times).as_bytes())
     }
 
     fn write_descriptions(&self) -> Result<(), RecordingError> {
         let board = self.header.board.as_ref();
-        write_waveform(&self.header.waveform, &self.folder.join("config.json"))?;
+        write_waveform(&self.header.waveform, &self.folder.join(CONFIG))?;
         write_json(
-            &self.folder.join("meta.json"),
+            &self.folder.join(META),
             &json!({
                 "adc_resolution": 12,
                 "description": "BGT60TR13C FMCW Radar Sensor",
@@ -191,7 +193,7 @@ impl InfineonWriter {
         )?;
         // The folder does not depend on the machine: the same recording gives the same folder.
         write_json(
-            &self.partial.path().join("meta.json"),
+            &self.partial.path().join(META),
             &json!({
                 "date_captured": self.times_ns.first().filter(|t| t.1 > 0).map(|t| utc::iso_8601(t.1 / 1_000_000_000)),
                 "hostname": "unknown",
@@ -203,14 +205,17 @@ impl InfineonWriter {
             }),
         )?;
         // Written last: without this file the folder is not read.
-        write_file(&self.folder.join("format.version"), format!("{SUPPORTED_VERSION}\n").as_bytes())
+        self.write_file(VERSION, format!("{SUPPORTED_VERSION}\n").as_bytes())
+    }
+
+    /// Writes a small file of the radar's folder.
+    fn write_file(&self, name: &str, bytes: &[u8]) -> Result<(), RecordingError> {
+        let path = self.folder.join(name);
+        disk::write_file(&path, bytes).map_err(RecordingError::cannot_write(&path))
     }
 }
 
-fn write_seconds(path: &Path, times_ns: impl Iterator<Item = u64>) -> Result<(), RecordingError> {
-    let mut text = String::new();
-    for time in times_ns {
-        text += &format!("{}.{:09}\n", time / 1_000_000_000, time % 1_000_000_000);
-    }
-    write_file(path, text.as_bytes())
+/// One time in seconds per line.
+fn seconds(times_ns: impl Iterator<Item = u64>) -> String {
+    times_ns.map(|time| format!("{}.{:09}\n", time / 1_000_000_000, time % 1_000_000_000)).collect()
 }
