@@ -4,6 +4,7 @@
 
 mod disk;
 mod error;
+mod format;
 pub mod infineon;
 mod input;
 pub mod label_text;
@@ -25,13 +26,14 @@ use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
 
 pub use error::RecordingError;
+pub use format::Format;
 pub use opened::Recording;
 pub use partial::{Existing, Partial, rename_synced};
 pub use position::{Extent, Position};
 use position::{first_index, time_ns};
 pub use report::WriteReport;
 use report::{Tally, check_frame};
-pub use writer::{Format, RecordingWriter};
+pub use writer::RecordingWriter;
 
 /// Warns once a process: a command opens a recording several times.
 fn warn_once(message: String) {

@@ -1,15 +1,13 @@
 //! Recordings of any kind as one type, with seeking, labels and results.
 
-use std::io::Read;
 use std::path::Path;
 
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
 use super::infineon::InfineonReader;
-use super::input::open_file;
 use super::mcap::{LabelSpan, McapReader, RecordingHeader, Results};
 use super::text::TextReader;
-use super::{Extent, RecordingError};
+use super::{Extent, Format, RecordingError};
 
 /// Open recording.
 ///
@@ -55,35 +53,50 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the path cannot be read or is not a recording; [`RecordingError::NotRegular`] for a pipe.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let metadata = std::fs::metadata(path).map_err(RecordingError::io(path, "cannot be opened"))?;
-        if metadata.is_dir() {
-            return Ok(Recording::Infineon(Box::new(InfineonReader::open(path)?)));
+        Ok(match Format::of_content(path)? {
+            Some(Format::Mcap) => Recording::Mcap(Box::new(McapReader::open(path)?)),
+            Some(Format::Infineon) => Recording::Infineon(Box::new(InfineonReader::open(path)?)),
+            Some(Format::Text) => Recording::Text(Box::new(TextReader::open(path)?)),
+            None => return Err(RecordingError::Unknown { path: path.to_owned() }),
+        })
+    }
+
+    /// Returns the format of the recording.
+    pub fn format(&self) -> Format {
+        match self {
+            Recording::Mcap(_) => Format::Mcap,
+            Recording::Infineon(_) => Format::Infineon,
+            Recording::Text(_) => Format::Text,
         }
-        let mut magic = [0; 8];
-        let mut file = open_file(path)?;
-        if file.read_exact(&mut magic).is_ok() && magic == *::mcap::MAGIC {
-            return Ok(Recording::Mcap(Box::new(McapReader::open(path)?)));
+    }
+
+    /// Returns the reader of an MCAP file. The other formats hold frames alone.
+    fn mcap(&self) -> Option<&McapReader> {
+        match self {
+            Recording::Mcap(reader) => Some(reader),
+            Recording::Infineon(_) | Recording::Text(_) => None,
         }
-        if super::text::config_path(path).is_some() {
-            return Ok(Recording::Text(Box::new(TextReader::open(path)?)));
-        }
-        Err(RecordingError::Unknown { path: path.to_owned() })
     }
 
     /// Returns the header of the recording; in the vendor's formats it holds the waveform alone.
     pub fn header(&self) -> RecordingHeader {
-        match self {
-            Recording::Mcap(reader) => reader.header().clone(),
-            other => RecordingHeader::new(other.waveform().clone()),
-        }
+        let header = self.mcap().map(|reader| reader.header().clone());
+        header.unwrap_or_else(|| RecordingHeader::new(self.waveform().clone()))
+    }
+
+    /// Returns the number of whole frames. [`FrameSource::frame_count`] may be more for a folder that is cut.
+    pub fn whole_frames(&self) -> u64 {
+        with_reader!(self, reader => reader.whole_frames())
+    }
+
+    /// Returns whether the recording was finished and has not been cut since.
+    pub fn is_complete(&self) -> bool {
+        with_reader!(self, reader => reader.is_complete())
     }
 
     /// Returns the number of gaps; `None` for the vendor's formats, which cannot hold them.
     pub fn gap_count(&self) -> Option<u64> {
-        match self {
-            Recording::Mcap(reader) => Some(reader.gap_count()),
-            Recording::Infineon(_) | Recording::Text(_) => None,
-        }
+        self.mcap().map(McapReader::gap_count)
     }
 
     /// Reads all labels; the vendor's formats have none.
@@ -91,10 +104,7 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the labels cannot be read.
     pub fn labels(&self) -> Result<Vec<LabelSpan>, RecordingError> {
-        match self {
-            Recording::Mcap(reader) => reader.labels(),
-            Recording::Infineon(_) | Recording::Text(_) => Ok(Vec::new()),
-        }
+        self.mcap().map_or(Ok(Vec::new()), McapReader::labels)
     }
 
     /// Returns an iterator over the results of a classifier; `None` for the vendor's formats, which cannot hold them.
@@ -102,10 +112,7 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the file cannot be opened again.
     pub fn results(&self) -> Result<Option<Results>, RecordingError> {
-        match self {
-            Recording::Mcap(reader) => reader.results().map(Some),
-            Recording::Infineon(_) | Recording::Text(_) => Ok(None),
-        }
+        self.mcap().map(McapReader::results).transpose()
     }
 
     /// Seeks the first frame with this sequence number or a later one, without reading the frames between. The next

@@ -11,10 +11,11 @@ use std::path::{Path, PathBuf};
 
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceError, SourceEvent, Waveform};
 
+use super::input::open_file;
 use super::mcap::RecordingHeader;
 use super::partial::Partial;
 use super::vendor_config::{read_waveform, write_waveform};
-use super::{Existing, Extent, Position, RecordingError, Tally, WriteReport, first_index, time_ns};
+use super::{Existing, Extent, Position, RecordingError, Tally, WriteReport, disk, first_index, time_ns};
 
 /// Characters of a value: `0.123456`.
 const VALUE: usize = 8;
@@ -31,6 +32,25 @@ fn config_name(path: &Path) -> PathBuf {
 /// Finds the configuration of a text recording: `NAME_config.json`, or the same without NAME's extension.
 pub fn config_path(path: &Path) -> Option<PathBuf> {
     [config_name(path), config_name(&path.with_extension(""))].into_iter().find(|path| path.is_file())
+}
+
+/// Returns whether a file that begins with `head` is a text recording. `NAME_config.json` makes one of `NAME` and of
+/// `NAME.txt`. Of a file with another ending it makes one only if that begins with a value: labels and pictures of a
+/// recording have its name, too.
+pub(super) fn is_recording(path: &Path, head: &[u8]) -> bool {
+    let is_txt = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("txt"));
+    let begins_with_value = || line_end(head).is_some() && head.get(..VALUE).and_then(parse_code).is_some();
+    config_name(path).is_file() || (config_path(path).is_some() && (is_txt || begins_with_value()))
+}
+
+/// Number of characters that end a file's first line: 1, or 2 in a file from Windows. `None` if that is not as long as a
+/// value.
+fn line_end(head: &[u8]) -> Option<usize> {
+    match head.get(VALUE..)? {
+        [b'\r', b'\n', ..] => Some(2),
+        [b'\n', ..] => Some(1),
+        _ => None,
+    }
 }
 
 /// Reader of the vendor's text recording, frame by frame.
@@ -55,17 +75,16 @@ impl TextReader {
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let config = config_path(path).ok_or_else(|| RecordingError::Missing { path: config_name(path) })?;
         let waveform = read_waveform(&config, None)?;
-        let mut file = BufReader::new(File::open(path).map_err(RecordingError::io(path, "cannot be opened"))?);
+        let mut file = BufReader::new(open_file(path)?);
         let length = file.get_ref().metadata().map_err(RecordingError::io(path, "cannot be read"))?.len();
         let mut line = Vec::new();
         let prelude = VALUE as u64 + 2;
         file.by_ref().take(prelude).read_to_end(&mut line).map_err(RecordingError::io(path, "cannot be read"))?;
         file.seek(SeekFrom::Start(0)).map_err(RecordingError::io(path, "cannot be read"))?;
-        let line_end = match line.get(VALUE..) {
-            Some([b'\r', b'\n']) => 2,
-            Some([b'\n', _]) => 1,
-            _ if length == 0 => 1,
-            _ => {
+        let line_end = match line_end(&line) {
+            Some(characters) => characters,
+            None if length == 0 => 1,
+            None => {
                 let reason = "the first line is no value with six decimals, such as 0.512345".into();
                 return Err(RecordingError::Corrupt { path: path.to_owned(), offset: 0, reason });
             }
@@ -98,7 +117,8 @@ impl TextReader {
         self.whole_frames() * self.frame_bytes() as u64 == self.length
     }
 
-    fn whole_frames(&self) -> u64 {
+    /// Number of whole frames in the file.
+    pub fn whole_frames(&self) -> u64 {
         self.length / self.frame_bytes().max(1) as u64
     }
 
@@ -286,7 +306,7 @@ impl TextWriter {
     /// [`RecordingError::Io`], or [`RecordingError::Occupied`] if something has taken a name meanwhile.
     pub fn finish(mut self) -> Result<WriteReport, RecordingError> {
         let cannot = || RecordingError::cannot_write(&self.path);
-        self.file.flush().and_then(|()| self.file.get_ref().sync_all()).map_err(cannot())?;
+        self.file.flush().and_then(|()| disk::sync(self.file.get_ref(), self.partial.path())).map_err(cannot())?;
         let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
         let mut omitted = self.tally.omitted();
         if self.timed {

@@ -5,40 +5,32 @@ use std::path::Path;
 use radome_dsp::{Frame, Gap};
 
 use super::infineon::InfineonWriter;
-use super::mcap::{FrameResult, LabelSpan, McapWriter, RecordingHeader};
+use super::mcap::{FrameResult, LabelSpan, McapWriter, Recorder, RecordingHeader};
 use super::text::TextWriter;
-use super::{Existing, RecordingError, WriteReport};
-
-/// Kinds of recordings.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Format {
-    /// The native MCAP file.
-    Mcap,
-    /// The vendor's folder.
-    Infineon,
-    /// The vendor's text file.
-    Text,
-}
-
-impl Format {
-    /// Chooses the format by the name of an output: `.mcap`, `.txt`, or a folder. A folder is one that exists, or a
-    /// name without extension or with a slash at its end.
-    pub fn of_output(path: &Path) -> Option<Self> {
-        let is_folder = path.is_dir() || path.as_os_str().to_string_lossy().ends_with('/');
-        match path.extension().and_then(|e| e.to_str()) {
-            _ if is_folder => Some(Format::Infineon),
-            Some("mcap") => Some(Format::Mcap),
-            Some("txt") => Some(Format::Text),
-            None => Some(Format::Infineon),
-            Some(_) => None,
-        }
-    }
-}
+use super::{Existing, Format, RecordingError, WriteReport};
 
 enum Writer {
     Mcap(Box<McapWriter>),
     Infineon(Box<InfineonWriter>),
     Text(Box<TextWriter>),
+}
+
+/// What becomes of gaps, labels and results.
+enum Others<'a> {
+    /// The format holds them.
+    Held(&'a mut Recorder),
+    /// The format holds frames alone: the others are counted.
+    Counted(&'a mut WriteReport),
+}
+
+impl Writer {
+    fn others(&mut self) -> Others<'_> {
+        match self {
+            Writer::Mcap(writer) => Others::Held(&mut writer.recorder),
+            Writer::Infineon(writer) => Others::Counted(&mut writer.tally.report),
+            Writer::Text(writer) => Others::Counted(&mut writer.tally.report),
+        }
+    }
 }
 
 /// Writer of a recording of any kind. The recording appears under its name when [`RecordingWriter::finish`] has
@@ -112,10 +104,9 @@ impl RecordingWriter {
     /// # Errors
     /// [`RecordingError::Io`].
     pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
-        match &mut self.writer {
-            Writer::Mcap(writer) => writer.recorder.gap(gap)?,
-            Writer::Infineon(writer) => writer.tally.report.count_gap(gap),
-            Writer::Text(writer) => writer.tally.report.count_gap(gap),
+        match self.writer.others() {
+            Others::Held(recorder) => recorder.gap(gap)?,
+            Others::Counted(report) => report.count_gap(gap),
         }
         Ok(())
     }
@@ -125,10 +116,9 @@ impl RecordingWriter {
     /// # Errors
     /// [`RecordingError::Io`].
     pub fn label(&mut self, label: &LabelSpan) -> Result<(), RecordingError> {
-        match &mut self.writer {
-            Writer::Mcap(writer) => writer.recorder.label(label)?,
-            Writer::Infineon(writer) => writer.tally.report.labels += 1,
-            Writer::Text(writer) => writer.tally.report.labels += 1,
+        match self.writer.others() {
+            Others::Held(recorder) => recorder.label(label)?,
+            Others::Counted(report) => report.labels += 1,
         }
         Ok(())
     }
@@ -138,10 +128,9 @@ impl RecordingWriter {
     /// # Errors
     /// [`RecordingError::Io`].
     pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
-        match &mut self.writer {
-            Writer::Mcap(writer) => writer.recorder.result(result)?,
-            Writer::Infineon(writer) => writer.tally.report.results += 1,
-            Writer::Text(writer) => writer.tally.report.results += 1,
+        match self.writer.others() {
+            Others::Held(recorder) => recorder.result(result)?,
+            Others::Counted(report) => report.results += 1,
         }
         Ok(())
     }

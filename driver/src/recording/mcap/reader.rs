@@ -90,6 +90,11 @@ impl McapReader {
         self.index.complete
     }
 
+    /// Number of frames in complete chunks.
+    pub fn whole_frames(&self) -> u64 {
+        self.index.frames
+    }
+
     /// Returns the number of gaps.
     pub fn gap_count(&self) -> u64 {
         self.index.gaps
@@ -344,7 +349,7 @@ impl FrameSource for McapReader {
     }
 
     fn frame_count(&self) -> Option<u64> {
-        Some(self.index.frames)
+        Some(self.whole_frames())
     }
 }
 
