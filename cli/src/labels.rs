@@ -8,7 +8,7 @@ use radome_driver::LabelSpan;
 use radome_driver::recording::label_text::{self, LabelTextError};
 use radome_driver::recording::mcap::LabelEditor;
 use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
-use radome_driver::recording::{Existing, Partial, Recording};
+use radome_driver::recording::{Existing, Partial, Recording, infineon};
 use radome_dsp::{Frame, FrameSource, Occupancy, Truth, Waveform};
 use radome_files::read_text;
 
@@ -77,10 +77,13 @@ pub fn tell_left_behind(source: &Path) {
     }
 }
 
+/// Names of the file of labels in a recording that is a folder. The first is the one that is written.
+pub const NAMES_IN_FOLDER: [&str; 3] = ["radome.label", "labels.label", "labels.txt"];
+
 /// Path of the labels of a recording that cannot hold any: `radome.label` in a folder, `NAME.label` beside `NAME` or `NAME.txt`.
 pub fn name_beside(recording: &Path) -> PathBuf {
     if recording.is_dir() {
-        return recording.join("radome.label");
+        return recording.join(NAMES_IN_FOLDER[0]);
     }
     // Recordings of the vendor's SDK have no ending, and names such as walk_0.5m and walk_0.7m differ behind their last dot.
     if recording.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("txt")) {
@@ -92,14 +95,12 @@ pub fn name_beside(recording: &Path) -> PathBuf {
 }
 
 /// Returns the file with the labels of such a recording, if there is one. Its name is that of [`name_beside`]. In a
-/// folder, `labels.label` and `labels.txt` are accepted too, in the radar's folder as well as in that of the session.
+/// folder, all of [`NAMES_IN_FOLDER`] are accepted, in the radar's folder as well as in that of the session.
 pub fn file_beside(recording: &Path) -> Option<PathBuf> {
     let mut places = vec![name_beside(recording)];
     if recording.is_dir() {
-        let is_radar = recording.file_name().is_some_and(|n| n.to_string_lossy().starts_with("RadarIfxAvian_"));
-        let session = recording.parent().filter(|_| is_radar);
-        for folder in [Some(recording), session].into_iter().flatten() {
-            places.extend(["radome.label", "labels.label", "labels.txt"].map(|name| folder.join(name)));
+        for folder in [Some(recording), infineon::session_of(recording)].into_iter().flatten() {
+            places.extend(NAMES_IN_FOLDER.map(|name| folder.join(name)));
         }
     }
     places.into_iter().find(|path| path.is_file())
@@ -110,10 +111,11 @@ pub fn file_beside(recording: &Path) -> Option<PathBuf> {
 /// # Errors
 /// The recording or the file beside it cannot be read.
 pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
-    match Recording::open(recording)? {
-        Recording::Mcap(reader) => Ok(reader.labels()?),
-        _ => file_beside(recording).map_or(Ok(Vec::new()), |file| read(&file)),
+    let opened = Recording::open(recording)?;
+    if opened.format().holds_labels() {
+        return Ok(opened.labels()?);
     }
+    file_beside(recording).map_or(Ok(Vec::new()), |file| read(&file))
 }
 
 /// Returns the truth of a frame by its labels: the class at its first chirp, and whether the class at its last chirp
@@ -223,7 +225,7 @@ pub fn add(
         check_spans(&all, None).with_context(named)?;
         Ok(all)
     };
-    if let Recording::Mcap(_) = source {
+    if source.format().holds_labels() {
         let editor = LabelEditor::open(recording)?;
         editor.write(&with_all(editor.labels()?)?)?;
         return Ok(recording.to_owned());

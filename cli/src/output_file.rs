@@ -5,11 +5,11 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{bail, ensure};
 use radome_driver::recording::text::config_path;
-use radome_driver::recording::{Existing, Format, Partial, RecordingError, utc};
+use radome_driver::recording::{Existing, Format, Partial, RecordingError, infineon, utc};
 use radome_driver::{Recorder, RecorderOptions, RecordingHeader};
 
 use crate::exit::wrong_use;
-use crate::files;
+use crate::{files, labels};
 
 /// Returns whether `-o` names stdout: `-`. A file of this name is `./-`.
 pub fn is_stdout(path: &Path) -> bool {
@@ -67,25 +67,15 @@ impl Overwrite {
     }
 }
 
-/// Files of recordings and datasets that are folders.
-const PARTS: [&str; 9] = [
-    "radar.npy",
-    "radar_timestamp.csv",
-    "temperature.npy",
-    "temperature_timestamp.csv",
-    "config.json",
-    "meta.json",
-    "dataset.json",
-    "manifest.jsonl",
-    "radome.label",
-];
+/// Files of inputs that are folders, by kind: recordings, their labels, and datasets, whose shards have numbers.
+const PARTS: [&[&str]; 3] = [&infineon::FILES, &labels::NAMES_IN_FOLDER, &["dataset.json", "manifest.jsonl"]];
 
 /// Fails if an output would replace an input, a file of an input that is a folder, or the configuration beside a text
 /// recording.
 fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
     let (Ok(written), Ok(read)) = (output.canonicalize(), input.canonicalize()) else { return Ok(()) };
     let name = written.file_name().unwrap_or_default().to_string_lossy();
-    let is_part = PARTS.contains(&&*name) || (name.starts_with("maps-") && name.ends_with(".npy"));
+    let is_part = PARTS.concat().contains(&&*name) || (name.starts_with("maps-") && name.ends_with(".npy"));
     let configuration = config_path(&read).and_then(|path| path.canonicalize().ok());
     let is_configuration = configuration.is_some_and(|configuration| configuration == written);
     if written == read || is_configuration || (written.starts_with(read) && is_part) {
@@ -193,9 +183,9 @@ pub fn check_ending(path: &Path, own: &[&str], hint: &str) -> anyhow::Result<()>
 /// Fails if the name of a new recording implies another format than MCAP.
 ///
 /// # Errors
-/// [`WrongUse`](crate::exit::WrongUse) if the name is that of a text recording.
+/// [`WrongUse`](crate::exit::WrongUse) if the name is that of a file in another format.
 pub fn check_is_mcap(path: &Path) -> anyhow::Result<()> {
-    if Format::of_output(path) == Some(Format::Text) {
+    if Format::of_output(path).is_some_and(|format| format != Format::Mcap && !format.is_folder()) {
         wrong_use!(
             "{}: frames are recorded as MCAP only\n\nhint: record to FILE.mcap, then radome recording convert FILE.mcap FILE.txt",
             path.display()
@@ -271,6 +261,29 @@ mod tests {
         Overwrite::yes()
             .check(&folder.path().join("a.txt_config.json"), &[&folder.path().join("b.txt")])
             .expect("free");
+    }
+
+    /// Regression test: the version of a folder's format and two of the names of its labels could be written over while the
+    /// folder was read.
+    #[test]
+    fn the_files_of_a_folder_are_inputs() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let radar = folder.path().join("RadarIfxAvian_00");
+        std::fs::create_dir(&radar).expect("creates");
+        let check = |path: &Path| {
+            std::fs::write(path, "").expect("writes");
+            Overwrite::yes().check(path, &[folder.path()])
+        };
+        for name in PARTS.concat() {
+            for path in [folder.path().join(name), radar.join(name)] {
+                let said = check(&path).expect_err(name).to_string();
+                assert!(said.contains("input and output at once"), "{said}");
+            }
+        }
+        for name in ["format.version", "labels.label", "labels.txt"] {
+            assert!(PARTS.concat().contains(&name), "{name}");
+        }
+        check(&radar.join("maps.npy")).expect("no part of the recording");
     }
 
     #[test]
