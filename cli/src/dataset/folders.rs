@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
+use radome_driver::recording::infineon::radar_folders;
+use radome_driver::recording::{Format, RecordingError};
 use regex_lite::Regex;
 
 use super::spec::{FolderLabel, Recorded};
@@ -24,7 +26,7 @@ pub struct Found {
 /// Finds all recordings in a folder, ordered by name.
 ///
 /// # Errors
-/// A folder cannot be listed, or there is no recording in it.
+/// A folder cannot be listed or a file cannot be read, or there is no recording.
 pub fn find(folder: &Path) -> anyhow::Result<Vec<Found>> {
     let mut found = Vec::new();
     search(folder, "", &mut found, 0)?;
@@ -45,26 +47,26 @@ pub fn find(folder: &Path) -> anyhow::Result<Vec<Found>> {
 }
 
 fn search(folder: &Path, name: &str, found: &mut Vec<Found>, depth: usize) -> anyhow::Result<()> {
+    let file_name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    match Format::of_content(folder)? {
+        // Each radar of a session has a recording of its own.
+        Some(Format::Infineon) => {
+            let radars = radar_folders(folder)?;
+            let is_one = radars.len() == 1;
+            for path in radars {
+                let radar_name = if is_one { name.to_owned() } else { format!("{name}/{}", file_name(&path)) };
+                found.push(Found { path, session: name.to_owned(), name: radar_name });
+            }
+            return Ok(());
+        }
+        Some(Format::Mcap | Format::Text) | None => {}
+    }
     let cannot = || format!("{}: cannot be listed", folder.display());
     let mut entries: Vec<PathBuf> = Vec::new();
     for entry in std::fs::read_dir(folder).with_context(cannot)? {
         entries.push(entry.with_context(cannot)?.path());
     }
     entries.sort();
-    let file_name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    if folder.join("radar.npy").exists() {
-        found.push(Found { path: folder.to_owned(), session: name.to_owned(), name: name.to_owned() });
-        return Ok(());
-    }
-    let radars: Vec<&PathBuf> =
-        entries.iter().filter(|path| path.is_dir() && file_name(path).starts_with("RadarIfxAvian_")).collect();
-    if !radars.is_empty() {
-        for radar in &radars {
-            let radar_name = if radars.len() > 1 { format!("{name}/{}", file_name(radar)) } else { name.to_owned() };
-            found.push(Found { path: radar.to_path_buf(), session: name.to_owned(), name: radar_name });
-        }
-        return Ok(());
-    }
     if depth == DEEPEST {
         bail!("{}: folders within folders {DEEPEST} deep; do they contain each other?", folder.display());
     }
@@ -75,7 +77,7 @@ fn search(folder: &Path, name: &str, found: &mut Vec<Found>, depth: usize) -> an
             continue;
         } else if path.is_dir() {
             search(&path, &inner(&own), found, depth + 1)?;
-        } else if path.extension().is_some_and(|e| e == "mcap") || is_text(&path) {
+        } else if is_recording(&path)? {
             let name = inner(&source::name_of(&path).to_string_lossy());
             found.push(Found { path, session: name.clone(), name });
         }
@@ -83,15 +85,16 @@ fn search(folder: &Path, name: &str, found: &mut Vec<Found>, depth: usize) -> an
     Ok(())
 }
 
-/// Returns whether the file is a text recording: `NAME` beside `NAME_config.json`, or `NAME.txt`.
-fn is_text(path: &Path) -> bool {
-    let with_config = |name: &std::ffi::OsStr| {
-        let mut name = name.to_owned();
-        name.push("_config.json");
-        path.with_file_name(name).is_file()
-    };
-    path.file_name().is_some_and(with_config)
-        || (path.extension().is_some_and(|e| e == "txt") && path.file_stem().is_some_and(with_config))
+/// Returns whether a file is a recording, or has the name of an MCAP file: if that is damaged, opening it says so.
+fn is_recording(path: &Path) -> anyhow::Result<bool> {
+    if path.extension().is_some_and(|ending| ending == "mcap") {
+        return Ok(true);
+    }
+    match Format::of_content(path) {
+        // A pipe, a device, or a link that leads nowhere.
+        Err(RecordingError::NotRegular { .. } | RecordingError::Missing { .. }) => Ok(false),
+        format => Ok(format?.is_some()),
+    }
 }
 
 /// Label that a name gives.
@@ -197,6 +200,30 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+
+        /// Text recordings with other endings opened, but no dataset found them. A folder with a config.json of another
+        /// program was a recording for all other commands.
+        #[test]
+        fn what_opens_as_a_recording_is_found_and_nothing_else() {
+            let folder = tempfile::tempdir().expect("a folder");
+            let values = "0.512345\n0.512345\n\n";
+            for (name, content) in [
+                ("cut.mcap", ""),
+                ("notes.txt", "no recording"),
+                ("project/config.json", "{}"),
+                ("project/one/RadarIfxAvian_00/format.version", "1.0.0\n"),
+                ("walk.dat", values),
+                ("walk.label", "Time(Seconds),Length(Seconds),Label(string)\n"),
+                ("walk_config.json", "{}"),
+            ] {
+                let path = folder.path().join(name);
+                std::fs::create_dir_all(path.parent().expect("a folder")).expect("creates");
+                std::fs::write(path, content).expect("writes");
+            }
+            let found = find(folder.path()).expect("recordings");
+            let names: Vec<&str> = found.iter().map(|found| found.name.as_str()).collect();
+            assert_eq!(names, ["cut", "project/one", "walk.dat"]);
+        }
 
         #[test]
         fn no_pattern_or_two_is_an_error_with_the_name() {

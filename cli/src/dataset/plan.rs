@@ -263,11 +263,14 @@ impl List<'_> {
     ) -> anyhow::Result<()> {
         let opened = Recording::open(&found.path)?;
         self.check_waveform(&found.path.display().to_string(), opened.waveform())?;
-        let label_file = label_file.or_else(|| match (&opened, label) {
-            (Recording::Mcap(_), _) | (_, Some(_)) => None,
-            _ => crate::labels::file_beside(&found.path),
-        });
-        let content = if let Recording::Infineon(reader) = &opened { reader.folder() } else { &found.path };
+        let label_file = match label_file {
+            None if label.is_none() && !opened.format().holds_labels() => crate::labels::file_beside(&found.path),
+            given => given,
+        };
+        let content = match &opened {
+            Recording::Infineon(reader) => reader.folder(),
+            Recording::Mcap(_) | Recording::Text(_) => &found.path,
+        };
         self.prints.recording(called, content, label_file.as_deref())?;
         let reading =
             reading.unwrap_or(Reading { label: FolderLabel::Spans, scene: None, subject: None, sequence: None });

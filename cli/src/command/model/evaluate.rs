@@ -8,8 +8,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{bail, ensure};
-use radome_driver::RecordingError;
-use radome_driver::recording::Recording;
+use radome_driver::recording::{Format, Recording};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::calibration::ReliabilitySums;
 use radome_models::dataset::{self, Dataset, SplitSpec};
@@ -154,7 +153,7 @@ fn check_is_dataset(folder: &Path) -> anyhow::Result<()> {
 
 /// Returns whether a path is a folder that holds no recording, and is therefore taken for a dataset.
 fn is_dataset(path: &Path) -> bool {
-    path.is_dir() && matches!(Recording::open(path), Err(RecordingError::Unknown { .. }))
+    path.is_dir() && matches!(Format::of_content(path), Ok(None))
 }
 
 /// Predictions for one recording.

@@ -75,10 +75,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         },
     };
     arguments.overwrite.check_name(path, &[input])?;
-    if format == Some(Format::Infineon) {
+    if format.is_some_and(Format::is_folder) {
         check_is_empty(path)?;
-    }
-    if format == Some(Format::Text) {
+    } else if format.is_some_and(|format| !format.holds_labels()) {
         check_labels(path)?;
     }
     let mut source = open(input)?;
@@ -90,7 +89,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         message!("not held by this format: {what}");
     }
     let is_labelled = labels::of(input).is_ok_and(|spans| !spans.is_empty());
-    if is_labelled && matches!(format, Some(Format::Infineon | Format::Text)) {
+    if is_labelled && format.is_some_and(|format| !format.holds_labels()) {
         let [from, to] = [input, &labels::name_beside(path)].map(|path| shell::word(&path.to_string_lossy()));
         message!("hint: radome recording label {from} -o {to} writes the labels beside it");
     }
@@ -126,7 +125,7 @@ fn check_is_empty(folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Fails if labels stand beside the text recording that is to be replaced: they would be taken for those of the new one.
+/// Fails if labels stand beside the file that is to be replaced: they would be taken for those of the new one.
 fn check_labels(output: &Path) -> anyhow::Result<()> {
     match labels::file_beside(output).filter(|_| output.exists()) {
         Some(labels) => bail!(
@@ -141,12 +140,12 @@ fn check_labels(output: &Path) -> anyhow::Result<()> {
 /// Opens the input and reports known losses.
 fn open(input: &Path) -> anyhow::Result<Recording> {
     let source = match Recording::open(input) {
-        Err(error @ RecordingError::Corrupt { .. }) if Format::of_output(input) == Some(Format::Mcap) => {
+        Err(error @ RecordingError::Corrupt { .. }) if matches!(Format::of_content(input), Ok(Some(Format::Mcap))) => {
             bail!("{error}{REPAIR_HINT}")
         }
         opened => opened?,
     };
-    if matches!(source, Recording::Infineon(_)) {
+    if source.format() == Format::Infineon {
         message!("not carried over: the descriptions in meta.json");
     }
     Ok(source)
@@ -155,7 +154,7 @@ fn open(input: &Path) -> anyhow::Result<Recording> {
 /// Reads the labels of a recording, also those beside it, before the frames, which may take long. Tells of labels that do not fit the
 /// recording; they are carried over as they are.
 fn read_labels(input: &Path, source: &Recording) -> anyhow::Result<Vec<LabelSpan>> {
-    let beside = labels::file_beside(input).filter(|_| !matches!(source, Recording::Mcap(_)));
+    let beside = labels::file_beside(input).filter(|_| !source.format().holds_labels());
     let spans = labels::of(input).with_context(|| match beside {
         Some(file) => format!(
             "the labels of {} cannot be read\n\nhint: mend {}, or move it away to convert without labels",
@@ -186,8 +185,8 @@ fn convert(arguments: &Arguments, format: Format, source: &mut Recording) -> any
             Ok(SourceEvent::Gap(gap)) => writer.gap(&gap)?,
             Ok(SourceEvent::End) => break,
             Err(error) => {
-                let hint = match source {
-                    Recording::Mcap(_) => REPAIR_HINT,
+                let hint = match source.format() {
+                    Format::Mcap => REPAIR_HINT,
                     _ => "\n\nhint: radome record RECORDING -o FILE.mcap keeps the frames before that place",
                 };
                 bail!("{}{hint}", output::chain(&anyhow::Error::from_boxed(error)));

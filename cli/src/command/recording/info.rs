@@ -3,8 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use radome_driver::recording::Recording;
-use radome_dsp::FrameSource;
+use radome_driver::recording::{Format, Recording};
 use serde_json::json;
 
 use crate::{labels, output};
@@ -28,30 +27,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut recording = Recording::open(path)?;
     let header = recording.header();
     let waveform = &header.waveform;
-    let frames = match &recording {
-        // The header of an array that is cut short promises more.
-        Recording::Infineon(reader) => Some(reader.whole_frames()),
-        other => other.frame_count(),
-    };
+    let frames = recording.whole_frames();
     let gaps = recording.gap_count();
     let extent = recording.extent()?;
     let duration_s =
         extent.map_or(0.0, |extent| extent.last.time_s() - extent.first.time_s() + waveform.frame_interval_s());
     let numbers =
         extent.map_or(0, |extent| (extent.last.sequence.saturating_add(1)).saturating_sub(extent.first.sequence));
-    let missing = frames.map(|frames| numbers.saturating_sub(frames));
-    let format = match &recording {
-        Recording::Mcap(_) => "mcap",
-        Recording::Infineon(_) => "infineon",
-        Recording::Text(_) => "text",
-    };
-    let is_finished = match &recording {
-        Recording::Mcap(reader) => reader.is_complete(),
-        Recording::Text(reader) => reader.is_complete(),
-        Recording::Infineon(reader) => Some(reader.whole_frames()) == reader.frame_count(),
-    };
-    if !is_finished && !matches!(recording, Recording::Mcap(_)) {
-        message!("{}: the file is cut short", path.display());
+    let missing = numbers.saturating_sub(frames);
+    let (format, is_finished) = (recording.format(), recording.is_complete());
+    // An MCAP file may be one that is being recorded.
+    if !is_finished && format != Format::Mcap {
+        message!("{}: the recording is cut short", path.display());
     }
     let spans = labels::of(path)?;
     let mut labelled_s: BTreeMap<&str, f64> = BTreeMap::new();
@@ -63,7 +50,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.json {
         return output::json_line(&json!({
             "path": path.display().to_string(),
-            "format": format,
+            "format": format.name(),
             "finished": is_finished,
             "frames": frames,
             "gaps": gaps,
@@ -77,12 +64,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let labels: Vec<String> =
         labelled_s.iter().map(|(label, seconds)| format!("{} {seconds:.1} s", output::on_one_line(label))).collect();
-    let or_unknown = |count: Option<u64>| count.map_or_else(|| "unknown".to_owned(), |count| count.to_string());
     let or_none = |text: Option<String>| text.unwrap_or_else(|| "none".to_owned());
+    let gaps = gaps.map_or_else(|| "unknown".to_owned(), |count| count.to_string());
     for (name, value) in [
-        ("format", format.to_owned()),
-        ("frames", or_unknown(frames)),
-        ("missing", format!("{} frames by their numbers; gaps: {}", or_unknown(missing), or_unknown(gaps))),
+        ("format", format.name().to_owned()),
+        ("frames", frames.to_string()),
+        ("missing", format!("{missing} frames by their numbers; gaps: {gaps}")),
         ("duration", format!("{duration_s:.3} s")),
         ("frame", waveform.shape().to_string()),
         (

@@ -103,7 +103,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let holds_authors = || match &arguments.output {
         Some(_) => Ok(false),
-        None => Recording::open(&arguments.recording).map(|recording| matches!(recording, Recording::Mcap(_))),
+        None => Recording::open(&arguments.recording).map(|recording| recording.format().holds_labels()),
     };
     if arguments.who.is_some() && !holds_authors()? {
         wrong_use!(

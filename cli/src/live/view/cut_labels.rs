@@ -20,9 +20,8 @@ pub(super) struct Cut {
 /// Cuts labels to the frames of a recording, from the first one to the end of the last one. A recording that was not finished or
 /// cannot be read leaves them as they are: a repair may find more frames.
 pub(super) fn cut(labels: Vec<LabelSpan>, recording: &Path, interval_s: f64) -> Cut {
-    let is_unfinished = |recording: &Recording| matches!(recording, Recording::Mcap(reader) if !reader.is_complete());
     let extent = Recording::open(recording)
-        .and_then(|mut recording| if is_unfinished(&recording) { Ok(None) } else { recording.extent() });
+        .and_then(|mut recording| if recording.is_complete() { recording.extent() } else { Ok(None) });
     let Ok(Some(extent)) = extent else { return Cut { labels, before: 0, behind: 0 } };
     let (first_s, last_s) = (extent.first.time_s(), extent.last.time_s() + interval_s);
     let cut = labels.into_iter().map(|label| LabelSpan {

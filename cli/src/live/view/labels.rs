@@ -349,13 +349,11 @@ impl Keeper {
         let made = recording.map(|path| Place::Made { recording: path.to_owned() });
         let place = playback.map(|playback| -> anyhow::Result<Place> {
             let recording = playback.path.clone();
-            Ok(match Recording::open(&recording)? {
-                Recording::Mcap(_) => Place::Mcap(recording),
-                _ => {
-                    let file = labels::file_beside(&recording).unwrap_or_else(|| labels::name_beside(&recording));
-                    Place::Beside { recording, file }
-                }
-            })
+            if Recording::open(&recording)?.format().holds_labels() {
+                return Ok(Place::Mcap(recording));
+            }
+            let file = labels::file_beside(&recording).unwrap_or_else(|| labels::name_beside(&recording));
+            Ok(Place::Beside { recording, file })
         });
         let place = place.transpose()?.or(made);
         let known = place.as_ref().map_or(Ok(Vec::new()), Place::read)?;
