@@ -2,39 +2,59 @@
 
 use num_complex::Complex64;
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 
 /// Name of the material of an absent surface.
 pub(super) const OPEN: &str = "open";
 
-/// Building material with constants of the recommendation's table 3, or a metal.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Material {
-    /// Concrete.
-    Concrete,
-    /// Brick; 60 GHz lies outside the table's range (1..40 GHz).
-    Brick,
-    /// Plasterboard.
-    Plasterboard,
-    /// Wood.
-    Wood,
-    /// Glass.
-    Glass,
-    /// Ceiling board.
-    CeilingBoard,
-    /// Chipboard.
-    Chipboard,
-    /// Plywood; 60 GHz lies outside the table's range (1..40 GHz).
-    Plywood,
-    /// Marble.
-    Marble,
-    /// Floorboard.
-    Floorboard,
-    /// Metal, modelled as a perfect conductor.
-    Metal,
-    /// Absent surface, which reflects nothing.
-    Open,
+/// Makes [`Material`] from the rows of a table: variant, name in scene files, frequency band in which the constants hold
+/// (GHz), coefficients `[a, b, c, d]` (`None` for a material that is not a dielectric).
+macro_rules! materials {
+    ($($variant:ident, $name:literal, $band_ghz:expr, $coefficients:expr;)*) => {
+        /// Building material with constants of the recommendation's table 3, or a metal.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        #[allow(missing_docs, reason = "the table says what each one is")]
+        pub enum Material {
+            $($variant,)*
+        }
+
+        impl Material {
+            /// Material names used in scene files.
+            pub const NAMES: &[&str] = &[$($name,)*];
+
+            /// Returns the material with a given name.
+            pub fn named(name: &str) -> Option<Self> {
+                match name {
+                    $($name => Some(Material::$variant),)*
+                    _ => None,
+                }
+            }
+
+            /// Frequency band in GHz and coefficients.
+            fn row(self) -> ([f64; 2], Option<[f64; 4]>) {
+                match self {
+                    $(Material::$variant => ($band_ghz, $coefficients),)*
+                }
+            }
+        }
+    };
+}
+
+materials! {
+    Concrete, "concrete", [1.0, 100.0], Some([5.24, 0.0, 0.0462, 0.7822]);
+    Brick, "brick", [1.0, 40.0], Some([3.91, 0.0, 0.0238, 0.16]);
+    Plasterboard, "plasterboard", [1.0, 100.0], Some([2.73, 0.0, 0.0085, 0.9395]);
+    Wood, "wood", [0.001, 100.0], Some([1.99, 0.0, 0.0047, 1.0718]);
+    Glass, "glass", [0.1, 100.0], Some([6.31, 0.0, 0.0036, 1.3394]);
+    CeilingBoard, "ceiling_board", [1.0, 100.0], Some([1.48, 0.0, 0.0011, 1.0750]);
+    Chipboard, "chipboard", [1.0, 100.0], Some([2.58, 0.0, 0.0217, 0.78]);
+    Plywood, "plywood", [1.0, 40.0], Some([2.71, 0.0, 0.33, 0.0]);
+    Marble, "marble", [1.0, 60.0], Some([7.074, 0.0, 0.0055, 0.9262]);
+    Floorboard, "floorboard", [50.0, 100.0], Some([3.66, 0.0, 0.0044, 1.3515]);
+    // A perfect conductor.
+    Metal, "metal", [1.0, 100.0], None;
+    // An absent surface, which reflects nothing.
+    Open, "open", [0.0, f64::INFINITY], None;
 }
 
 /// A material of a scene's own: `permittivity`, or coefficients as the table's.
@@ -65,48 +85,6 @@ fn p2040([a, b, c, d]: [f64; 4], frequency_hz: f64) -> Complex64 {
 }
 
 impl Material {
-    /// Material names used in scene files.
-    pub const NAMES: &[&str] = &[
-        "concrete",
-        "brick",
-        "plasterboard",
-        "wood",
-        "glass",
-        "ceiling_board",
-        "chipboard",
-        "plywood",
-        "marble",
-        "floorboard",
-        "metal",
-        "open",
-    ];
-
-    /// Returns the material with a given name.
-    pub fn named(name: &str) -> Option<Self> {
-        use serde::de::IntoDeserializer;
-        let name: serde::de::value::StrDeserializer<serde::de::value::Error> = name.into_deserializer();
-        Material::deserialize(name).ok()
-    }
-
-    /// Row of the table: the frequency band in which its constants hold, GHz, and the coefficients (a, b, c, d), `None`
-    /// for a material that is not a dielectric.
-    fn row(self) -> ([f64; 2], Option<[f64; 4]>) {
-        match self {
-            Material::Concrete => ([1.0, 100.0], Some([5.24, 0.0, 0.0462, 0.7822])),
-            Material::Brick => ([1.0, 40.0], Some([3.91, 0.0, 0.0238, 0.16])),
-            Material::Plasterboard => ([1.0, 100.0], Some([2.73, 0.0, 0.0085, 0.9395])),
-            Material::Wood => ([0.001, 100.0], Some([1.99, 0.0, 0.0047, 1.0718])),
-            Material::Glass => ([0.1, 100.0], Some([6.31, 0.0, 0.0036, 1.3394])),
-            Material::CeilingBoard => ([1.0, 100.0], Some([1.48, 0.0, 0.0011, 1.0750])),
-            Material::Chipboard => ([1.0, 100.0], Some([2.58, 0.0, 0.0217, 0.78])),
-            Material::Plywood => ([1.0, 40.0], Some([2.71, 0.0, 0.33, 0.0])),
-            Material::Marble => ([1.0, 60.0], Some([7.074, 0.0, 0.0055, 0.9262])),
-            Material::Floorboard => ([50.0, 100.0], Some([3.66, 0.0, 0.0044, 1.3515])),
-            Material::Metal => ([1.0, 100.0], None),
-            Material::Open => ([0.0, f64::INFINITY], None),
-        }
-    }
-
     /// Frequency band in which the table's constants hold, GHz.
     pub fn band_ghz(self) -> [f64; 2] {
         self.row().0
@@ -125,14 +103,12 @@ pub const SKIN_PERMITTIVITY: Complex64 = Complex64::new(7.98, -10.9);
 mod tests {
     use super::*;
 
-    /// The error for an unknown name lists the variants.
     #[test]
-    fn every_material_is_among_the_names() {
-        use serde::de::IntoDeserializer;
-        let unknown: serde::de::value::StrDeserializer<serde::de::value::Error> = "?".into_deserializer();
-        let said = Material::deserialize(unknown).expect_err("no material").to_string();
-        let variants: Vec<&str> = said.split('`').skip(3).step_by(2).collect();
-        assert_eq!(variants, Material::NAMES, "{said}");
+    fn every_material_is_in_the_documentation() {
+        let page = include_str!("../../docs/rooms.md");
+        for name in Material::NAMES {
+            assert!(page.contains(&format!("`{name}`")), "{name} is not in docs/rooms.md");
+        }
     }
 
     /// Columns "eps' @60" and "eps'' @60" of the table as printed for 60 GHz.

@@ -1,6 +1,7 @@
 //! Colours and shapes that a picture of a scene and its legend share.
 
 use radome_sim::Scene;
+use radome_sim::material::Material;
 
 use super::canvas::{Ink, Pixel};
 
@@ -19,29 +20,33 @@ pub(super) const STATIC: Ink = Ink::solid([60, 70, 90]);
 /// Colour of furniture that has no material.
 pub(super) const UNSAID: Ink = Ink::solid([176, 180, 188]);
 
-/// Colours of the built-in materials.
-const MATERIALS: &[(&str, [u8; 3])] = &[
-    ("concrete", [128, 132, 138]),
-    ("brick", [178, 84, 62]),
-    ("plasterboard", [214, 200, 172]),
-    ("wood", [166, 112, 58]),
-    ("glass", [98, 184, 222]),
-    ("ceiling_board", [190, 178, 222]),
-    ("chipboard", [204, 158, 92]),
-    ("plywood", [224, 186, 120]),
-    ("marble", [160, 196, 186]),
-    ("floorboard", [126, 84, 44]),
-    ("metal", [62, 78, 104]),
-];
 /// Colours of materials that a scene defines.
 const OWN: [[u8; 3]; 5] = [[134, 180, 92], [222, 128, 160], [110, 190, 180], [230, 160, 70], [150, 130, 210]];
 
 /// Margin to the left of each view, for numbers, pixels.
 pub(super) const LEFT: f64 = 66.0;
 
+/// Colour of a built-in material; `None` for an absent surface.
+fn colour(material: Material) -> Option<[u8; 3]> {
+    Some(match material {
+        Material::Concrete => [128, 132, 138],
+        Material::Brick => [178, 84, 62],
+        Material::Plasterboard => [214, 200, 172],
+        Material::Wood => [166, 112, 58],
+        Material::Glass => [98, 184, 222],
+        Material::CeilingBoard => [190, 178, 222],
+        Material::Chipboard => [204, 158, 92],
+        Material::Plywood => [224, 186, 120],
+        Material::Marble => [160, 196, 186],
+        Material::Floorboard => [126, 84, 44],
+        Material::Metal => [62, 78, 104],
+        Material::Open => return None,
+    })
+}
+
 pub(super) fn material_ink(scene: &Scene, material: &str) -> Ink {
-    if let Some((_, rgb)) = MATERIALS.iter().find(|(name, _)| *name == material) {
-        return Ink::solid(*rgb);
+    if let Some(rgb) = Material::named(material).and_then(colour) {
+        return Ink::solid(rgb);
     }
     let own = scene.file().materials.keys().position(|name| name == material).unwrap_or(0);
     Ink::solid(OWN[own % OWN.len()])
@@ -53,18 +58,4 @@ pub(super) fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
         .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
         .map(|(s, c)| [x + radius * c, y + radius * s])
         .collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use radome_sim::material::Material;
-
-    use super::*;
-
-    /// `open` is not a surface.
-    #[test]
-    fn every_material_with_a_surface_has_a_colour() {
-        let coloured: Vec<&str> = MATERIALS.iter().map(|(name, _)| *name).chain(["open"]).collect();
-        assert_eq!(coloured, Material::NAMES);
-    }
 }
