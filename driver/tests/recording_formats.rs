@@ -306,6 +306,19 @@ mod hard_cases {
         }
     }
 
+    /// Regression test: a pipe in the place of the labels beside a recording was waited for without end.
+    #[cfg(unix)]
+    #[test]
+    fn labels_beside_a_recording_that_are_a_pipe_are_refused_at_once() {
+        let (folder, path) = in_folder("a.mcap");
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        write(&path, Format::Mcap, &waveform, &simulated(&waveform, 3, 1));
+        make_pipe(&folder.path().join(".a.mcap.labels"));
+        assert_eq!(read(&path).1.len(), 3);
+        let error = McapReader::open(&path).expect("opens").labels().expect_err("a pipe");
+        assert!(matches!(error, RecordingError::NotRegular { .. }), "{error}");
+    }
+
     /// Regression test: a recorder waited for the reader of a pipe, and heard no signal meanwhile.
     #[cfg(unix)]
     #[test]

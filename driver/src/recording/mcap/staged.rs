@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use super::LabelSpan;
 use super::records::MAX_RECORD;
+use crate::recording::input::open_file;
 use crate::recording::lock::lock;
 use crate::recording::partial::{Partial, hidden};
 use crate::recording::{Existing, RecordingError, disk};
@@ -112,9 +113,9 @@ pub(super) fn write(
 /// [`RecordingError`] if the file cannot be read, is damaged or was written by a newer program.
 pub(super) fn read(recording: &Path) -> Result<Option<Staged>, RecordingError> {
     let path = name(recording)?;
-    let file = match File::open(&path) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        file => file.map_err(RecordingError::io(&path, "cannot be opened"))?,
+    let file = match open_file(&path) {
+        Err(RecordingError::Missing { .. }) => return Ok(None),
+        file => file?,
     };
     let mut bytes = Vec::new();
     file.take(2 * MAX_RECORD).read_to_end(&mut bytes).map_err(RecordingError::io(&path, "cannot be read"))?;
