@@ -147,7 +147,7 @@ fn frames() -> Vec<Frame> {
 
 fn recording(format: Format) -> tempfile::TempDir {
     let folder = folder();
-    let path = folder.path().join(if format == Format::Text { "a.txt" } else { "a" });
+    let path = folder.path().join("a");
     let header = RecordingHeader::new(waveform());
     let mut writer = RecordingWriter::create(&path, format, &header).expect("creates");
     for frame in frames() {
@@ -213,7 +213,7 @@ fn infineon() -> Seeds {
 
 fn sdk_text() -> Seeds {
     let folder = recording(Format::Text);
-    let parts = ["a.txt_config.json", "a.txt"].map(|name| bytes(&folder.path().join(name)));
+    let parts = ["a_config.json", "a"].map(|name| bytes(&folder.path().join(name)));
     let dos = String::from_utf8_lossy(&parts[1]).replace('\n', "\r\n").into_bytes();
     vec![parts.join(SEPARATOR), [parts[0].clone(), dos].join(SEPARATOR)]
 }
