@@ -263,8 +263,8 @@ mod tests {
             .expect("free");
     }
 
-    /// Regression test: the version of a folder's format and two of the names of its labels could be written over while the
-    /// folder was read.
+    /// Regression test: the version of a folder's format and two of the names of its labels could be written over while
+    /// the folder was read.
     #[test]
     fn the_files_of_a_folder_are_inputs() {
         let folder = tempfile::tempdir().expect("a folder");

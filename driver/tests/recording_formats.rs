@@ -278,8 +278,8 @@ mod hard_cases {
         }
     }
 
-    /// Regression test: a pipe in the place of a folder's file was waited for without end, and a file of any length was read
-    /// into memory.
+    /// Regression test: a pipe in the place of a folder's file was waited for without end, and a file of any length was
+    /// read into memory.
     #[cfg(unix)]
     #[test]
     fn files_of_a_folder_that_are_pipes_or_too_long_are_refused_at_once() {

@@ -99,8 +99,8 @@ pub trait FrameSource: Send {
     /// If the source cannot be read, or if its data are invalid. The conditions are those of the implementation.
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError>;
 
-    /// Number of frames in total; `None` where the source does not know it. Of a recording that is cut, it may be the number
-    /// that its header states, which is more than can be read.
+    /// Number of frames in total; `None` where the source does not know it. Of a recording that is cut, it may be the
+    /// number that its header states, which is more than can be read.
     fn frame_count(&self) -> Option<u64> {
         None
     }

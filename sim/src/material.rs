@@ -7,8 +7,8 @@ use serde::Deserialize;
 /// Name of the material of an absent surface.
 pub(super) const OPEN: &str = "open";
 
-/// Makes [`Material`] from the rows of a table: variant, name in scene files, frequency band in which the constants hold
-/// (GHz), coefficients `[a, b, c, d]` (`None` for a material that is not a dielectric).
+/// Makes [`Material`] from the rows of a table: variant, name in scene files, frequency band in which the constants
+/// hold (GHz), coefficients `[a, b, c, d]` (`None` for a material that is not a dielectric).
 macro_rules! materials {
     ($($variant:ident, $name:literal, $band_ghz:expr, $coefficients:expr;)*) => {
         /// Building material with constants of the recommendation's table 3, or a metal.

@@ -226,6 +226,8 @@ mod hard_cases {
             let bytes = std::fs::read(at(samples)).expect("reads");
             std::fs::write(at(samples), &bytes[..bytes.len() - 100]).expect("writes");
             assert_eq!(info(), (Some(false), Some(3)), "{name}");
+            let (_, said) = success(command!("recording info", at(name)));
+            assert!(said.contains("the recording is cut short"), "{said}");
             // Nothing is converted by halves, but the frames before the cut are not lost.
             fails_with(command!("recording convert", at(name), at("z.mcap")), &["cut short", "hint: radome record"]);
             failure(command!("record --overwrite -o", at("kept.mcap"), at(name)));

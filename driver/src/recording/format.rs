@@ -70,7 +70,8 @@ impl Format {
         }
     }
 
-    /// Returns whether a recording holds its labels, with their authors. Those of other formats are in a file beside it.
+    /// Returns whether a recording holds its labels, with their authors. Those of other formats are in a file beside
+    /// the recording.
     pub fn holds_labels(self) -> bool {
         match self {
             Format::Mcap => true,

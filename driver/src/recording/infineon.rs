@@ -236,8 +236,8 @@ impl FrameSource for InfineonReader {
     }
 }
 
-/// Finds the radars' own folders: the given one, or every `RadarIfxAvian_NN` in it, by name. A folder that has none is no
-/// recording.
+/// Finds the radars' own folders: the given one, or every `RadarIfxAvian_NN` in it, by name. A folder that has none is
+/// no recording.
 ///
 /// # Errors
 /// [`RecordingError`] if the folder cannot be listed.

@@ -43,8 +43,8 @@ pub(super) fn is_recording(path: &Path, head: &[u8]) -> bool {
     config_name(path).is_file() || (config_path(path).is_some() && (is_txt || begins_with_value()))
 }
 
-/// Number of characters that end a file's first line: 1, or 2 in a file from Windows. `None` if that is not as long as a
-/// value.
+/// Number of characters that end a file's first line: 1, or 2 in a file from Windows. `None` if the line is not as long
+/// as a value.
 fn line_end(head: &[u8]) -> Option<usize> {
     match head.get(VALUE..)? {
         [b'\r', b'\n', ..] => Some(2),
