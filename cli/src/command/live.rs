@@ -93,7 +93,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     if output.is_some() {
         labels::tell_left_behind(arguments.source.input());
     }
-    message!("judged by {}", arguments.model.display());
+    message!("model {}", arguments.model.display());
     let waveform = source.frames.waveform().clone();
     if let (Some(background), Some(path)) = (&background, &arguments.background) {
         background.check_waveform(path, &waveform)?;

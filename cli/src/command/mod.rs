@@ -38,13 +38,13 @@ pub enum Command {
     /// Recordings: show, convert, repair, label; answers, maps and echoes
     #[command(subcommand)]
     Recording(recording::Action),
-    /// Scenes: simulate, preview, calibrate, pair
+    /// Scenes: simulate, preview, list paths, calibrate, pair
     #[command(subcommand)]
     Scene(scene::Action),
-    /// Datasets of labelled maps: build, merge, verify
+    /// Datasets of labelled maps: build, measure, verify, merge
     #[command(subcommand)]
     Dataset(dataset::Action),
-    /// Models: train, adapt, evaluate, compare, export
+    /// Models: list, train, adapt, evaluate, compare, export; capture an empty room
     #[command(subcommand)]
     Model(model::Action),
     /// Measure speed and error of every stage in one table, or of one stage; for developers

@@ -291,6 +291,6 @@ mod tests {
     #[test]
     fn a_source_that_has_gone_without_a_word_is_an_error_and_no_silence() {
         let (_, error, is_finished) = captured(None);
-        assert!(error.is_some_and(|error| error.contains("without a word")) && !is_finished);
+        assert!(error.is_some_and(|error| error.contains("without a result")) && !is_finished);
     }
 }

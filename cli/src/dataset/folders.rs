@@ -206,7 +206,7 @@ mod tests {
         #[test]
         fn what_opens_as_a_recording_is_found_and_nothing_else() {
             let folder = tempfile::tempdir().expect("a folder");
-            let values = "0.512345\n0.512345\n\n";
+            let values = "0.512332\n0.512332\n\n";
             for (name, content) in [
                 ("cut.mcap", ""),
                 ("notes.txt", "no recording"),

@@ -362,7 +362,7 @@ mod tests {
         let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
         drop(pipeline);
         let error = run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect_err("no end was told");
-        assert!(error.to_string().contains("without a word"), "{error}");
+        assert!(error.to_string().contains("without a result"), "{error}");
     }
 
     /// Regression test: of a stdout that nobody read while the recording ended, it was said that the source had gone.

@@ -51,7 +51,7 @@ impl From<SourceError> for Failure {
 impl Failure {
     /// Error of a source that ended without a result.
     pub fn without_a_word() -> Self {
-        SourceError::from("the source ended without a word; what came last may be missing").into()
+        SourceError::from("the source ended without a result; its last frames may be missing").into()
     }
 
     /// Returns whether the source panicked. Its earlier frames may be wrong, so its recording stays marked unfinished.

@@ -438,7 +438,7 @@ mod tests {
             std::thread::sleep(Duration::from_millis(5));
         }
         let error = sink.join().err().expect("an error");
-        assert!(output::chain(&error).contains("without a word"), "{error:#}");
+        assert!(output::chain(&error).contains("without a result"), "{error:#}");
         assert!(!read(&path).0);
     }
 }

@@ -93,7 +93,7 @@ mod tests {
             std::fs::create_dir_all(at(name).parent().expect("a folder")).expect("creates");
             std::fs::write(at(name), content).expect("writes");
         };
-        let samples = "0.512345\n0.512345\n\n";
+        let samples = "0.512332\n0.512332\n\n";
         for name in ["walk", "walk.dat", "walk.txt", "other.dat"] {
             write(name, samples);
         }

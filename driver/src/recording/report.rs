@@ -89,7 +89,7 @@ impl Tally {
             omitted.push(format!("the truth of {} frames", self.truths));
         }
         if labels > 0 {
-            omitted.push(format!("{labels} labels"));
+            omitted.push(if labels == 1 { "1 label".into() } else { format!("{labels} labels") });
         }
         if results > 0 {
             omitted.push(format!("what was said about {results} frames"));

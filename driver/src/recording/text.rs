@@ -85,7 +85,7 @@ impl TextReader {
             Some(characters) => characters,
             None if length == 0 => 1,
             None => {
-                let reason = "the first line is no value with six decimals, such as 0.512345".into();
+                let reason = "the first line is no value with six decimals, such as 0.512332".into();
                 return Err(RecordingError::Corrupt { path: path.to_owned(), offset: 0, reason });
             }
         };
@@ -183,7 +183,7 @@ impl TextReader {
                 let (number, line_end) = value.split_at(VALUE);
                 let code = parse_code(number).filter(|_| line_end == end).ok_or_else(|| {
                     let offset = index * chirp_bytes + line * value.len();
-                    corrupt(offset, "expected a line such as 0.512345: a code of 0 to 4095, divided by 4095")
+                    corrupt(offset, "expected a line such as 0.512332: a code of 0 to 4095, divided by 4095")
                 })?;
                 frame.codes.push(code);
             }

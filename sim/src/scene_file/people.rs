@@ -71,7 +71,7 @@ pub struct ActorFile {
     /// Body height, m. Default 1.75; of an actor from a file, what the file says.
     pub height_m: Option<f64>,
     /// Source of the steps: a skinned actor with an animation of it walking (`.glb`, `.gltf`, `.dae`; only with `body = "mesh"`),
-    /// or captured steps for the house's own body (`.bvh`). A path relative to the scene file. The built-in gait if absent.
+    /// or captured steps for the built-in body (`.bvh`). A path relative to the scene file. The built-in gait if absent.
     pub file: Option<String>,
     /// Name of the actor's animation. Default the only one, or the only one with "walk" in its name.
     pub animation: Option<String>,

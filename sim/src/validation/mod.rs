@@ -347,9 +347,7 @@ pub enum RcsError {
         most: usize,
     },
     /// The method does not suit the target.
-    #[error(
-        "the method {method} cannot be asked of this target\n\nhint: it can be asked {suitable}, or leave the choice to the program"
-    )]
+    #[error("the method {method} does not suit this target\n\nhint: choose {suitable}, or leave --method out")]
     Unsuitable {
         /// Requested method.
         method: &'static str,

@@ -52,7 +52,7 @@ impl Peer {
         }
         let stderr = peer.child.stderr.take().map(BufReader::new);
         let said = stderr.and_then(|stderr| stderr.lines().map_while(Result::ok).last());
-        message!("no peer for {network}: {}", said.as_deref().unwrap_or("it failed without a word"));
+        message!("no peer for {network}: {}", said.as_deref().unwrap_or("it failed without a message"));
         None
     }
 

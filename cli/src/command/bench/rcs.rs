@@ -190,7 +190,7 @@ fn print(answer: &Answer) -> anyhow::Result<()> {
     let (azimuth, elevation) = (answer.azimuth_deg, answer.elevation_deg);
     output::text_line(&format!("{} {range}, azimuth {azimuth:.2} deg, elevation {elevation:.2} deg", answer.target))?;
     output::text_line(&format!("value      {}   by {}", decibels(answer.value_dbsm, "dBsm"), answer.method))?;
-    let source = answer.analytic_source.unwrap_or("no closed form for this look");
+    let source = answer.analytic_source.unwrap_or("no closed form for this direction");
     output::text_line(&format!("analytic   {}   {source}", decibels(answer.analytic_dbsm, "dBsm")))?;
     let estimate = decibels(answer.estimate_db, "dB");
     output::text_line(&format!("error      {}   own estimate {estimate}", decibels(answer.error_db, "dB")))?;

@@ -19,14 +19,14 @@ pub fn print(rows: &[Row], has_frames: bool, as_json: bool) -> anyhow::Result<()
         let spread = row.spread.map_or_else(String::new, |[low, high]| format!("{} to {}", short(low), short(high)));
         let mark = match row.holds {
             Some(false) => "  differs",
-            None => "  not looked at",
+            None => "  not measured",
             Some(true) => "",
         };
         let found = row.found.map_or_else(|| "-".to_owned(), short);
         output::text_line(&format!("{:<width$} {range:>13} {found:>8} {spread:>15}{mark}", row.measured.name))?;
     }
     if !has_frames {
-        message!("clutter is seen in frames only: name recordings of an empty room, or a scene, with --frames");
+        message!("clutter is measured in frames only: name recordings of an empty room, or a scene, with --frames");
     }
     Ok(())
 }

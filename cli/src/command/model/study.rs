@@ -57,7 +57,7 @@ pub struct Arguments {
 pub struct StudyFile {
     /// Spec of a dataset to build, relative to the file, where no folder is given.
     dataset: PathBuf,
-    /// Other sets, which the models of trainings on all labels are put to without training them again.
+    /// Other datasets, on which the models of trainings with all labels are evaluated.
     #[serde(default)]
     conditions: Vec<ConditionFile>,
     #[serde(flatten)]

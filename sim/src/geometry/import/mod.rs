@@ -55,7 +55,7 @@ impl LengthUnit {
 /// Axis of a file that points up.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 pub enum UpAxis {
-    /// z: CAD, and this house. Nothing is turned.
+    /// z: CAD, and scenes of this program. Nothing is turned.
     #[default]
     #[serde(rename = "z")]
     Z,

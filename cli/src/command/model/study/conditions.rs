@@ -21,7 +21,7 @@ use crate::slurm::word_with;
 /// Default heading of the table of folders whose maps all come from a sensor.
 const REAL: &str = "Real recordings";
 
-/// Another set that the trained models are put to.
+/// Another dataset on which the trained models are evaluated.
 #[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ConditionFile {

@@ -52,12 +52,8 @@ impl Recordings {
                 }
                 Some(_) => {}
             }
-            let mut cut = Cut { path: path.clone(), frames: 0, fitted: 0 };
-            cut.frames = match source.frame_count() {
-                Some(frames) => frames,
-                None => cut.count()?,
-            };
-            cut.fitted = (cut.frames as f64 * part).round() as u64;
+            let frames = source.whole_frames();
+            let cut = Cut { path: path.clone(), frames, fitted: (frames as f64 * part).round() as u64 };
             if cut.fitted.min(cut.frames - cut.fitted.min(cut.frames)) < LEAST_FRAMES as u64 {
                 let is_long = cut.frames >= 2 * LEAST_FRAMES as u64;
                 let hint = if is_long { "choose a --part nearer to 0.5" } else { "record ten seconds or more" };
@@ -124,15 +120,5 @@ impl Cut {
         }
         bar.finish_and_clear();
         Ok(())
-    }
-
-    /// Counts the frames of a recording that does not state its length.
-    fn count(&self) -> anyhow::Result<u64> {
-        let mut frames = 0;
-        self.each_frame("counting", |_, _| {
-            frames += 1;
-            Ok(())
-        })?;
-        Ok(frames)
     }
 }

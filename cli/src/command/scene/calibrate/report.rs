@@ -113,7 +113,7 @@ pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
         return output::json_line(answer);
     }
     output::text_line(&format!(
-        "fitted to {} frames, judged by {} others beside {} copies",
+        "fitted to {} frames, compared with {} others by {} simulated copies",
         answer.frames_fitted, answer.frames_judged, answer.copies
     ))?;
     channels(answer)?;
@@ -165,7 +165,7 @@ fn channels(answer: &Answer) -> anyhow::Result<()> {
     }
     let resampled = answer.resampled;
     output::text_line(&format!(
-        "intervals: {resampled} drawn anew; real: between them, or between the two parts of one"
+        "intervals: bootstrap with {resampled} samples; real: between the recordings, or between the two parts of one"
     ))
 }
 
@@ -179,7 +179,7 @@ fn still(answer: &Answer) -> anyhow::Result<()> {
             clutter.phase_drift_rad_per_10s,
             clutter.bins
         ),
-        None => "clutter jitters as the base has it: too little stands still".to_owned(),
+        None => "clutter jitter is that of the base receiver: too little stands still".to_owned(),
     })?;
     let Some(GainFit { gain_db, error_db, bins, of }) = &answer.gain else { return Ok(()) };
     output::text_line(&match (gain_db, error_db) {
@@ -187,7 +187,7 @@ fn still(answer: &Answer) -> anyhow::Result<()> {
             format!("echoes {db:+.1} dB +- {error:.1}, from {bins} bins of {of} that stand still")
         }
         _ => format!(
-            "echoes as the base has them: {bins} bins of {of} beyond {LEAST_RANGE_M} m stand still in both and above noise, \
+            "gain is that of the base receiver: {bins} bins of {of} beyond {LEAST_RANGE_M} m stand still in both and above noise, \
              {LEAST_BINS} are needed"
         ),
     })
