@@ -253,7 +253,7 @@ fn what_a_format_cannot_hold_is_named() {
         let report = writer.finish().expect("finishes");
         assert_eq!((report.frames, report.gaps, report.frames_lost), (2, 1, 4));
         let said = report.omitted.join("; ");
-        for part in ["1 gaps, in which 4 frames", "numbers of the frames", "truth of 2 frames", "1 labels"] {
+        for part in ["1 gap, lost frames: 4", "numbers of the frames", "truth of 2 frames", "1 label"] {
             assert!(said.contains(part), "'{part}' is not in: {said}");
         }
     }

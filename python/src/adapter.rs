@@ -84,7 +84,7 @@ impl Adapter {
             let Work { adapter, recordings } = held.ok_or("the model has been adapted\n\nhint: begin anew")?;
             Ok(adapter.adapt(&recordings)?)
         })?;
-        let Adaptation { model, adapted, held_out, recordings_by_class, is_measured } = adaptation;
+        let Adaptation { model, adapted, held_out, recordings_by_class, is_measured, .. } = adaptation;
         let scores = json!({
             "adapted": adapted,
             "is_worse": adapted.held_out.is_some_and(|scores| scores.is_worse()),

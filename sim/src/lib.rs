@@ -29,7 +29,7 @@
 //! # Stages of a frame
 //! Static paths are computed once for a scene and seed ([`prepared_scene`]). Then each frame has these stages:
 //! 1. [`people`]: the bodies of the people at the sample times, as thirteen ellipsoids or a skin (a mesh).
-//! 2. [`echo`]: the echo of each ellipsoid by every pair of image antennas with which it can exceed the noise.
+//! 2. [`echo`]: the echo of each ellipsoid by every pair of image antennas by which it is not too far below the noise.
 //!    [`echo::skin`]: the echo of a skin, to a requested error. [`diffuse`]: echoes that walls scatter in all directions.
 //! 3. [`path_sampling`]: the sample times of each path. [`path_segment`]: interpolation to every chirp between them.
 //!    [`tracks`]: paths to all receivers.

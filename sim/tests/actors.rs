@@ -123,7 +123,7 @@ fn collada_in_centimetres_and_gltf_in_inches_are_the_same_actor() {
 }
 
 #[test]
-fn a_captured_clip_walks_on_the_house_s_own_body() {
+fn a_captured_clip_walks_on_the_built_in_body() {
     let Steps::Clip(clip) = bvh_clip() else { unreachable!() };
     let [begin, end] = clip.span_s;
     assert!((end - begin - 1.0).abs() < 0.05, "a cycle of {begin} to {end} s");

@@ -74,25 +74,26 @@ impl Tally {
     /// Descriptions of the information that the vendor's formats cannot hold.
     pub fn omitted(&self) -> Vec<String> {
         let WriteReport { gaps, frames_lost, unknown_gaps, labels, results, .. } = self.report;
+        let counted = |count: u64, noun: &str| format!("{count} {noun}{}", if count == 1 { "" } else { "s" });
         let mut omitted = Vec::new();
         if gaps > 0 {
             let more = match unknown_gaps {
                 0 => String::new(),
                 unknown => format!(" and, in {unknown} of them, an unknown number"),
             };
-            omitted.push(format!("{gaps} gaps, in which {frames_lost} frames were lost{more}"));
+            omitted.push(format!("{}, lost frames: {frames_lost}{more}", counted(gaps, "gap")));
         }
         if self.renumbered {
             omitted.push("the numbers of the frames (they count from 0 without gaps)".into());
         }
         if self.truths > 0 {
-            omitted.push(format!("the truth of {} frames", self.truths));
+            omitted.push(format!("the truth of {}", counted(self.truths, "frame")));
         }
         if labels > 0 {
-            omitted.push(if labels == 1 { "1 label".into() } else { format!("{labels} labels") });
+            omitted.push(counted(labels, "label"));
         }
         if results > 0 {
-            omitted.push(format!("what was said about {results} frames"));
+            omitted.push(format!("the answers of {}", counted(results, "frame")));
         }
         omitted
     }

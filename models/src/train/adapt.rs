@@ -16,8 +16,9 @@
 //! recordings of a minute show the same people, so held-out recordings do not show the loss on other people.
 //!
 //! A class that no recording shows would lose all of its frames to the others. So it is in the group of its neighbour, and only the
-//! groups are told apart: within a group, the fit aims at the ratios of the probabilities before. Then one shift of the logits of the classes that are shown is fitted, to frames weighted by the probability
-//! of the others: a model that is right about the empty room stays as it is by recordings of the empty room alone.
+//! groups are told apart: within a group, the fit aims at the ratios of the probabilities before. Then one shift of the logits of the
+//! classes that are shown is fitted, to frames weighted by the probability of the others: a model that is right about the empty room stays as it is by recordings of the empty room alone. One or two people who
+//! are labelled for a few seconds only count as a class that is not shown.
 //!
 //! [`tail`] has the adapted layers and the samples.
 
@@ -28,7 +29,7 @@ use crate::dataset::{Dataset, Split};
 use crate::metrics::CLASSES;
 use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
 use crate::network::{Layer, Mode, Network, Value, names};
-use recording::MOST_FRAMES;
+use recording::{MOST_FRAMES, shown};
 use tail::{Confusions, Tail, last_node, shift_strength};
 
 mod error;
@@ -60,6 +61,9 @@ pub struct Adaptation {
     pub recordings_by_class: [usize; CLASSES],
     /// Whether a recording that shows empty, one and two was held out.
     pub is_measured: [bool; CLASSES],
+    /// Whether empty, one and two are labelled, but for too short a time to learn from: they count as classes without labels. The empty
+    /// room never is.
+    pub is_too_short: [bool; CLASSES],
 }
 
 /// Parameters fitted to recordings, with cross-validated scores.
@@ -70,6 +74,7 @@ pub struct Fit {
     held_out: Vec<Option<BeforeAfter>>,
     recordings_by_class: [usize; CLASSES],
     is_measured: [bool; CLASSES],
+    is_too_short: [bool; CLASSES],
 }
 
 /// Adaptation of a model.
@@ -168,12 +173,13 @@ impl Adapter {
     /// # Errors
     /// The errors of [`fit`](Self::fit).
     pub fn adapt(self, recordings: &[AdaptRecording]) -> Result<Adaptation, AdaptError> {
-        let Fit { numbers, adapted, held_out, recordings_by_class, is_measured } = self.fit(recordings)?;
+        let Fit { numbers, adapted, held_out, recordings_by_class, is_measured, is_too_short } =
+            self.fit(recordings)?;
         self.tail()?.set(&numbers)?;
         let network = self.classifier.card().network;
         let Some(mut model) = self.classifier.into_model() else { return Err(AdaptError::Network { network }) };
         model.card.adapted = Some(adapted.clone());
-        Ok(Adaptation { model, adapted, held_out, recordings_by_class, is_measured })
+        Ok(Adaptation { model, adapted, held_out, recordings_by_class, is_measured, is_too_short })
     }
 
     /// Fits parameters to recordings. First, each recording, or each tenth of more than ten, is held out in turn, which gives the
@@ -193,13 +199,15 @@ impl Adapter {
         let recordings_by_class: [usize; CLASSES] =
             std::array::from_fn(|class| by_recording.iter().filter(|s| s[class] > 0.0).count());
         let tail = self.tail()?;
-        let is_shown = recordings_by_class.map(|count| count > 0 || !self.simulated.is_empty());
+        let is_labelled = shown(seconds);
+        let is_shown = is_labelled.map(|shown| shown || !self.simulated.is_empty());
+        let is_too_short = std::array::from_fn(|class| seconds[class] > 0.0 && !is_labelled[class]);
         // A class that is not shown loses most to weak strengths, and held-out recordings do not show it.
         let by_time = WEAKEST_BY_TIME / total_s.powi(2);
         let weakest = if is_shown.contains(&false) { SAFE_STRENGTH } else { by_time.min(SAFE_STRENGTH) };
         let strengths: Vec<f64> = STRENGTHS.into_iter().filter(|strength| *strength >= weakest).collect();
 
-        let (folds, is_measured) = self.hold_out(&tail, recordings, &by_recording, &strengths)?;
+        let (folds, is_measured) = self.hold_out(&tail, recordings, &by_recording, is_labelled, &strengths)?;
         // The strongest of equals wins.
         let measured: Vec<&Fold> = folds.iter().flatten().collect();
         let mut chosen: Option<(usize, BeforeAfter)> = None;
@@ -226,16 +234,18 @@ impl Adapter {
             held_out: chosen.map(|(_, compared)| compared),
         };
         let numbers = numbers.unwrap_or_else(|| self.before.clone());
-        Ok(Fit { numbers, adapted, held_out, recordings_by_class, is_measured })
+        Ok(Fit { numbers, adapted, held_out, recordings_by_class, is_measured, is_too_short })
     }
 
-    /// Holds out each part of the recordings in turn. `by_recording` are the labelled seconds of each recording.
-    /// Returns the predictions on each recording that was held out, and the classes that those recordings show.
+    /// Holds out each part of the recordings in turn. `by_recording` are the labelled seconds of each recording, `is_labelled` the
+    /// classes that all together show. Returns the predictions on each recording that was held out, and the classes that those
+    /// recordings show.
     fn hold_out(
         &self,
         tail: &Tail,
         recordings: &[AdaptRecording],
         by_recording: &[[f64; CLASSES]],
+        is_labelled: [bool; CLASSES],
         strengths: &[f64],
     ) -> Result<(Vec<Option<Fold>>, [bool; CLASSES]), AdaptError> {
         let card = self.classifier.card();
@@ -248,7 +258,7 @@ impl Adapter {
                 let all = by_recording.iter().enumerate().filter(|(index, _)| is_held_out(*index) == held_out);
                 all.map(|(_, seconds)| seconds[class]).sum()
             };
-            let shown = |class: &usize| seconds_of(*class, true) > 0.0;
+            let shown = |class: &usize| is_labelled[*class] && seconds_of(*class, true) > 0.0;
             let is_known = |class: usize| seconds_of(class, false) > 0.0;
             if !(0..CLASSES).any(|class| shown(&class)) || !(0..CLASSES).filter(shown).all(is_known) {
                 continue;

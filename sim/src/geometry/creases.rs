@@ -54,12 +54,13 @@ fn smooth_corners(mesh: &Mesh, crease_rad: f64) -> (Vec<u32>, bool) {
     let mut smooth = Sets::new(3 * mesh.triangles.len());
     // At a tangled edge, no surface continues.
     for edge in edges.iter().filter(|edge| !edge.is_crease(crease_rad)) {
+        let Some(right) = edge.right else { continue };
         for vertex in edge.vertices {
             let corner = |triangle: u32| {
                 let corners = mesh.triangles[triangle as usize];
                 3 * triangle as usize + corners.iter().position(|&v| v == vertex).unwrap_or(0)
             };
-            smooth.join(corner(edge.left), corner(edge.right.unwrap_or(edge.left)));
+            smooth.join(corner(edge.left), corner(right));
         }
     }
     let open = edges.iter().any(|edge| edge.right.is_none() && !edge.tangled);

@@ -10,21 +10,19 @@ use crate::file_error::FileError;
 use crate::geometry::import::gltf::GltfFile;
 use crate::geometry::import::{Damage, UpAxis};
 
-/// Only actors of glTF files have this error: it says how to export them again.
-impl From<Damage> for FileError {
-    fn from(damage: Damage) -> Self {
-        let hint = "export it again as glTF 2.0 (.glb), without compression and with all transforms applied";
-        FileError::new(damage.place, damage.problem, hint)
-    }
+/// Error of a damaged actor, with how to export it again.
+fn damaged(damage: Damage) -> FileError {
+    let hint = "export it again as glTF 2.0 (.glb), without compression and with all transforms applied";
+    FileError::new(damage.place, damage.problem, hint)
 }
 
 /// Parses a glTF file. Buffers in other files are read from `folder`.
 pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Rig, FileError> {
-    let file = GltfFile::parse(bytes, folder)?;
+    let file = GltfFile::parse(bytes, folder).map_err(damaged)?;
     let mut rig = Rig { metres: 1.0, up: UpAxis::Y, ..Rig::default() };
     // Index in the rig of each of the file's nodes.
     let mut number = vec![usize::MAX; file.document.nodes().count()];
-    for (index, parent) in file.tree()? {
+    for (index, parent) in file.tree().map_err(damaged)? {
         let Some(node) = file.document.nodes().nth(index) else { continue };
         number[index] = rig.nodes.len();
         let (translation, rotation, scale) = node.transform().decomposed();
@@ -60,7 +58,8 @@ fn add_skin(
     let first = rig.joints.len();
     let what = format!("skin {}", skin.index());
     let matrices = skin.inverse_bind_matrices();
-    let rows = matrices.map(|m| file.rows(&m, &format!("inverse bind matrices of {what}"))).transpose()?;
+    let rows =
+        matrices.map(|m| file.rows(&m, &format!("inverse bind matrices of {what}"))).transpose().map_err(damaged)?;
     let inverse: Option<Vec<DMat4>> = rows.map(|rows| rows.of::<16>().map(|m| DMat4::from_cols_array(&m)).collect());
     for (i, joint) in skin.joints().enumerate() {
         let inverse_bind = match &inverse {
@@ -74,7 +73,7 @@ fn add_skin(
     }
     for primitive in mesh.primitives() {
         let what = format!("primitive {} of mesh {:?}", primitive.index(), mesh.name().unwrap_or_default());
-        let part = file.triangles(&primitive, &what)?;
+        let part = file.triangles(&primitive, &what).map_err(damaged)?;
         let count = part.vertices.len();
         // Seams have a vertex for each side. The check is before weights are read, which take the most memory.
         if rig.vertices.len().saturating_add(count) > 3 * MOST_TRIANGLES {
@@ -89,8 +88,8 @@ fn add_skin(
             else {
                 break;
             };
-            let joints = file.rows(&joints, &format!("joints of {what}"))?;
-            let of = file.rows(&of, &format!("weights of {what}"))?;
+            let joints = file.rows(&joints, &format!("joints of {what}")).map_err(damaged)?;
+            let of = file.rows(&of, &format!("weights of {what}")).map_err(damaged)?;
             if joints.numbers.len() != 4 * count || of.numbers.len() != 4 * count {
                 let problem = format!("{count} vertices, but joints or weights for another number");
                 return Err(FileError::new(&what, problem, "bind the mesh to its skeleton anew and export again"));
@@ -116,8 +115,8 @@ fn clip(file: &GltfFile, animation: &gltf::Animation, number: &[usize]) -> Resul
     for channel in animation.channels() {
         let (node, sampler) = (channel.target().node(), channel.sampler());
         let what = format!("{:?}", clip.name);
-        let times_s = file.rows(&sampler.input(), &format!("key times of {what}"))?.numbers;
-        let output = file.rows(&sampler.output(), &format!("keys of {what}"))?;
+        let times_s = file.rows(&sampler.input(), &format!("key times of {what}")).map_err(damaged)?.numbers;
+        let output = file.rows(&sampler.output(), &format!("keys of {what}")).map_err(damaged)?;
         let wide = |width: usize| {
             let hint = "bake the animation to key frames and export again";
             let problem = format!("{} numbers a key, expected {width}", output.width);

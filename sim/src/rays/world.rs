@@ -125,8 +125,8 @@ impl World {
         all.iter().map(|nearest| hit(nearest, probe.start)).collect()
     }
 
-    /// Converts the ray to f32 ([`Probe::new`]). Rays from far away begin a metre before the mesh, where f32 still resolves small
-    /// distances.
+    /// Converts the ray to f32 ([`Probe::new`]). Rays from far away begin a metre before the mesh, where f32 still
+    /// resolves small distances.
     #[inline(always)]
     fn probe(&self, ray: &Ray) -> Option<Probe> {
         let is_far = ray.origin.abs().max_element() > roaming_m(self.scale_m);

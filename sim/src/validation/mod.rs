@@ -347,7 +347,9 @@ pub enum RcsError {
         most: usize,
     },
     /// The method does not suit the target.
-    #[error("the method {method} does not suit this target\n\nhint: choose {suitable}, or leave --method out")]
+    #[error(
+        "the method {method} does not suit this target\n\nhint: choose {suitable}, or leave the choice to the program"
+    )]
     Unsuitable {
         /// Requested method.
         method: &'static str,

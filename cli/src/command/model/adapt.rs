@@ -140,8 +140,15 @@ fn tell(
     adaptation: &Adaptation,
     written: Option<&PathBuf>,
 ) -> anyhow::Result<()> {
-    let Adaptation { adapted, held_out, recordings_by_class, is_measured, .. } = adaptation;
+    let Adaptation { adapted, held_out, recordings_by_class, is_measured, is_too_short, .. } = adaptation;
     let file = written.map(|path| path.display().to_string());
+    for ((class, seconds), _) in
+        Occupancy::ALL.into_iter().zip(adapted.seconds).zip(is_too_short).filter(|(_, short)| **short)
+    {
+        message!(
+            "warning: {class} is labelled for {seconds} s only, too short to learn from: it counts as a class without labels"
+        );
+    }
     let mut not_measured = Vec::new();
     let counts = Occupancy::ALL.into_iter().zip(*recordings_by_class).zip(*is_measured);
     for ((class, count), _) in counts.filter(|(_, is_measured)| !is_measured) {

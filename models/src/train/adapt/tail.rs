@@ -4,7 +4,7 @@ use candle_core::{Device, Tensor};
 use radome_dsp::Occupancy;
 
 use super::error::AdaptError;
-use super::recording::{AdaptFrame, AdaptRecording, MOST_FRAMES};
+use super::recording::{AdaptFrame, AdaptRecording, LONG_S, MOST_FRAMES, shown};
 use crate::evidence_mean::EvidenceMean;
 use crate::layer::{backward, softmax};
 use crate::metrics::{CLASSES, Confusion, Metrics, add_confusion, most_probable};
@@ -24,8 +24,6 @@ const BIAS_STRENGTH: f64 = 100.0;
 /// shown: a recording shows a few of all people, but the whole empty room.
 const EMPTY_SHARE: f64 = 1.0 / 12.0;
 const PEOPLE_SHARE: f64 = 1.0;
-/// Labelled time of a recording at which its share within a class is half of the largest possible, s.
-const LONG_S: f64 = 10.0;
 /// Least deviation that a feature is divided by, as in training (`train/start.rs`).
 const LEAST_SIGMA: f64 = 0.1;
 /// Largest number of steps of a fit, and least gain of a step as a share of the loss. Smaller gains are below the
@@ -58,10 +56,11 @@ impl Confusions {
 /// Strength of the penalty on the shift of the classes that these recordings show.
 pub(super) fn shift_strength(recordings: &[&AdaptRecording]) -> f64 {
     let seconds = recordings.iter().map(|recording| recording.seconds());
-    let [empty_s, one_s, two_s] =
-        seconds.fold([0.0; CLASSES], |sum, s| std::array::from_fn(|class| sum[class] + s[class]));
-    let share = if one_s + two_s > 0.0 { PEOPLE_SHARE } else { EMPTY_SHARE };
-    share * (empty_s + one_s + two_s)
+    let seconds = seconds.fold([0.0; CLASSES], |sum, s| std::array::from_fn(|class| sum[class] + s[class]));
+    let is_shown = shown(seconds);
+    let [_, one, two] = is_shown;
+    let share = if one || two { PEOPLE_SHARE } else { EMPTY_SHARE };
+    share * seconds.iter().zip(is_shown).filter(|(_, shown)| *shown).map(|(seconds, _)| seconds).sum::<f64>()
 }
 
 /// Groups of classes that samples tell apart. A class that none shows is in the group of its neighbour: two people beside one, one
@@ -110,14 +109,15 @@ impl<'a> Sample<'a> {
 fn samples<'a>(recordings: &[&'a AdaptRecording], simulated: &'a [(Vec<f32>, usize)]) -> Vec<Sample<'a>> {
     let seconds: Vec<[f64; CLASSES]> = recordings.iter().map(|recording| recording.seconds()).collect();
     let total_s: f64 = seconds.iter().flatten().sum();
+    let is_shown = shown(std::array::from_fn(|class| seconds.iter().map(|s| s[class]).sum()));
     let share = |seconds: f64| seconds / (seconds + LONG_S);
     let of_class: [f64; CLASSES] = std::array::from_fn(|class| seconds.iter().map(|s| share(s[class])).sum());
-    let classes = of_class.iter().filter(|shares| **shares > 0.0).count();
+    let classes = is_shown.iter().filter(|shown| **shown).count();
     let labelled = recordings.iter().flat_map(|recording| &recording.frames).filter(|f| f.label.is_some()).count();
     let step = labelled.div_ceil(MOST_FRAMES).max(1);
     let mut samples = Vec::new();
     for (recording, seconds) in recordings.iter().copied().zip(&seconds) {
-        for class in (0..CLASSES).filter(|class| seconds[*class] > 0.0) {
+        for class in (0..CLASSES).filter(|class| is_shown[*class] && seconds[*class] > 0.0) {
             let frames = recording.frames.iter().filter(|frame| frame.label.map(Occupancy::index) == Some(class));
             let frames: Vec<&AdaptFrame> = frames.step_by(step).collect();
             let of_recording = total_s / classes as f64 * share(seconds[class]) / of_class[class];
@@ -379,12 +379,24 @@ mod tests {
     }
 
     #[test]
+    fn targets_keep_the_ratios_within_a_group() {
+        let close = |found: [f64; CLASSES], expected: [f64; CLASSES]| {
+            assert!(found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-12), "{found:?}");
+        };
+        close(within_group([0, 1, 1], 1, &[0.2, 0.6, 0.2]), [0.0, 0.75, 0.25]);
+        close(within_group([0, 1, 1], 0, &[0.2, 0.6, 0.2]), [1.0, 0.0, 0.0]);
+        // Probabilities that have underflowed.
+        close(within_group([1, 1, 2], 2, &[0.5, 0.5, 0.0]), [0.0, 0.0, 1.0]);
+    }
+
+    #[test]
     fn gradients_are_those_of_differences() {
         let model = model("descriptor_hqnn");
         let given = model.network.graph().value("features").expect("features");
         let tail = Tail::new(&model.network, given, 1.3).expect("a tail");
         let recording = recording(3, &Occupancy::ALL);
-        let samples = samples(&[&recording], &[]);
+        let mut samples = samples(&[&recording], &[]);
+        samples.iter_mut().step_by(2).for_each(|sample| sample.targets = [0.2, 0.5, 0.3]);
         let features: Vec<f32> = samples.iter().flat_map(|sample| sample.features.to_vec()).collect();
         let features = Tensor::from_vec(features, (samples.len(), DESCRIPTORS), &Device::Cpu).expect("tensor");
         let numbers = tail.numbers().expect("numbers");
