@@ -10,7 +10,7 @@ os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
 import numpy as np
 import scipy.fft
 
-R, M, N = map(int, sys.argv[1].split("x"))
+R, M, N = map(int, (sys.argv[1] if len(sys.argv) > 1 else "3x128x256").split("x"))
 rng = np.random.default_rng(1)
 codes = rng.integers(0, 4096, (R, M, N)).astype(np.uint16)
 periodic = lambda n: (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)).astype(np.float32)

@@ -18,13 +18,16 @@ use crate::output::on_one_line;
 /// Length limit of files of labels, bytes: more than a label for each frame of a day.
 const LIMIT_BYTES: u64 = 64 << 20;
 
-/// Reader and writer of a kind of file.
-type Format = (fn(&str) -> Result<Vec<LabelSpan>, LabelTextError>, fn(&[LabelSpan]) -> String);
+/// Reader and writer of a kind of label file.
+struct Codec {
+    parse: fn(&str) -> Result<Vec<LabelSpan>, LabelTextError>,
+    print: fn(&[LabelSpan]) -> String,
+}
 
-fn format(path: &Path) -> anyhow::Result<Format> {
+fn codec(path: &Path) -> anyhow::Result<Codec> {
     match path.extension().and_then(|e| e.to_str()) {
-        Some("txt") => Ok((label_text::from_audacity, label_text::to_audacity)),
-        Some("label") => Ok((label_text::from_deepcraft, label_text::to_deepcraft)),
+        Some("txt") => Ok(Codec { parse: label_text::from_audacity, print: label_text::to_audacity }),
+        Some("label") => Ok(Codec { parse: label_text::from_deepcraft, print: label_text::to_deepcraft }),
         _ => bail!(
             "{}: which kind of labels?\n\nhint: end its name in .txt for an Audacity label track, in .label for DEEPCRAFT",
             path.display()
@@ -37,7 +40,7 @@ fn format(path: &Path) -> anyhow::Result<Format> {
 /// # Errors
 /// The name has an unknown ending, or the file cannot be read or understood.
 pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
-    let (parse, _) = format(path)?;
+    let parse = codec(path)?.parse;
     let text = read_text(path, LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
     parse(&text).with_context(|| format!("{} cannot be understood", path.display()))
 }
@@ -47,8 +50,7 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
 /// # Errors
 /// The name has an unknown ending, the file exists and is not to be replaced, or it cannot be written.
 pub fn write(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Result<()> {
-    let (_, print) = format(path)?;
-    let text = print(spans);
+    let text = (codec(path)?.print)(spans);
     files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))
 }
 
@@ -63,7 +65,7 @@ pub fn rewrite_beside(
     change: impl FnOnce(Vec<LabelSpan>) -> anyhow::Result<Vec<LabelSpan>>,
 ) -> anyhow::Result<()> {
     let partial = Partial::labels(file)?;
-    let (_, print) = format(file)?;
+    let print = codec(file)?.print;
     let text = print(&change(of(recording)?)?);
     files::fill(&partial, |out| out.write_all(text.as_bytes()).context("cannot write the labels"))?;
     Ok(partial.finish()?)

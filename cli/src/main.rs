@@ -72,6 +72,7 @@ fn taking_negative_numbers(command: clap::Command) -> clap::Command {
 fn start_log(verbose: u8, wire: Option<&command::WireLog>) {
     let level = [LevelFilter::WARN, LevelFilter::INFO, LevelFilter::DEBUG][usize::from(verbose.min(2))];
     let given: Option<Targets> = std::env::var("RADOME_LOG").ok().and_then(|targets| targets.parse().ok());
+    let has_targets = verbose > 0 || given.is_some();
     let filter = given.unwrap_or_else(|| Targets::new().with_default(level));
     // Files and journals get no colour codes; https://no-color.org.
     let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
@@ -79,6 +80,6 @@ fn start_log(verbose: u8, wire: Option<&command::WireLog>) {
     let talk =
         tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(has_colours).log_internal_errors(false);
     // Modules are of use to those who look for details.
-    let talk = talk.without_time().with_target(verbose > 0).with_filter(filter);
+    let talk = talk.without_time().with_target(has_targets).with_filter(filter);
     tracing_subscriber::registry().with(talk).with(wire.map(command::WireLog::layer)).init();
 }

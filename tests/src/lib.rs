@@ -69,6 +69,21 @@ pub fn write_file(folder: &Path, name: &str, content: impl AsRef<[u8]>) -> PathB
     path
 }
 
+/// Writes a scene of a corridor in which one person walks between two ranges.
+///
+/// # Panics
+/// If the scene cannot be written.
+pub fn walk(folder: &Path, from_m: f64, to_m: f64) -> PathBuf {
+    let corridor = fixture_text("scenes/corridor.toml");
+    let head = &corridor[..corridor.find("[people").expect("a people table")];
+    let people = format!(
+        "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [{from_m}, 1.0] }}, {{ walk_to_m = [{to_m}, 1.0], speed_m_per_s = 1.2 }}]\n"
+    );
+    let scene = folder.join("walk.toml");
+    std::fs::write(&scene, format!("{head}{people}")).expect("a scene can be written");
+    scene
+}
+
 /// Simulates a scene into a recording, with options such as `--frames 40 --seed 7`. Replaces an existing recording.
 /// Returns the program's JSON answer.
 ///

@@ -9,8 +9,8 @@ use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 use radome_tests::running::{Running, emulated_board, unplug, wait_for};
 use radome_tests::{
-    command, fails_with, failure, fixture, frames, json_lines, limited, outcome, radome, simulate, skip, subcommand,
-    write_file,
+    command, emulated_corridor, fails_with, failure, fixture, frames, json_lines, limited, live_command, outcome,
+    radome, simulate, skip, subcommand, write_file,
 };
 use serde_json::Value;
 
@@ -249,6 +249,8 @@ fn a_stdout_that_is_full_is_a_failure() {
         return skip("/dev/full", "a device of Linux");
     };
     fails_with(subcommand("model list --json").stdout(full), &["cannot write to stdout"]);
+    // A recording to a device that is full names it.
+    fails_with(live_command(emulated_corridor(), "--frames 60 --json -o /dev/full"), &["/dev/full"]);
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! Tests of `radome live` from outside: emulated board, protocol, maps and labels.
 
+use radome_tests::browser::{Served, page};
 use radome_tests::running::emulated_board;
 use radome_tests::{
-    command, fails_with, fixture, fixture_text, json_lines, live_command, shared, subcommand, success, write_file,
+    command, fails_with, fixture, fixture_text, json_lines, live_command, shared, subcommand, success, walk, write_file,
 };
 use serde_json::Value;
 
@@ -80,4 +81,47 @@ fn a_window_that_fills_again_after_a_gap_leaves_the_count_as_it_was() {
 fn a_model_refuses_frames_of_another_waveform_and_names_both() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     fails_with(live_command(recording, ""), &["256 samples", "64 samples", "hint:"]);
+}
+
+/// Asserts the sign convention from scene to page: a receding walker has positive velocity in the browser.
+#[test]
+fn who_walks_away_has_positive_velocity_on_the_page() {
+    for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let scene = walk(folder.path(), from, to);
+        let mut served = Served::start(command!("demo --frames 60 --speed 0.5 --json --scene", &scene));
+        let mut socket = page(&served.address);
+        let (mut with, mut against) = (0, 0);
+        while let Ok(message) = socket.read() {
+            if !message.is_binary() {
+                continue;
+            }
+            // The page sends the next picture after this acknowledgement.
+            let _ = socket.send(tungstenite::Message::text("{\"do\":\"seen\"}"));
+            let bytes = message.into_data();
+            let Some(length) = bytes.get(..4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize) else {
+                continue;
+            };
+            let head: Value = serde_json::from_slice(&bytes[4..4 + length]).expect("a header");
+            if head["answer"]["time_s"].as_f64().expect("a time") < 1.5 || head["parts"][0][0] != "map" {
+                continue;
+            }
+            // Cells of the message's first part.
+            let cells = &bytes[4 + length..];
+            let head = &head["map"];
+            let range = head["range"].as_u64().expect("number") as usize;
+            let doppler = head["doppler"].as_u64().expect("number") as usize;
+            // The strongest cell beyond the first metre is the torso rather than the limbs.
+            let peak = (0..doppler * range).filter(|i| i % range > 6).max_by_key(|i| cells[*i]).expect("cells");
+            let velocity = (peak / range) as f64 - (doppler / 2) as f64;
+            let velocity = velocity * head["velocity_step_m_per_s"].as_f64().expect("number");
+            if velocity * sign > 0.4 {
+                with += 1;
+            } else if velocity * sign < -0.4 {
+                against += 1;
+            }
+        }
+        served.program.wait();
+        assert!(with > 5 && against <= with / 4, "sign {sign}: {with} with, {against} against");
+    }
 }

@@ -52,6 +52,7 @@ fn resident_kib(process: u32) -> u64 {
 fn counted(port: u16) -> (u64, u64) {
     let request = format!("GET /metrics HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n");
     let page = ask(("127.0.0.1", port), request);
+    assert!(page.starts_with("HTTP/1.1 200"), "{page}");
     let value =
         |line: &str| line.rsplit_once(' ').and_then(|(_, value)| value.parse::<f64>().ok()).unwrap_or(0.0) as u64;
     let sum = |name: &str| page.lines().filter(|line| line.starts_with(name)).map(value).sum();

@@ -55,7 +55,7 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
     assert_eq!(results(&at("copy.mcap")), kept);
 
     let (_, said) = success(command!("recording convert", at("night.mcap"), at("folder/")));
-    assert!(said.contains("what was said about 40 frames"), "{said}");
+    assert!(said.contains("the answers of 40 frames"), "{said}");
     fails_with(command!("recording answers", at("folder")), &["holds no answers", "hint:"]);
 }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail, ensure};
 use radome_dsp::rdm::{Channels, StaticRemoval};
 use radome_dsp::{KernelLevel, Occupancy, RdmSpec, WaveformRequest};
-use radome_files::parse_toml;
+use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use radome_models::dataset::{Split, SplitSpec};
 use radome_sim::scene_file::BodyFile;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -14,7 +14,7 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 
-use crate::files;
+// The fuzz targets compile this file by itself: it uses nothing of `crate`.
 
 /// Newest format version of the file.
 const FORMAT: u32 = 1;
@@ -193,7 +193,8 @@ impl BuildSpec {
     /// # Errors
     /// The file cannot be read, or a value is not valid.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
-        Self::parse(&files::text(path)?).with_context(|| format!("{} is no dataset spec", path.display()))
+        let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        Self::parse(&text).with_context(|| format!("{} is no dataset spec", path.display()))
     }
 
     /// Parses and checks a file's text.

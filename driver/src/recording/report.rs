@@ -79,7 +79,7 @@ impl Tally {
         if gaps > 0 {
             let more = match unknown_gaps {
                 0 => String::new(),
-                unknown => format!(" and, in {unknown} of them, an unknown number"),
+                unknown => format!("; gaps of unknown length: {unknown}"),
             };
             omitted.push(format!("{}, lost frames: {frames_lost}{more}", counted(gaps, "gap")));
         }

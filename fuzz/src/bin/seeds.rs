@@ -361,11 +361,11 @@ fn specs() -> Seeds {
         noise_db = 1.0\n[latent.running]\nmomentum = 0.1\n[smoothing]\ndwell_s = 20\nunseen_share = 0.3\ntemperature = 1.5\n";
     let mut seeds = vec![training.as_bytes().to_vec()];
     for name in
-        ["quick", "paper", "circuits", "controls", "leak", "networks", "orientation", "reliability", "strangers"]
+        ["quick", "paper", "circuits", "controls", "leak", "orientation", "reliability", "strangers"]
     {
         seeds.push(fixture(&format!("studies/{name}.toml")).into_bytes());
     }
-    for name in ["quick", "paper", "hall", "desk", "paper-mesh"] {
+    for name in ["quick", "paper", "halls", "desk", "paper-mesh"] {
         seeds.push(fixture(&format!("datasets/{name}.toml")).into_bytes());
     }
     seeds.push(b"format = 1\n[[recorded]]\nfolders = \"day1\"\nlabels = { \"one_*\" = \"one\" }\nevery = 2\n".to_vec());

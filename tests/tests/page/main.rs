@@ -4,17 +4,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use radome_tests::browser::{Browser, Served};
-use radome_tests::{
-    command, fixture, fixture_text, json_lines, labels_of, live_command, maps_of, simulate, write_file,
-};
+use radome_tests::{command, fixture, json_lines, labels_of, live_command, maps_of, simulate, write_file};
 use serde_json::{Value, json};
 
 /// Simulates a recording of a corridor in which one person walks between two ranges.
 fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
-    let corridor = fixture_text("scenes/corridor.toml");
-    let (head, _) = corridor.split_once("[people").expect("a people table");
-    let step = format!("{{ walk_to_m = [{from_m}, 1.0] }}, {{ walk_to_m = [{to_m}, 1.0], speed_m_per_s = 1.2 }}");
-    let scene = write_file(folder, "walk.toml", format!("{head}[people]\n[[people.actor]]\nstep = [{step}]\n"));
+    let scene = radome_tests::walk(folder, from_m, to_m);
     let recording = folder.join("walk.mcap");
     simulate(&scene, &format!("--frames {frames}"), &recording);
     recording

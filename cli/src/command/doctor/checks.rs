@@ -98,16 +98,22 @@ pub fn broker(arguments: &BrokerArguments, broker: &anyhow::Result<Option<Broker
         Ok(broker) => broker.as_ref()?,
         Err(error) => return Some(Check::error("mqtt", error)),
     };
+    let mut options = match arguments.options(broker) {
+        Ok(options) => options,
+        Err(error) => return Some(Check::error("mqtt", &error)),
+    };
+    // A name of its own, since a broker disconnects the older of two clients with one name.
+    options.set_client_id(format!("radome-doctor-{}", std::process::id()));
     let log_in = || -> anyhow::Result<()> {
-        let mut options = arguments.options(broker)?;
-        // A name of its own, since a broker disconnects the older of two clients with one name.
-        options.set_client_id(format!("radome-doctor-{}", std::process::id()));
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
         runtime.block_on(mqtt::log_in(options)).map_err(|cause| anyhow::anyhow!("{broker}: {cause}"))
     };
     Some(match log_in() {
         Ok(()) => Check::ok("mqtt", format!("{broker} takes the login, in MQTT version 5")),
-        Err(error) => Check::fail("mqtt", format!("{error:#}"), "is the broker running, and are port and login right?"),
+        Err(error) => {
+            let hint = "is the broker running, and are port and login right? With mqtts://, does --mqtt-ca name its certificates?";
+            Check::fail("mqtt", format!("{error:#}"), hint)
+        }
     })
 }
 

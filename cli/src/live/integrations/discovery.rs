@@ -20,6 +20,8 @@ pub struct Device {
     name: String,
     /// Unique identity, stable across restarts: the board's own identity, or the name.
     id: String,
+    /// Whether that identity is the board's own.
+    pub has_uuid: bool,
     model: String,
     maker: &'static str,
     firmware: Option<String>,
@@ -40,6 +42,7 @@ impl Device {
         Device {
             name: name.unwrap_or("Radar").to_owned(),
             id,
+            has_uuid: uuid.is_some(),
             model: board.map_or("BGT60TR13C", |board| board.chip.as_str()).to_owned(),
             maker: "Infineon",
             firmware: board.map(|board| board.firmware_version.clone()),

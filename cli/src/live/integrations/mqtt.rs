@@ -61,6 +61,7 @@ impl Mqtt {
             let (hears, mut heard) = mpsc::channel(16);
             let listener = Listener {
                 broker: self.broker.clone(),
+                has_uuid: self.device.has_uuid,
                 state_topic: self.device.state_topic(),
                 hub_topic: self.device.hub_topic(),
                 report_topic: self.device.report_topic(),
@@ -131,6 +132,8 @@ impl Closings {
 /// Runs the connection and extracts relevant messages.
 struct Listener {
     broker: Broker,
+    /// Whether the board's UUID distinguishes it at the broker.
+    has_uuid: bool,
     state_topic: String,
     hub_topic: String,
     report_topic: Option<String>,
@@ -169,7 +172,7 @@ impl Listener {
                         if since.elapsed() > GOOD_CONNECTION {
                             wait = first_wait;
                         }
-                        if closings.are_too_many() {
+                        if !self.has_uuid && closings.are_too_many() {
                             self.warn_of_another();
                         }
                     }
