@@ -360,9 +360,7 @@ fn specs() -> Seeds {
         [head]\nkind = \"circuit\"\n[head.circuit]\nqubits = 3\ndepth = 2\n[split]\nby = \"seed\"\n[augmentation]\n\
         noise_db = 1.0\n[latent.running]\nmomentum = 0.1\n[smoothing]\ndwell_s = 20\nunseen_share = 0.3\ntemperature = 1.5\n";
     let mut seeds = vec![training.as_bytes().to_vec()];
-    for name in
-        ["quick", "paper", "circuits", "controls", "leak", "orientation", "reliability", "strangers"]
-    {
+    for name in ["quick", "paper", "circuits", "controls", "leak", "orientation", "reliability", "strangers"] {
         seeds.push(fixture(&format!("studies/{name}.toml")).into_bytes());
     }
     for name in ["quick", "paper", "halls", "desk", "paper-mesh"] {
