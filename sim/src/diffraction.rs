@@ -209,6 +209,29 @@ mod tests {
     use crate::lanes::vector::store;
     use crate::random::{Purpose, generator};
 
+    /// `(1 + j)/2 int exp(-j pi t^2/2)` between two bounds, by the midpoint rule.
+    fn integral(from: f64, to: f64) -> Complex64 {
+        let steps = 20_000;
+        let step = (to - from) / f64::from(steps);
+        let at = |i: i32| {
+            let t = from + (f64::from(i) + 0.5) * step;
+            Complex64::from_polar(step, -0.5 * std::f64::consts::PI * t * t)
+        };
+        Complex64::new(0.5, 0.5) * (0..steps).map(at).sum::<Complex64>()
+    }
+
+    #[test]
+    fn half_planes_are_fresnels_integral() {
+        assert!((half_plane(0.0) - 0.5).norm() < 1e-12);
+        assert!((half_plane(40.0) - 1.0).norm() < 0.01 && half_plane(-40.0).norm() < 0.01);
+        for nu in [-6.0, -2.3, -1.0, -0.2, 0.3, 0.9, 1.7, 3.3, 8.0] {
+            let expected = 0.5 + integral(0.0, nu);
+            assert!((half_plane(nu) - expected).norm() < 0.005, "{nu}: {} {expected}", half_plane(nu));
+        }
+        // Overshoot beside an edge: 1.17 of the free field at nu = 1.22.
+        assert!((half_plane(1.217).norm() - 1.17).abs() < 0.01);
+    }
+
     #[test]
     fn out_of_reach_nothing_is_lost() {
         let polyline = [DVec3::new(0.0, 0.0, 1.0), DVec3::new(4.0, 1.0, 1.5), DVec3::new(4.0, 1.0, 3.0)];

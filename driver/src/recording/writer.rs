@@ -15,7 +15,7 @@ enum Writer {
     Text(Box<TextWriter>),
 }
 
-/// What becomes of gaps, labels and results.
+/// Destination of gaps, labels and results.
 enum Others<'a> {
     /// The format holds them.
     Held(&'a mut Recorder),

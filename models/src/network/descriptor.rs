@@ -178,6 +178,17 @@ mod tests {
         use super::*;
 
         #[test]
+        fn a_nan_is_found_in_the_descriptors() {
+            let network = network(&specs()[0]);
+            let mut cells = maps();
+            cells[100] = f32::NAN;
+            let input = Tensor::from_vec(cells, &SHAPE[..], &Device::Cpu).expect("tensor");
+            let mode = Mode::Training { seed: 1, step: 1, penalty: 0.0 };
+            let values = network.run(&input, network.graph().output, mode).expect("run");
+            assert_eq!(values.first_non_finite().expect("look"), Some("descriptors"));
+        }
+
+        #[test]
         fn empty_flat_and_enormous_maps_have_finite_answers() {
             for spec in specs() {
                 let mut inference = Inference::new(&network(&spec)).expect("prepared");

@@ -78,6 +78,10 @@ mod tests {
     use super::*;
     use crate::paths::edge_field::side_between;
 
+    fn db(v: Complex64) -> f64 {
+        20.0 * v.norm().log10()
+    }
+
     /// C(1), S(1) and the limit (Abramowitz and Stegun, table 7.7), and the agreement of both forms where they meet.
     #[test]
     fn fresnel_integrals_have_their_tabulated_values() {
@@ -87,6 +91,18 @@ mod tests {
         assert!((fresnel_series(1.5) - fresnel_fraction(1.5)).norm() < 1e-13);
         assert_eq!(fresnel_integral(-0.3), -fresnel_integral(0.3));
         assert_eq!(fresnel_integral(0.0), Complex64::ZERO);
+    }
+
+    /// The field meets the screen's boundary condition, is free far in the lit region, and is half of the free field on
+    /// the boundary.
+    #[test]
+    fn the_half_plane_is_dark_on_a_screen_and_half_at_the_boundary() {
+        let (k_rho, incidence) = (900.0, 1.1);
+        assert!(half_plane(k_rho, 0.0, incidence, true).norm() < 1e-12);
+        let lit = half_plane(k_rho, PI + incidence - 0.8, incidence, true);
+        assert!(db(lit).abs() < 0.3);
+        let edge = db(half_plane(k_rho, PI + incidence, incidence, false));
+        assert!((edge + 6.02).abs() < 0.2, "{edge}");
     }
 
     /// The field is exact. It satisfies the wave equation (by differences of fourth order). On a screen's faces it

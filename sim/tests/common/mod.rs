@@ -60,7 +60,7 @@ pub fn vector(value: &serde_json::Value) -> DVec3 {
     DVec3::from_array([0, 1, 2].map(|i| number(&value[i])))
 }
 
-/// What a closure returns on a number of threads.
+/// Result of a closure that runs on this number of threads.
 pub fn on_threads<T: Send>(threads: usize, run: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool").install(run)
 }

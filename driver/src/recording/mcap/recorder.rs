@@ -34,7 +34,7 @@ const RESULTS_OF_A_CHUNK: usize = 4096;
 /// Number of bytes at which a part of the summary is written.
 const SUMMARY_BLOCK_BYTES: usize = 1 << 16;
 
-/// What could not be done, in messages.
+/// Descriptions of failed steps, for messages.
 const WRITING: &str = "cannot be written";
 const FINISHING: &str = "cannot be finished";
 
