@@ -231,7 +231,7 @@ fn findings_about_a_recording_are_not_those_of_a_board() {
 /// Regression test: the hint for a disk without room was to name a folder that the user may write.
 #[test]
 fn the_remedy_for_a_write_that_fails_is_that_of_its_cause() {
-    let (checks, _) = failing(limited(1000, &doctor()));
+    let (checks, _) = failing(limited(1000, doctor()));
     let speed = named(&checks, "speed");
     assert!(
         speed["verdict"] == "fail" && speed["hint"].as_str().is_some_and(|hint| hint.contains("ulimit")),

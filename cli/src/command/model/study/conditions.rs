@@ -258,7 +258,7 @@ mod tests {
             let text = "title = \"a\"\ndataset = \"b.toml\"\nseeds = [1]\nlabel_fractions = [0.5]\n\
                         variants = [{ name = \"hqnn\" }]\nconditions = [{ name = \"c\", dataset = \"d.toml\" }]\n";
             std::fs::write(&path, text).expect("written");
-            let error = read(&path).err().expect("no model").to_string();
+            let error = read(&path).expect_err("no model").to_string();
             assert!(error.contains("label_fractions") && error.contains("models of all labels"), "{error}");
             std::fs::write(&path, text.replace("[0.5]", "[0.5, 1.0]")).expect("written");
             assert!(read(&path).is_ok());
