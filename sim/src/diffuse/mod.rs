@@ -1,7 +1,8 @@
 //! Diffuse echoes: power that walls scatter in all directions on the path to a person or back. The causes are roughness
 //! and objects on and before the walls.
 //!
-//! A wall returns a share of the incident power by Lambert's law, besides its specular reflection. The model is that of
+//! A wall scatters a share of the incident power by Lambert's law. The rest is reflected specularly, transmitted and
+//! absorbed, as by a smooth wall ([`crate::em::wall::WallTable`]). The model is that of
 //! Degli-Esposti, Fuschini, Vitucci and Falciasecca, IEEE Transactions on Antennas and Propagation 55(1), 2007, section
 //! II. The share is the square of their scattering coefficient S, for which they and others measured 0.2 to 0.4 and
 //! more. Here fixed points with random phases represent the scattering. The paths antenna, point, segment of a body,

@@ -57,7 +57,8 @@ pub(super) trait Walls {
     /// Draws a position on the wall at the cumulative area `at_m2`, m^2.
     fn place(&self, at_m2: f64, rng: &mut impl Rng) -> WallPosition;
 
-    /// Returns the share of the incident power that a wall reflects; `None` where there is no wall.
+    /// Returns the share of the incident power that a wall would reflect if it were smooth; `None` where there is no
+    /// wall.
     fn reflected(&self, wall: usize, cosine: f64) -> Option<f64>;
 
     /// Returns the point at which a ray from a wall meets another one; `None` where it leaves the room.
@@ -205,9 +206,9 @@ impl Walk {
         // Multiples of the golden ratio distribute the walks of each number of walls over the whole room.
         let at = (index as f64 + 0.5) * 0.618_033_988_749_894_9;
         let (count, weight) = bounces(at.fract(), diffuse.bounces);
-        // Energy conservation: scattered power is not available for specular reflection.
+        // Scattered power is not available for specular reflection.
         let mirrored_at = |place: &WallPosition, cosine: f64| {
-            Some(walls.reflected(place.wall, cosine.clamp(1e-3, 1.0))?.min(1.0 - diffuse.share))
+            Some(walls.reflected(place.wall, cosine.clamp(1e-3, 1.0))? * (1.0 - diffuse.share))
         };
         let cosine = (from - first.position).normalize_or_zero().dot(first.normal);
         let (mut end, mut length_m) = (first, 0.0);

@@ -15,6 +15,13 @@ pub struct Reflection {
     pub tm: Complex64,
 }
 
+impl Reflection {
+    /// Returns both coefficients times a factor.
+    pub(crate) fn times(self, factor: f64) -> Self {
+        Reflection { te: self.te * factor, tm: self.tm * factor }
+    }
+}
+
 /// Reflection and transmission of a slab in air.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slab {

@@ -179,10 +179,21 @@ fn mirrored(field: Phasor3, direction: DVec3, axis: usize, reflection: Reflectio
 }
 
 impl BoxRoom {
-    /// Builds a room of a size, m, with its surfaces at low and high x, low and high y, floor, ceiling. Tabulates their
-    /// coefficients at the wave number.
+    /// Builds a room of a size, m, with its smooth surfaces at low and high x, low and high y, floor, ceiling. Tabulates
+    /// their coefficients at the wave number.
     pub fn new(size_m: DVec3, walls: [Wall; 6], wavenumber_per_m: f64, transmission: bool) -> Self {
-        let mut tables = WallTables::new(wavenumber_per_m, transmission);
+        Self::with_diffuse_share(size_m, walls, wavenumber_per_m, transmission, 0.0)
+    }
+
+    /// Builds a room whose surfaces scatter a share of the incident power in all directions.
+    pub fn with_diffuse_share(
+        size_m: DVec3,
+        walls: [Wall; 6],
+        wavenumber_per_m: f64,
+        transmission: bool,
+        diffuse_share: f64,
+    ) -> Self {
+        let mut tables = WallTables::new(wavenumber_per_m, transmission, diffuse_share);
         BoxRoom { size_m, walls, wavenumber_per_m, transmission, tables: walls.map(|wall| tables.of(wall)) }
     }
 

@@ -243,38 +243,45 @@ fn largest(pieces: &[Piece]) -> [f64; 2] {
 pub struct WallTable {
     wall: Wall,
     wavenumber_per_m: f64,
+    /// Factor of diffuse scattering on the fields that the wall reflects specularly and transmits.
+    specular: f64,
     reflection: Option<Curve>,
     transmission: Option<Curve>,
 }
 
 impl WallTable {
-    /// Tabulates a wall's reflection and, if `transmission` is set, its transmission.
-    pub fn new(wall: Wall, wavenumber_per_m: f64, transmission: bool) -> Self {
+    /// Tabulates a wall's reflection and, if `transmission` is set, its transmission. The wall scatters a share of the
+    /// incident power in all directions; it reflects and transmits the rest as a smooth one. So no wall returns more
+    /// power than it receives, and a metal one returns all.
+    pub fn new(wall: Wall, wavenumber_per_m: f64, transmission: bool, diffuse_share: f64) -> Self {
         let is_slab = matches!(wall, Wall::Slab { .. });
-        let reflection = is_slab.then(|| Curve::new(|cosine| parts(wall.reflection(wavenumber_per_m, cosine))));
-        let transmission =
-            (is_slab && transmission).then(|| Curve::new(|cosine| parts(wall.transmission(wavenumber_per_m, cosine))));
-        WallTable { wall, wavenumber_per_m, reflection, transmission }
+        // Openings do not scatter.
+        let specular = if wall == Wall::Open { 1.0 } else { (1.0 - diffuse_share).max(0.0).sqrt() };
+        let reflection =
+            is_slab.then(|| Curve::new(|cosine| parts(wall.reflection(wavenumber_per_m, cosine).times(specular))));
+        let transmission = (is_slab && transmission)
+            .then(|| Curve::new(|cosine| parts(wall.transmission(wavenumber_per_m, cosine).times(specular))));
+        WallTable { wall, wavenumber_per_m, specular, reflection, transmission }
     }
 
     /// Returns the reflection at the cosine of the angle of incidence.
     #[inline(always)]
     pub fn reflection(&self, cosine: f64) -> Reflection {
         let tabulated = self.reflection.as_ref().and_then(|curve| curve.at(cosine));
-        tabulated.unwrap_or_else(|| self.wall.reflection(self.wavenumber_per_m, cosine))
+        tabulated.unwrap_or_else(|| self.wall.reflection(self.wavenumber_per_m, cosine).times(self.specular))
     }
 
     /// Returns the factor of the wall on a field that passes straight through, relative to air.
     #[inline(always)]
     pub fn transmission(&self, cosine: f64) -> Reflection {
         let tabulated = self.transmission.as_ref().and_then(|curve| curve.at(cosine));
-        tabulated.unwrap_or_else(|| self.wall.transmission(self.wavenumber_per_m, cosine))
+        tabulated.unwrap_or_else(|| self.wall.transmission(self.wavenumber_per_m, cosine).times(self.specular))
     }
 
     /// Returns upper bounds of the magnitudes of the reflection, TE and TM, over cosines from `low` to `high`.
     pub fn most_reflection(&self, low: f64, high: f64) -> [f64; 2] {
         let Some(curve) = &self.reflection else {
-            return if self.wall == Wall::Open { [0.0; 2] } else { [1.0; 2] };
+            return if self.wall == Wall::Open { [0.0; 2] } else { [self.specular; 2] };
         };
         let cell = |cosine: f64| ((cosine.max(0.0) * CELLS as f64) as usize).min(CELLS - 1);
         let cells = curve.cells.get(cell(low)..=cell(high)).unwrap_or_default();
@@ -286,13 +293,15 @@ impl WallTable {
 pub(crate) struct WallTables {
     pub(crate) wavenumber_per_m: f64,
     transmission: bool,
+    diffuse_share: f64,
     known: Vec<Arc<WallTable>>,
 }
 
 impl WallTables {
-    /// Creates an empty set of tables, with transmissions if `transmission` is set.
-    pub(crate) fn new(wavenumber_per_m: f64, transmission: bool) -> Self {
-        WallTables { wavenumber_per_m, transmission, known: Vec::new() }
+    /// Creates an empty set of tables, with transmissions if `transmission` is set, of walls that scatter a share of
+    /// the incident power.
+    pub(crate) fn new(wavenumber_per_m: f64, transmission: bool, diffuse_share: f64) -> Self {
+        WallTables { wavenumber_per_m, transmission, diffuse_share, known: Vec::new() }
     }
 
     /// Returns the table of a wall.
@@ -300,7 +309,7 @@ impl WallTables {
         if let Some(table) = self.known.iter().find(|table| table.wall == wall) {
             return Arc::clone(table);
         }
-        let table = Arc::new(WallTable::new(wall, self.wavenumber_per_m, self.transmission));
+        let table = Arc::new(WallTable::new(wall, self.wavenumber_per_m, self.transmission, self.diffuse_share));
         self.known.push(Arc::clone(&table));
         table
     }
@@ -332,7 +341,7 @@ mod tests {
     #[test]
     fn tables_are_the_slab() {
         for wall in slabs() {
-            let table = WallTable::new(wall, K, true);
+            let table = WallTable::new(wall, K, true, 0.0);
             let mut worst = 0f64;
             for i in 0..=3001 {
                 let cosine = f64::from(i) / 3001.0;
@@ -347,7 +356,7 @@ mod tests {
     #[test]
     fn bounds_of_a_range_hold_in_it() {
         for wall in slabs() {
-            let table = WallTable::new(wall, K, false);
+            let table = WallTable::new(wall, K, false, 0.0);
             for i in 0..=500 {
                 let cosine = f64::from(i) / 500.0;
                 let Reflection { te, tm } = wall.reflection(K, cosine);
@@ -358,8 +367,35 @@ mod tests {
             }
         }
         let thin = Wall::Slab { permittivity: Complex64::new(2.73, -0.119), thickness_m: 0.001 };
-        let most = WallTable::new(thin, K, false).most_reflection(0.5, 0.5);
+        let most = WallTable::new(thin, K, false, 0.0).most_reflection(0.5, 0.5);
         assert!(most[0] < 1.1 * thin.reflection(K, 0.5).te.norm());
+    }
+
+    /// A scattering wall reflects and transmits the rest of the power as a smooth wall does all of it, from the table
+    /// and beside it. A metal wall returns all power, and no wall returns more than it receives.
+    #[test]
+    fn walls_conserve_power() {
+        const SHARE: f64 = 0.16;
+        let untabulated = Wall::Slab { permittivity: Complex64::new(2.25, 0.0), thickness_m: 10.0 };
+        for wall in slabs().chain([untabulated, Wall::Conductor, Wall::Open]) {
+            let [smooth, rough] = [0.0, SHARE].map(|share| WallTable::new(wall, K, true, share));
+            let share = if wall == Wall::Open { 0.0 } else { SHARE };
+            for cosine in [0.01, 0.2, 0.5, 0.9, 1.0] {
+                let coefficients = |table: &WallTable| [table.reflection(cosine), table.transmission(cosine)];
+                let (of_smooth, of_rough) = (coefficients(&smooth), coefficients(&rough));
+                for (smooth, rough) in of_smooth.iter().zip(&of_rough) {
+                    assert!((rough.te.norm_sqr() - (1.0 - share) * smooth.te.norm_sqr()).abs() < 1e-6, "{wall:?}");
+                    assert!((rough.tm.norm_sqr() - (1.0 - share) * smooth.tm.norm_sqr()).abs() < 1e-6, "{wall:?}");
+                }
+                let [te, tm] = [of_rough.map(|c| c.te.norm_sqr()), of_rough.map(|c| c.tm.norm_sqr())];
+                for out in [te, tm].map(|powers| powers.iter().sum::<f64>() + share) {
+                    assert!(out < 1.0 + 1e-6, "{wall:?} at {cosine}: {out}");
+                    assert!(wall != Wall::Conductor || out > 1.0 - 1e-12, "{out}");
+                }
+                let most = rough.most_reflection(cosine, cosine);
+                assert!(of_rough[0].te.norm() <= most[0] && of_rough[0].tm.norm() <= most[1], "{wall:?} {cosine}");
+            }
+        }
     }
 
     mod hard_cases {
@@ -371,7 +407,7 @@ mod tests {
             let lossless = Complex64::new(2.25, 0.0);
             for thickness_m in [0.0, 1e-12, 1e-6, 3.0, 10.0] {
                 let wall = Wall::Slab { permittivity: lossless, thickness_m };
-                let table = WallTable::new(wall, K, true);
+                let table = WallTable::new(wall, K, true, 0.0);
                 for cosine in [0.0, 1e-9, 1e-6, 1e-3, 0.1, 0.777, 1.0 - 1e-9, 1.0] {
                     assert!(
                         difference(table.reflection(cosine), wall.reflection(K, cosine)) < 1e-7,
@@ -390,7 +426,7 @@ mod tests {
         #[test]
         fn conductors_and_openings_need_no_table() {
             for wall in [Wall::Conductor, Wall::Open] {
-                let table = WallTable::new(wall, K, true);
+                let table = WallTable::new(wall, K, true, 0.0);
                 assert_eq!(table.reflection(0.3), wall.reflection(K, 0.3));
                 assert_eq!(table.transmission(0.3), wall.transmission(K, 0.3));
                 assert_eq!(table.most_reflection(0.0, 1.0), [wall.reflection(K, 1.0).te.norm(); 2]);

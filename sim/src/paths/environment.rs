@@ -48,15 +48,16 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// Builds an environment of facets, whose materials are evaluated at a wavenumber.
+    /// Builds an environment of smooth facets, whose materials are evaluated at a wavenumber.
     ///
     /// # Errors
     /// If a facet is not a plane polygon, or rays cannot be traced among them.
     pub fn new(facets: Vec<Facet>, wavenumber_per_m: f64) -> Result<Self, EnvironmentError> {
-        Self::with_obstacles(facets, &[], wavenumber_per_m)
+        Self::with_obstacles(facets, &[], wavenumber_per_m, 0.0)
     }
 
-    /// Builds an environment of facets, and of opaque triangles, m, that hide objects behind them and reflect nothing.
+    /// Builds an environment of facets, which scatter a share of the incident power in all directions, and of opaque
+    /// triangles, m, that hide objects behind them and reflect nothing.
     ///
     /// # Errors
     /// If a facet is not a plane polygon, or rays cannot be traced among them.
@@ -64,8 +65,9 @@ impl Environment {
         facets: Vec<Facet>,
         obstacles: &[[DVec3; 3]],
         wavenumber_per_m: f64,
+        diffuse_share: f64,
     ) -> Result<Self, EnvironmentError> {
-        let mut tables = WallTables::new(wavenumber_per_m, false);
+        let mut tables = WallTables::new(wavenumber_per_m, false, diffuse_share);
         let flats: Result<Vec<Flat>, _> =
             facets.into_iter().enumerate().map(|(i, f)| Flat::new(i, f, &mut tables)).collect();
         let mut flats = flats?;
@@ -345,7 +347,7 @@ mod tests {
         let sheet = |z: f64, wall: Wall| [true, false].map(|up| Facet { wall, ..square(z, up) });
         let small = [DVec3::new(0.0, 0.0, 0.8), DVec3::new(0.5, 0.0, 0.8), DVec3::new(0.0, 0.5, 0.8)];
         let facets = [sheet(0.5, glass), sheet(1.5, METAL)].concat();
-        let environment = Environment::with_obstacles(facets, &[small], 1257.0).expect("facets");
+        let environment = Environment::with_obstacles(facets, &[small], 1257.0, 0.0).expect("facets");
         let passed = |environment: &Environment, x: f64, high: f64| {
             let passing = environment.passing([DVec3::new(x, 0.1, 0.0), DVec3::new(x, 0.1, high)], [None; 2]);
             (passing.is_blocked, passing.crossed.len())

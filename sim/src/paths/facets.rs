@@ -12,12 +12,17 @@ use crate::scene::surfaces::{EdgeKind, Face, FaceEdge, Sides, Surfaces};
 const LEAST_TRIANGLE_M2: f64 = 1e-8;
 
 impl Environment {
-    /// Builds the environment of a scene's surfaces, and the name of each of its facets.
+    /// Builds the environment of a scene's surfaces, which scatter a share of the incident power in all directions, and
+    /// the name of each of its facets.
     ///
     /// # Errors
     /// If rays cannot be traced among the surfaces: places beyond 10 km, or triangles whose sizes differ by too many
     /// powers of two.
-    pub fn of_surfaces(surfaces: &Surfaces, wavenumber_per_m: f64) -> Result<(Self, Vec<String>), EnvironmentError> {
+    pub fn of_surfaces(
+        surfaces: &Surfaces,
+        wavenumber_per_m: f64,
+        diffuse_share: f64,
+    ) -> Result<(Self, Vec<String>), EnvironmentError> {
         let mut edges: Vec<Vec<&FaceEdge>> = vec![Vec::new(); surfaces.faces.len()];
         for edge in &surfaces.edges {
             if let Some(of_face) = edges.get_mut(edge.face) {
@@ -36,7 +41,7 @@ impl Environment {
             }
         }
         let obstacles: Vec<[DVec3; 3]> = surfaces.small.iter().flat_map(|part| part.mesh.all_corners()).collect();
-        Ok((Environment::with_obstacles(facets, &obstacles, wavenumber_per_m)?, names))
+        Ok((Environment::with_obstacles(facets, &obstacles, wavenumber_per_m, diffuse_share)?, names))
     }
 }
 

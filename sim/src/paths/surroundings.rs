@@ -56,7 +56,8 @@ impl PolygonRoom {
     /// Finds the paths of a scene's surfaces.
     fn new(scene: &Scene, surfaces: &Surfaces, tx: &Element, least_part: f64) -> Result<Self, EnvironmentError> {
         let room = &scene.file().room;
-        let (environment, names) = Environment::of_surfaces(surfaces, scene.wavenumber_per_m())?;
+        let share = scene.file().room.diffuse_share;
+        let (environment, names) = Environment::of_surfaces(surfaces, scene.wavenumber_per_m(), share)?;
         let is_many = environment.len() > MANY_FACETS;
         let environment = Arc::new(environment.with_transmission(room.transmission).with_least_part(least_part));
         let asked = room.max_reflections.max(room.max_body_reflections) as usize;

@@ -403,7 +403,8 @@ impl Scene {
     /// The room with its walls.
     pub fn room(&self) -> BoxRoom {
         let room = &self.file.room;
-        BoxRoom::new(DVec3::from_array(room.size_m), self.walls, self.wavenumber_per_m(), room.transmission)
+        let (size_m, wavenumber_per_m) = (DVec3::from_array(room.size_m), self.wavenumber_per_m());
+        BoxRoom::with_diffuse_share(size_m, self.walls, wavenumber_per_m, room.transmission, room.diffuse_share)
     }
 
     /// All surfaces in room coordinates: walls, floors and furniture. They are computed anew at each call.

@@ -96,17 +96,17 @@ pub struct RoomFile {
     /// a wall is not seen, unless it is open.
     #[serde(default)]
     pub transmission: bool,
-    /// Share of the power that falls on the surfaces that they throw in all directions, by their roughness and by what hangs and
-    /// stands on them ([`crate::diffuse`]): 0.04 to 0.16 in measurements. It makes moving echoes at many ranges of one person.
-    /// Default 0.
+    /// Share of the incident power that surfaces scatter in all directions, by their roughness and by objects on and before them
+    /// ([`crate::diffuse`]): 0.04 to 0.16 in measurements. They reflect and transmit only the rest as smooth ones. It makes moving
+    /// echoes at many ranges of one person. Default 0.
     #[serde(default)]
     pub diffuse_share: f64,
-    /// Points that stand for the surfaces there: one every few range bins and as many directions will do for echoes that are as
-    /// noise is; in long rooms that takes more. Default 32, at most 1024.
+    /// Number of points that represent the scattering surfaces. Some points per range bin and direction suffice for echoes that are
+    /// like noise; long rooms need more. Default 32, at most 1024.
     #[serde(default = "whole::<32>")]
     pub diffuse_points: u32,
-    /// Walls that a way by such a point meets at most between antenna and person. Each leaves what it mirrors and its diffuse
-    /// share: a room returns the more, and the longer, the harder its walls. Default 1, at most 16.
+    /// Largest number of walls on a path over such a point between antenna and person. Each wall leaves what it reflects and what
+    /// it scatters: the better the walls reflect, the more a room returns, and the longer. Default 1, at most 16.
     #[serde(default = "whole::<1>")]
     pub diffuse_bounces: u32,
     /// Groups of small reflectors that sway. None if absent.
