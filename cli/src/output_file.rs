@@ -85,6 +85,30 @@ fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Fails if two files that a command writes are one.
+///
+/// # Errors
+/// [`WrongUse`](crate::exit::WrongUse) if both paths name one file, which need not exist yet.
+pub fn check_apart(path: &Path, other: &Path) -> anyhow::Result<()> {
+    if resolved(path).is_some_and(|path| resolved(other) == Some(path)) {
+        wrong_use!(
+            "{} and {} are one file\n\nhint: choose another name for one of them",
+            path.display(),
+            other.display()
+        );
+    }
+    Ok(())
+}
+
+/// Path of a file without links. A file that does not exist yet is found by its folder.
+fn resolved(path: &Path) -> Option<PathBuf> {
+    let of_new_file = || {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        Some(folder.canonicalize().ok()?.join(path.file_name()?))
+    };
+    path.canonicalize().ok().or_else(of_new_file)
+}
+
 /// Recording to make, before it exists. A name made from the time is kept from other runs meanwhile.
 pub struct NewRecording {
     path: PathBuf,
@@ -285,6 +309,25 @@ mod tests {
             assert!(PARTS.concat().contains(&name), "{name}");
         }
         check(&radar.join("maps.npy")).expect("no part of the recording");
+    }
+
+    #[test]
+    fn two_names_of_one_file_are_refused_before_it_exists() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        std::fs::create_dir(path("sub")).expect("creates");
+        for exists in [false, true] {
+            if exists {
+                std::fs::write(path("a"), "").expect("writes");
+            }
+            for name in ["a", "./a", "sub/../a"] {
+                let said = check_apart(&path(name), &path("a")).expect_err(name).to_string();
+                assert!(said.contains("are one file") && said.contains("hint: "), "{said}");
+            }
+            for name in ["b", "sub/a", "none/a"] {
+                check_apart(&path(name), &path("a")).expect(name);
+            }
+        }
     }
 
     #[test]

@@ -308,6 +308,30 @@ mod hard_cases {
         drop(held);
     }
 
+    /// The model was removed at the end where the checkpoint had its name, and the exit status was 0.
+    #[test]
+    fn a_checkpoint_is_no_other_file_of_the_training() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let named = |name: &str| folder.path().join(name).display().to_string();
+        let spec = write_file(folder.path(), "training.toml", "starts = 1\n").display().to_string();
+        write_file(folder.path(), "weights.safetensors", "weights");
+        let manifest = maps().join("manifest.jsonl").display().to_string();
+        for (checkpoint, expected) in [
+            (named("model.safetensors"), "are one file"),
+            (named("./model.safetensors"), "are one file"),
+            (spec.clone(), "input and output at once"),
+            (named("weights.safetensors"), "input and output at once"),
+            (manifest, "input and output at once"),
+        ] {
+            let weights = named("weights.safetensors");
+            let options = ["--checkpoint", &checkpoint, "--spec", &spec, "--weights", &weights];
+            wrong_use_with(train(folder.path(), &options), &[expected, "hint: "]);
+        }
+        let (model, checkpoint) = (folder.path().join("a.lock"), folder.path().join("a"));
+        let command = command!("model train", maps(), "--epochs 1 -o", &model, "--checkpoint", &checkpoint);
+        wrong_use_with(command, &["are one file"]);
+    }
+
     /// Hints named a file to remove that was no checkpoint, and a command to repeat that failed again.
     #[test]
     fn hints_about_checkpoints_fit() {

@@ -35,11 +35,16 @@ impl CheckpointLock {
     /// # Errors
     /// [`DatasetError::Busy`] if another training holds it, and [`DatasetError::Io`] if the file of the lock cannot be made.
     pub fn new(checkpoint: &Path) -> Result<Self, DatasetError> {
-        let mut name = checkpoint.file_name().unwrap_or_default().to_owned();
-        name.push(".lock");
-        let path = checkpoint.with_file_name(name);
+        let path = Self::path_of(checkpoint);
         let held = lock_file(&path)?;
         Ok(CheckpointLock { path, _held: held })
+    }
+
+    /// Path of the lock's file, which is removed at the end.
+    pub fn path_of(checkpoint: &Path) -> PathBuf {
+        let mut name = checkpoint.file_name().unwrap_or_default().to_owned();
+        name.push(".lock");
+        checkpoint.with_file_name(name)
     }
 }
 

@@ -5,7 +5,7 @@ use radome_models::dataset::{Dataset, DatasetError};
 use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_with_checkpoint};
 use serde_json::json;
 
-use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
+use crate::output_file::{MODEL_HINT, Overwrite, check_apart, check_ending};
 use crate::{files, output};
 
 /// `radome model train`
@@ -36,7 +36,8 @@ pub struct Arguments {
     /// The only recording (sequence) of the test split
     #[arg(long, value_name = "SEQUENCE")]
     hold_out: Option<String>,
-    /// File that stores the training after each epoch; if it exists, the training resumes from it. Default: FILE.safetensors.checkpoint
+    /// File that stores the training after each epoch; if it exists, the training resumes from it. It is removed when the model is
+    /// written. Default: FILE.safetensors.checkpoint
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Print one JSON object per epoch and one at the end
@@ -78,27 +79,32 @@ impl Arguments {
 /// Trains a network and writes the weights of its best epoch.
 ///
 /// # Errors
-/// The dataset or the spec cannot be read, or the training fails.
+/// The dataset or the spec cannot be read, the output or the checkpoint is another file of the training, or the training fails.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let checkpoint = arguments.checkpoint();
+    let (spec, checkpoint) = (arguments.spec()?, arguments.checkpoint());
     let spec_file = arguments.spec.as_deref().unwrap_or(Path::new(""));
-    arguments.overwrite.check(&arguments.output, &[&arguments.dataset, spec_file])?;
+    let weights = spec.weights.as_deref().unwrap_or(Path::new(""));
+    let inputs: [&Path; 3] = [&arguments.dataset, spec_file, weights];
+    arguments.overwrite.check(&arguments.output, &inputs)?;
     check_ending(&arguments.output, &["safetensors"], MODEL_HINT)?;
-    files::check_parent(&checkpoint)?;
+    // Both are removed at the end.
+    for removed in [&checkpoint, &CheckpointLock::path_of(&checkpoint)] {
+        check_apart(removed, &arguments.output)?;
+        Overwrite::yes().check(removed, &inputs)?;
+    }
     let _held = CheckpointLock::new(&checkpoint)?;
-    train(arguments, &checkpoint)
+    train(arguments, &spec, &checkpoint)
 }
 
 /// Trains a network, from the checkpoint if it exists.
-fn train(arguments: &Arguments, checkpoint: &Path) -> anyhow::Result<()> {
+fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
-    let spec = arguments.spec()?;
     if checkpoint.exists() {
         message!("carrying on from {}", checkpoint.display());
     }
     let bar = output::progress(spec.all_epochs() as u64, "training");
     let mut trouble = None;
-    let outcome = train_with_checkpoint(&dataset, &spec, Some(checkpoint), &mut |report| {
+    let outcome = train_with_checkpoint(&dataset, spec, Some(checkpoint), &mut |report| {
         bar.inc(1);
         let said = if arguments.json {
             output::json_line(&report)
