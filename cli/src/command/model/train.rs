@@ -99,13 +99,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Trains a network, from the checkpoint if it exists.
 fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
-    if checkpoint.exists() {
-        message!("carrying on from {}", checkpoint.display());
-    }
+    // That the checkpoint is of this training is known when an epoch is done.
+    let mut carries_on = checkpoint.exists();
     let bar = output::progress(spec.all_epochs() as u64, "training");
     let mut trouble = None;
     let outcome = train_with_checkpoint(&dataset, spec, Some(checkpoint), &mut |report| {
         bar.inc(1);
+        if std::mem::take(&mut carries_on) {
+            bar.suspend(|| message!("carrying on from {}", checkpoint.display()));
+        }
         let said = if arguments.json {
             output::json_line(&report)
         } else {
