@@ -35,10 +35,10 @@ fn spec(py: Python<'_>, given: &Bound<'_, PyAny>, network: Option<&str>) -> PyRe
         Err(_) => from_python("training", given)?,
     };
     if let Some(name) = network {
-        let Some(NetworkSpec { kind, head, .. }) = NetworkSpec::named(name) else {
+        let Some(network) = NetworkSpec::named(name) else {
             return Err(raised_text(py, format!("there is no network '{name}'\n\nhint: radome.networks() lists them")));
         };
-        (spec.network, spec.head) = (kind, head);
+        spec.set_network(network).map_err(|error| raised_text(py, error.to_string()))?;
     }
     Ok(spec)
 }

@@ -369,6 +369,26 @@ mod hard_cases {
         assert!(status == Some(2) && said.contains("expected a finite number"), "{said}");
     }
 
+    /// `--network` set the head of the file back to two qubits, and nothing was said.
+    #[test]
+    fn the_head_of_a_file_goes_with_the_named_network() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let text = "epochs = 1\nstarts = 1\nmost_training_maps = 40\npooled = [4, 4]\nsplit = { by = \"seed\" }\n\
+                    head = { kind = \"circuit\", circuit = { qubits = 4 } }\n";
+        let spec = write_file(folder.path(), "training.toml", text).display().to_string();
+        json_lines(train(folder.path(), &["--json", "--spec", &spec, "--network", "hqnn", "--overwrite"]));
+        let model = radome_models::Model::load(&folder.path().join("model.safetensors")).expect("a model");
+        assert_eq!(model.card.head.width(), 4);
+        let other = |network: &str| train(folder.path(), &["--spec", &spec, "--overwrite", "--network", network]);
+        wrong_use_with(other("estimator_matched"), &["head is set beside the name", "expected none"]);
+        // A head without a use was in the card of the model.
+        fails_with(other("resnet18"), &["head is set for network resnet18", "expected none"]);
+        // In a file, the name of a network is that of its kind.
+        write_file(folder.path(), "training.toml", "network = \"frozen_angles\"\n");
+        let expected = "network = \"hqnn\" and head = { kind = \"circuit\", frozen = true }";
+        fails_with(other("hqnn"), &["`frozen_angles` is a network with a head", expected]);
+    }
+
     /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability
     /// above one, and an unknown key.
     #[test]
@@ -406,6 +426,7 @@ mod hard_cases {
             ("seeds = [1]", "seeds = [1]\ntarget = 2.0", "target is 2"),
             ("\"hqnn\" }]", "\"hqnn\" }]\n[train]\nlabel_fraction = 0.5", "train.label_fraction is 0.5"),
             ("{ name = \"hqnn\" }", "{ name = \"hqnn\" }, { name = \"hqnn\" }", "twice"),
+            ("\"hqnn\" }]", "\"resnet18\", head = { kind = \"linear\" } }]", "head of variant resnet18 is set"),
             ("{ name = \"hqnn\" }", "{ name = \"../x\", network = \"hqnn\" }", "letters"),
             (
                 "{ name = \"hqnn\" }",

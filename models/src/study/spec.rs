@@ -104,6 +104,9 @@ impl StudySpec {
             let expected = "letters, digits, '_', '-' and '.'";
             check_setting(is_plain, "a variant's name", format!("'{name}'"), expected)?;
             let network = self.network(variant)?;
+            let has_head = network.kind.has_latent() || variant.head.is_none();
+            let expected = "none, for only hqnn and descriptor_hqnn have a head to choose";
+            check_setting(has_head, format!("head of variant {name}"), format!("set for {}", network.kind), expected)?;
             if let Head::Circuit { circuit, .. } = &network.head
                 && let Err(error) = circuit.check()
             {

@@ -59,7 +59,7 @@ pub(crate) fn train_on(
 ) -> Result<TrainOutcome, TrainError> {
     let dataset = maps.dataset();
     spec.check()?;
-    spec.check_full_batch()?;
+    spec.check_network()?;
     let Prepared { weights, data, level } = Prepared::new(maps, spec)?;
     let (run, history) =
         Training { data: &data, spec, weights: weights.as_ref(), level, checkpoint, dataset_hash: dataset.hash() }

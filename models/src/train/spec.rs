@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::de::{Error, IntoDeserializer};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::augmentation::Augmentation;
 use super::error::{TrainError, check_setting};
@@ -47,6 +48,21 @@ pub struct FullBatch {
     pub weight_penalty: f64,
 }
 
+/// Reads the kind of a network. The error about a name that stands for a head, too, says how to write both.
+fn network_kind<'de, D: Deserializer<'de>>(deserializer: D) -> Result<NetworkKind, D::Error> {
+    let name = String::deserialize(deserializer)?;
+    let kind = NetworkKind::deserialize(IntoDeserializer::<D::Error>::into_deserializer(name.as_str()));
+    kind.map_err(|unknown| match NetworkSpec::named(&name) {
+        Some(NetworkSpec { kind, head, .. }) => {
+            let head = serde_json::to_value(&head).unwrap_or_default();
+            let frozen = if head["frozen"] == true { ", frozen = true" } else { "" };
+            let head = format!("{{ kind = {}{frozen} }}", head["kind"]);
+            D::Error::custom(format!("`{name}` is a network with a head: network = \"{kind}\" and head = {head}"))
+        }
+        None => unknown,
+    })
+}
+
 /// Settings of a training: with the data, they decide its result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -54,8 +70,9 @@ pub struct TrainSpec {
     /// Seed of initialisation, order and augmentation.
     pub seed: u64,
     /// Kind of the network.
+    #[serde(deserialize_with = "network_kind")]
     pub network: NetworkKind,
-    /// Layers behind the latent.
+    /// Layers behind the latent, which only hqnn and descriptor_hqnn have.
     pub head: Head,
     /// Share of the training split's maps that is trained on, drawn by class; 1 for all.
     pub label_fraction: f64,
@@ -113,7 +130,7 @@ pub struct TrainSpec {
     /// Minimisation over all training maps after the epochs; none if absent. For networks of descriptors, without augmentation.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub full_batch: Option<FullBatch>,
-    /// Whether maps in which someone is entering or leaving are used.
+    /// Whether maps in which someone is entering or leaving are trained on. They stay in the validation and test splits.
     pub transitions: bool,
     /// Augmentation of training maps.
     pub augmentation: Augmentation,
@@ -187,11 +204,30 @@ impl TrainSpec {
         self.epochs.saturating_add(others.saturating_mul(self.trial_epochs()))
     }
 
-    /// Checks that [`TrainSpec::full_batch`] goes with the network, which a settings file may leave to the caller.
+    /// Sets the network of a name ([`NetworkSpec::named`]). The head stays, unless the name stands for another one.
+    ///
+    /// # Errors
+    /// [`TrainError::Setting`] if both the name and the settings choose a head.
+    pub fn set_network(&mut self, named: NetworkSpec) -> Result<(), TrainError> {
+        if named.head != Head::default() {
+            let is_free = self.head == Head::default() || self.head == named.head;
+            let expected = "none where the name of the network stands for a head, as estimator_matched does";
+            check_setting(is_free, "head", "set beside the name of a network with another head", expected)?;
+            self.head = named.head;
+        }
+        self.network = named.kind;
+        Ok(())
+    }
+
+    /// Checks that [`TrainSpec::head`] and [`TrainSpec::full_batch`] go with the network, which a settings file may leave to the
+    /// caller.
     ///
     /// # Errors
     /// [`TrainError::Setting`] if not.
-    pub(super) fn check_full_batch(&self) -> Result<(), TrainError> {
+    pub(super) fn check_network(&self) -> Result<(), TrainError> {
+        let has_head = self.network.has_latent() || self.head == Head::default();
+        let expected = "none, for only hqnn and descriptor_hqnn have a head to choose";
+        check_setting(has_head, "head", format!("set for network {}", self.network), expected)?;
         let Some(FullBatch { steps, .. }) = self.full_batch else { return Ok(()) };
         check_setting(
             self.network.reads_descriptors() && self.augmentation == Augmentation::default(),

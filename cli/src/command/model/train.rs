@@ -5,6 +5,7 @@ use radome_models::dataset::{Dataset, DatasetError};
 use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_with_checkpoint};
 use serde_json::json;
 
+use crate::exit::WrongUse;
 use crate::output_file::{MODEL_HINT, Overwrite, check_apart, check_ending};
 use crate::{files, output};
 
@@ -62,7 +63,7 @@ impl Arguments {
                 let known: Vec<String> = radome_models::networks().into_iter().map(|network| network.name).collect();
                 bail!("there is no network '{name}'\n\nhint: there are {}", known.join(", "));
             };
-            (spec.network, spec.head) = (network.kind, network.head);
+            spec.set_network(network).map_err(|error| WrongUse(error.into()))?;
         }
         if let Some(epochs) = self.epochs {
             spec.epochs = epochs;
