@@ -75,6 +75,7 @@ mod hard_cases {
         ] {
             fails_with(command!("bench circuit", ..arguments.split(' ')), &[part]);
         }
+        fails_with(subcommand("bench trainability --qubits 0"), &["--qubits is 0, expected at least 1"]);
         let (status, ..) = outcome(subcommand("bench circuit --x 1,2 --theta 1,2,3,4 --seed 3"));
         assert_eq!(status, Some(2), "a seed of nothing");
     }

@@ -94,7 +94,7 @@ fn one_recording_can_be_held_out() {
         test,
         "evaluate divides the dataset as the training did"
     );
-    assert!(failure(train("nobody")).contains("no sequence 'nobody'"));
+    fails_with(train("nobody"), &["no sequence 'nobody'", "hint: the dataset has '", " and others"]);
 }
 
 #[test]
@@ -419,6 +419,8 @@ mod hard_cases {
         for (from, to, expected) in [
             ("\"hqnn\"", "\"hqmm\"", "hqmm"),
             ("seeds = [1]", "seeds = []", "at least one"),
+            ("seeds = [1]", "seeds = [2, 1, 2]", "seeds is 2 twice"),
+            ("seeds = [1]", "seeds = [1]\nlabel_fractions = [1.0, 0.5, 0.5]", "label_fractions is 0.5 twice"),
             ("seeds = [1]", "seeds = [1]\nsnr_db = [inf]", "snr_db"),
             ("seeds = [1]", "seeds = [1]\nlabel_fractions = [0.0]", "label_fractions"),
             ("seeds = [1]", "seeds = [1]\nlearning_rates = [-1.0]", "learning_rates"),

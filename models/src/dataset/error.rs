@@ -12,8 +12,8 @@ use super::manifest::{Split, SplitBy};
 #[allow(missing_docs, reason = "the message says what each field is")]
 pub enum DatasetError {
     /// The sequence to hold out does not exist.
-    #[error("there is no sequence '{sequence}' to hold out")]
-    NoSuchSequence { sequence: String },
+    #[error("there is no sequence '{sequence}' to hold out\n\nhint: the dataset has {known}")]
+    NoSuchSequence { sequence: String, known: String },
     /// A file operation failed.
     #[error("{path}: {action} failed: {source}")]
     Io { path: PathBuf, action: &'static str, source: std::io::Error },

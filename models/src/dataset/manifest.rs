@@ -118,8 +118,15 @@ pub enum SplitBy {
     Seed,
 }
 
-/// Largest number of sequences that a warning names.
+/// Largest number of sequences that a message names.
 const MOST_NAMED: usize = 5;
+
+/// The first of these sequences, for a message.
+pub(super) fn named<'a>(sequences: impl ExactSizeIterator<Item = &'a str>) -> String {
+    let others = if sequences.len() > MOST_NAMED { " and others" } else { "" };
+    let named: Vec<String> = sequences.take(MOST_NAMED).map(|sequence| format!("'{sequence}'")).collect();
+    format!("{}{others}", named.join(", "))
+}
 
 impl SplitBy {
     /// Sequences that show people and lack this property. A split takes each of them for a group of its own, whoever is in it.
@@ -131,14 +138,12 @@ impl SplitBy {
     /// Warning that names the sequences of [`SplitBy::ungrouped`]; `None` if there are none.
     pub fn warning<'a>(self, rows: impl IntoIterator<Item = &'a ManifestRow>) -> Option<String> {
         let sequences = self.ungrouped(rows);
-        let named: Vec<String> = sequences.iter().take(MOST_NAMED).map(|sequence| format!("'{sequence}'")).collect();
-        let others = if sequences.len() > MOST_NAMED { " and others" } else { "" };
         (!sequences.is_empty()).then(|| {
             format!(
-                "{} sequences with people have no {self}: {}{others}; a split by {self} takes each for a group of its own, and may part \
+                "{} sequences with people have no {self}: {}; a split by {self} takes each for a group of its own, and may part \
                  it from others of the same {self}",
                 sequences.len(),
-                named.join(", ")
+                named(sequences.iter().copied())
             )
         })
     }

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::error::DatasetError;
-use super::manifest::{Domain, ManifestRow, Split, SplitBy};
+use super::manifest::{Domain, ManifestRow, Split, SplitBy, named};
 
 /// Rule that assigns splits to maps without one.
 ///
@@ -90,7 +90,10 @@ impl SplitSpec {
         let names = group_names(rows, self.by);
         let group_of_name = |name: &String| {
             let group = names.get(name.as_str()).copied();
-            group.ok_or_else(|| DatasetError::NoSuchSequence { sequence: name.clone() })
+            group.ok_or_else(|| DatasetError::NoSuchSequence {
+                sequence: name.clone(),
+                known: named(names.keys().copied()),
+            })
         };
         let held_out = self.held_out.as_ref().map(group_of_name).transpose()?;
         let group_of = |row: &ManifestRow| names.get(row.sequence.as_str()).copied().unwrap_or_default();

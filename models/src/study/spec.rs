@@ -1,6 +1,7 @@
 //! Settings of a study.
 
 use std::collections::BTreeSet;
+use std::fmt::Display;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -49,6 +50,13 @@ pub struct StudySpec {
     pub train: TrainSpec,
 }
 
+/// Checks that no value of a list stands in it twice.
+fn check_once<T: Copy + Display, K: Ord>(what: &str, values: &[T], key: impl Fn(T) -> K) -> Result<(), StudyError> {
+    let mut seen = BTreeSet::new();
+    let twice = values.iter().find(|value| !seen.insert(key(**value)));
+    twice.map_or(Ok(()), |value| check_setting(false, what, format!("{value} twice"), "each value once"))
+}
+
 fn whole() -> Vec<f64> {
     vec![1.0]
 }
@@ -88,10 +96,8 @@ impl StudySpec {
         let jobs = counts.into_iter().fold(variants, usize::saturating_mul);
         let what = "variants, seeds, label_fractions and learning_rates";
         check_setting(jobs <= MOST_JOBS, what, jobs, "1000000 trainings at most")?;
-        let seeds: BTreeSet<u64> = self.seeds.iter().copied().collect();
-        let fractions: BTreeSet<u64> = self.label_fractions.iter().map(|fraction| fraction.to_bits()).collect();
-        let is_once = seeds.len() == self.seeds.len() && fractions.len() == self.label_fractions.len();
-        check_setting(is_once, "seeds and label_fractions", "one twice", "each once")?;
+        check_once("seeds", &self.seeds, |seed| seed)?;
+        check_once("label_fractions", &self.label_fractions, f64::to_bits)?;
         check_setting((0.0..=1.0).contains(&self.target), "target", self.target, "0 to 1, as balanced accuracy is")?;
         let expected = "1, for label_fractions of the study say which shares are trained on";
         check_setting(self.train.label_fraction == 1.0, "train.label_fraction", self.train.label_fraction, expected)?;

@@ -47,9 +47,10 @@ struct Row {
 /// landscapes", 2018).
 ///
 /// # Errors
-/// A circuit is not valid, there are no points, or standard output cannot be written.
+/// A circuit is not valid, there are no points or no qubits, or standard output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     ensure!(arguments.points > 0, "--points is 0, expected at least 1");
+    ensure!(arguments.qubits > 0, "--qubits is 0, expected at least 1");
     let mut rows = Vec::new();
     for &depth in &arguments.depths {
         for qubits in 1..=arguments.qubits {
