@@ -70,7 +70,9 @@ pub use model::{
 pub use network::{NetworkInfo, NetworkSpec, networks};
 pub use radome_files::MODEL_LIMIT_BYTES;
 pub use random::stream;
-pub use train::{CheckpointLock, EpochReport, TrainError, TrainOutcome, TrainSpec, train, train_with_checkpoint};
+pub use train::{
+    CheckpointLock, EpochReport, TrainError, TrainOutcome, TrainSpec, train, train_with_checkpoint, training_warnings,
+};
 
 /// Returns whether a setting is the default, which files leave out.
 pub(crate) fn is_default<T: Default + PartialEq>(value: &T) -> bool {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
-use radome_models::dataset::{Domain, ManifestRow, Split};
+use radome_models::dataset::{DatasetError, Domain, ManifestRow, Split, SplitSpec, merge};
 use radome_models::layer::KernelLevel;
 use radome_models::network::NetworkKind;
 use radome_models::occupancy_filter::Smoothing;
@@ -11,7 +11,7 @@ use radome_models::standardise::MapReference;
 use radome_models::train::{Augmentation, LatentStandardisation, Superpose, Sway};
 use radome_models::{
     Classifier, ClassifyError, Dataset, Model, ModelError, NetworkSpec, TrainError, TrainSpec, networks, train,
-    train_with_checkpoint,
+    train_with_checkpoint, training_warnings,
 };
 
 use crate::support::{Maps, dataset, header};
@@ -479,6 +479,38 @@ mod hard_cases {
         ] {
             assert!(outcome.warnings.iter().any(|w| w.contains(expected)), "{expected}: {:?}", outcome.warnings);
         }
+    }
+
+    /// Splits of the dataset were ignored where a sequence is held out, and classes without a test map were not named.
+    #[test]
+    fn a_sequence_that_is_held_out_overrides_the_splits_with_a_warning() {
+        let (set, spec) = brief();
+        assert_eq!(training_warnings(&set, &spec).expect("splits"), [""; 0]);
+        let split = SplitSpec { held_out: Some(set.rows()[0].sequence.clone()), ..SplitSpec::default() };
+        let warnings = training_warnings(&set, &TrainSpec { split, ..spec }).expect("splits").join("\n");
+        for expected in
+            ["splits that 54 of 54 maps have in the dataset do not count", "test split has no map of class 'two'"]
+        {
+            assert!(warnings.contains(expected), "{expected}: {warnings}");
+        }
+    }
+
+    /// A damaged map of the test split was found when the training had ended, and the training was lost.
+    #[test]
+    fn a_damaged_test_map_is_found_before_the_first_epoch() {
+        let (set, spec) = brief();
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("set");
+        merge(&[(dir.path(), &set)], &path, None).expect("written");
+        assert_eq!(set.rows().last().and_then(|row| row.split), Some(Split::Test));
+        let shard = path.join("maps-00000.npy");
+        let mut bytes = std::fs::read(&shard).expect("read");
+        let last = bytes.len() - 4;
+        bytes[last] ^= 1;
+        std::fs::write(&shard, bytes).expect("write");
+        let damaged = Dataset::open(&path).expect("opens");
+        let error = train(&damaged, &spec, &mut |_| panic!("an epoch")).err().expect("refused");
+        assert!(matches!(error, TrainError::Dataset(DatasetError::Hash { index: 53, .. })), "{error}");
     }
 
     #[test]

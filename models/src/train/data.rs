@@ -38,7 +38,7 @@ impl Part {
 pub(super) struct Data {
     pub train: Part,
     pub validation: Part,
-    /// Indices of the test maps, which are read only at the end.
+    /// Indices of the test maps, which are used only at the end.
     pub test: Vec<usize>,
     pub standardisation: Standardisation,
     pub class_weights: Vec<f32>,
@@ -98,6 +98,7 @@ impl Data {
         if skipped >= shape.range {
             return Err(TrainError::AllSkipped { skipped, range: shape.range });
         }
+        let warnings = training_warnings(dataset, spec)?;
         let Indices { train, validation, test } = Indices::choose(dataset, spec)?;
         let rows = dataset.rows();
         let part = |indices: Vec<usize>| -> Result<Part, TrainError> {
@@ -112,26 +113,19 @@ impl Data {
                 return Err(TrainError::EmptySplit { split, maps: rows.len(), sequences });
             }
         }
+        // Read here because a damaged map would otherwise be found when the training has ended.
+        test.iter().try_for_each(|&index| dataset.map(index).map(drop))?;
         let counts = train.counts();
         let present: Vec<Occupancy> = Occupancy::ALL.into_iter().filter(|o| counts[o.index()] > 0).collect();
         if let [class] = present[..] {
             return Err(TrainError::OneClass { class });
         }
-        let mut warnings = split_warnings(&train, &validation, &test);
-        warnings.extend(rule_warning(&spec.split, rows));
         let partners = spec.augmentation.superpose.map(|superpose| {
             let sequences = train.indices.iter().filter_map(|&i| rows.get(i)).map(|row| row.sequence.as_str());
             Partners::new(superpose, &train.labels, sequences)
         });
         let class_weights = class_weights(spec, &train, partners.as_ref());
         let standardisation = standardisation(spec, rows, &train)?;
-        if spec.label_leaking_cells {
-            warnings.push(
-                "maps are standardised by scene and class: every map's label, those of the test split too, is told to the \
-                 network by its scale, and no score says what the model would do on maps without labels"
-                    .to_owned(),
-            );
-        }
         for part in [&mut train, &mut validation] {
             part.scales = part.indices.iter().map(|index| standardisation.scale(cell(rows, *index))).collect();
         }
@@ -208,11 +202,32 @@ impl Data {
     }
 }
 
-/// Warnings about classes and splits without maps.
-fn split_warnings(train: &Part, validation: &Part, test: &[usize]) -> Vec<String> {
+/// Warnings about the maps of a training. They are known before it begins, from the rows of the dataset alone, and its outcome
+/// repeats them.
+///
+/// # Errors
+/// Those of [`Dataset::splits`].
+pub fn training_warnings(dataset: &Dataset, spec: &TrainSpec) -> Result<Vec<String>, DatasetError> {
+    let (indices, rows) = (Indices::choose(dataset, spec)?, dataset.rows());
+    let mut warnings = split_warnings(&indices, rows);
+    warnings.extend(rule_warnings(&spec.split, rows));
+    if spec.label_leaking_cells {
+        warnings.push(
+            "maps are standardised by scene and class: every map's label, those of the test split too, is told to the \
+             network by its scale, and no score says what the model would do on maps without labels"
+                .to_owned(),
+        );
+    }
+    Ok(warnings)
+}
+
+/// Warnings about classes and splits without maps. Trainings without maps to train or to choose on are refused.
+fn split_warnings(indices: &Indices, rows: &[ManifestRow]) -> Vec<String> {
+    let Indices { train, validation, test } = indices;
     let mut warnings = Vec::new();
-    for (split, counts) in [(Split::Train, train.counts()), (Split::Validation, validation.counts())] {
-        for class in Occupancy::ALL.into_iter().filter(|o| counts[o.index()] == 0) {
+    for (split, maps) in [(Split::Train, train), (Split::Validation, validation), (Split::Test, test)] {
+        let labels: BTreeSet<Occupancy> = maps.iter().filter_map(|&map| rows.get(map)).map(|row| row.label).collect();
+        for class in Occupancy::ALL.into_iter().filter(|class| !labels.is_empty() && !labels.contains(class)) {
             warnings.push(format!("the {split} split has no map of class '{class}'"));
         }
     }
@@ -222,10 +237,19 @@ fn split_warnings(train: &Part, validation: &Part, test: &[usize]) -> Vec<String
     warnings
 }
 
-/// Warning about sequences that the rule of the splits cannot group.
-fn rule_warning(rule: &SplitSpec, rows: &[ManifestRow]) -> Option<String> {
+/// Warnings about sequences that the rule of the splits cannot group, and about splits of rows that it overrides.
+fn rule_warnings(rule: &SplitSpec, rows: &[ManifestRow]) -> Vec<String> {
     // Rows with a split of their own do not depend on the rule, unless it holds a sequence out.
-    rule.by.warning(rows.iter().filter(|row| row.split.is_none() || rule.held_out.is_some()))
+    let ungrouped = rule.by.warning(rows.iter().filter(|row| row.split.is_none() || rule.held_out.is_some()));
+    let divided = rows.iter().filter(|row| row.split.is_some()).count();
+    let overridden = rule.held_out.as_ref().filter(|_| divided > 0).map(|held_out| {
+        format!(
+            "sequence '{held_out}' is held out, so the splits that {divided} of {} maps have in the dataset do not count: the other \
+             sequences are divided into training and validation by the rule",
+            rows.len()
+        )
+    });
+    ungrouped.into_iter().chain(overridden).collect()
 }
 
 /// Weight of each class in the loss: `n / (k n_c)` over the k classes shown, so that the mean weight of a map is one, times the

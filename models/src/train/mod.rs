@@ -50,6 +50,7 @@ pub use adapt::{AdaptError, AdaptFrame, AdaptRecording, Adaptation, Adapter, Fit
 pub use augmentation::{Augmentation, Superpose, Sway};
 pub use checkpoint::CheckpointLock;
 pub(crate) use data::Indices;
+pub use data::training_warnings;
 pub use error::TrainError;
 pub(crate) use maps::Maps;
 pub(crate) use memory::check_memory;

@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_models::dataset::{Dataset, DatasetError};
-use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_with_checkpoint};
+use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_with_checkpoint, training_warnings};
 use serde_json::json;
 
 use crate::exit::WrongUse;
@@ -100,6 +100,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Trains a network, from the checkpoint if it exists.
 fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
+    let warnings = training_warnings(&dataset, spec)?;
+    for warning in &warnings {
+        message!("warning: {warning}");
+    }
     // That the checkpoint is of this training is known when an epoch is done.
     let mut carries_on = checkpoint.exists();
     let bar = output::progress(spec.all_epochs() as u64, "training");
@@ -134,7 +138,7 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
             message!("the epochs so far are in {}; the same command carries on", checkpoint.display());
         }
     })?;
-    for warning in &outcome.warnings {
+    for warning in outcome.warnings.iter().filter(|warning| !warnings.contains(warning)) {
         message!("warning: {warning}");
     }
     // The model is saved even if progress could not be printed.
