@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use radome_models::dataset::{Dataset, Split, SplitSpec};
 use radome_tests::running::Running;
 use radome_tests::{
     command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success,
@@ -245,6 +246,55 @@ mod hard_cases {
         let (told, said) = success(evaluate(&older_file));
         assert_ne!(serde_json::from_str::<serde_json::Value>(&told).expect("JSON")["samples"], trained["samples"]);
         assert!(said.contains("does not say how its training divided this dataset"), "{said}");
+    }
+
+    /// Maps that were trained on counted as test maps of a dataset that had grown.
+    #[test]
+    fn maps_of_training_sequences_are_no_test_maps_of_another_dataset() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let own = Dataset::open(undivided()).expect("a dataset");
+        let splits = own.splits(&SplitSpec::default()).expect("splits");
+        let test: Vec<&str> = own
+            .rows()
+            .iter()
+            .zip(splits)
+            .filter(|(_, split)| *split == Split::Test)
+            .map(|(row, _)| row.sequence.as_str())
+            .collect();
+        // All sequences but this one are trained or chosen on.
+        let unseen = test.first().expect("a test map");
+        let count = |sequence: &str| test.iter().filter(|other| **other == sequence).count();
+        assert!(count(unseen) < test.len());
+        let spec = write_file(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n");
+        let model = folder.path().join("model.safetensors");
+        json_lines(command!("model train --json", undivided(), "--spec", &spec, "--hold-out", unseen, "-o", &model));
+
+        // Another dataset with the same sequences.
+        let other = folder.path().join("other");
+        std::fs::create_dir(&other).expect("created");
+        for entry in std::fs::read_dir(undivided()).expect("a folder") {
+            let entry = entry.expect("an entry");
+            std::fs::copy(entry.path(), other.join(entry.file_name())).expect("copied");
+        }
+        let manifest = std::fs::read_to_string(other.join("manifest.jsonl")).expect("rows");
+        write_file(&other, "manifest.jsonl", manifest.replace("\"seed\":1,", "\"seed\":100,"));
+        let evaluated = |model: &Path| {
+            let (told, said) = success(command!("model evaluate --json", model, &other));
+            let metrics: serde_json::Value = serde_json::from_str(&told).expect("JSON");
+            (metrics["samples"].as_u64().expect("a number") as usize, said)
+        };
+        let (samples, said) = evaluated(&model);
+        assert_eq!(samples, count(unseen), "{said}");
+        assert!(said.contains("maps are left out: the model was trained or chosen on their sequences"), "{said}");
+
+        // A file of an older program does not list the sequences of its training.
+        let mut older = radome_models::Model::load(&model).expect("a model");
+        older.card.training.seen_sequences.clear();
+        let older_file = folder.path().join("older.safetensors");
+        older.save(&older_file).expect("writable");
+        let (samples, said) = evaluated(&older_file);
+        assert_eq!(samples, test.len(), "{said}");
+        assert!(said.contains("warning: ") && said.contains("may be among those evaluated"), "{said}");
     }
 
     /// No map is no score.

@@ -6,6 +6,7 @@ use std::collections::BTreeSet;
 use radome_dsp::Occupancy;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
 /// Source of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -100,6 +101,13 @@ impl ManifestRow {
             hash: String::new(),
         }
     }
+}
+
+/// Short hash of a sequence's name, 16 hex digits: model files list the sequences of their training by it.
+pub(crate) fn sequence_hash(sequence: &str) -> String {
+    let mut hash = format!("{:x}", Sha256::digest(sequence.as_bytes()));
+    hash.truncate(16);
+    hash
 }
 
 /// Kind of group that stays within one split.

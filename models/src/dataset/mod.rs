@@ -28,6 +28,7 @@ pub use features::{ClassFeatures, FeatureError, Features, LEAKAGE_BINS, Spread, 
 pub use header::{DatasetHeader, FORMAT_VERSION};
 pub use layout::network_input;
 pub use lock::{lock_file, lock_folder, share_folder};
+pub(crate) use manifest::sequence_hash;
 pub use manifest::{Domain, ManifestRow, Split, SplitBy};
 pub use merge::merge;
 pub use reader::{Dataset, MANIFEST_LIMIT_BYTES};

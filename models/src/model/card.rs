@@ -1,5 +1,6 @@
 //! Model card: everything about a model but its numbers.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use radome_dsp::{Occupancy, RdmSpec, Waveform};
@@ -8,7 +9,7 @@ use thiserror::Error;
 
 use super::adapted::Adapted;
 use super::onnx_runtime::OnnxError;
-use crate::dataset::{Dataset, SplitSpec};
+use crate::dataset::{Dataset, SplitSpec, sequence_hash};
 use crate::evidence_mean::{MEMORIES, is_memory};
 use crate::kernel::KernelLevel;
 use crate::metrics::Metrics;
@@ -30,6 +31,10 @@ pub struct TrainingSummary {
     pub best_epoch: usize,
     /// Maps trained on.
     pub training_maps: usize,
+    /// Sequences of the maps that the model was trained or chosen on, by the first 16 hex digits of the SHA-256 of their names; empty
+    /// in old models.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub seen_sequences: BTreeSet<String>,
     /// SHA-256 of the file of initial weights; absent if they were random.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights_hash: Option<String>,
@@ -168,6 +173,14 @@ impl ModelCard {
     /// its file does not say.
     pub fn split_of(&self, dataset: &Dataset) -> Option<&SplitSpec> {
         self.split.as_ref().filter(|_| self.dataset_hash == dataset.hash())
+    }
+
+    /// Sequences of a dataset that have the name of one which the model was trained or chosen on; `None` if the model's file does
+    /// not list those.
+    pub fn seen_in<'a>(&self, dataset: &'a Dataset) -> Option<BTreeSet<&'a str>> {
+        let seen = &self.training.seen_sequences;
+        let sequences: BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
+        (!seen.is_empty()).then(|| sequences.into_iter().filter(|name| seen.contains(&sequence_hash(name))).collect())
     }
 
     /// Returns whether the network sees range and Doppler exchanged.

@@ -10,7 +10,7 @@ use super::memory::check_memory;
 use super::outcome::{EpochReport, StepTimes, TrainOutcome};
 use super::spec::TrainSpec;
 use super::{checkpoint, data, run, temperature};
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, sequence_hash};
 use crate::evaluate::evaluate;
 use crate::kernel::KernelLevel;
 use crate::metrics::Metrics;
@@ -72,6 +72,11 @@ pub(crate) fn train_on(
         epochs: spec.epochs,
         best_epoch,
         training_maps: data.train.labels.len(),
+        seen_sequences: [&data.train, &data.validation]
+            .into_iter()
+            .flat_map(|part| part.indices.iter().filter_map(|&index| dataset.rows().get(index)))
+            .map(|row| sequence_hash(&row.sequence))
+            .collect(),
         weights_hash: weights.as_ref().map(|weights| weights.hash().to_owned()),
         chosen_start,
         kernel_level: level,

@@ -446,8 +446,11 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
         Some(Split::All) => None,
     };
     let splits = dataset.splits(&split_rule(classifier.card(), &dataset, wanted.is_some()))?;
-    let indices: Vec<usize> =
+    let mut indices: Vec<usize> =
         (0..dataset.len()).filter(|i| wanted.is_none_or(|w| splits.get(*i) == Some(&w))).collect();
+    if wanted == Some(dataset::Split::Test) && !indices.is_empty() {
+        leave_out_seen(classifier.card(), &dataset, &mut indices)?;
+    }
     if indices.is_empty() {
         let split = wanted.map_or_else(|| "dataset".to_owned(), |split| format!("{split} split"));
         let sequences: BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
@@ -471,18 +474,55 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
     ablation::print(&ablated.unwrap_or_default())
 }
 
-/// Returns the rule by which the model's training divided a dataset. Where it is not known, returns the default rule, and says so
-/// if a split `is_wanted` that depends on it.
+/// Returns the rule by which the model's training divided a dataset. For another dataset than that of the training, it is the same
+/// rule without a held-out sequence. Where no rule is known, returns the default rule. Says so if a split `is_wanted` that depends
+/// on it.
 fn split_rule(card: &ModelCard, dataset: &Dataset, is_wanted: bool) -> SplitSpec {
-    let known = card.split_of(dataset);
-    if known.is_none() && is_wanted && dataset.rows().iter().any(|row| row.split.is_none()) {
+    if let Some(known) = card.split_of(dataset) {
+        return known.clone();
+    }
+    if is_wanted && dataset.rows().iter().any(|row| row.split.is_none()) {
         let why = match card.dataset_hash == dataset.hash() {
             true => "the model's file does not say how its training divided this dataset",
             false => "the model was trained on another dataset",
         };
-        message!("{why}: the split is that of the default rule, by sequence with seed 0");
+        let rule = match card.split {
+            Some(_) => "by the rule of its training",
+            None => "that of the default rule, by sequence with seed 0",
+        };
+        message!("{why}: the split is {rule}");
     }
-    known.cloned().unwrap_or_default()
+    SplitSpec { held_out: None, ..card.split.clone().unwrap_or_default() }
+}
+
+/// Takes maps of sequences that the model was trained or chosen on out of those of a test split. The test split of its own training
+/// has none.
+///
+/// # Errors
+/// No map is left.
+fn leave_out_seen(card: &ModelCard, dataset: &Dataset, indices: &mut Vec<usize>) -> anyhow::Result<()> {
+    if card.dataset_hash == dataset.hash() {
+        return Ok(());
+    }
+    let Some(seen) = card.seen_in(dataset) else {
+        message!(
+            "warning: the model was trained on another dataset, and its file does not list the sequences: maps of its training may be \
+             among those evaluated"
+        );
+        return Ok(());
+    };
+    let count = indices.len();
+    indices.retain(|index| dataset.rows().get(*index).is_some_and(|row| !seen.contains(row.sequence.as_str())));
+    let left_out = count - indices.len();
+    ensure!(
+        !indices.is_empty(),
+        "all {count} maps of the test split are of sequences that the model was trained or chosen on\n\nhint: name a dataset with \
+         other sequences; --split all takes all maps"
+    );
+    if left_out > 0 {
+        message!("{left_out} of {count} maps are left out: the model was trained or chosen on their sequences");
+    }
+    Ok(())
 }
 
 /// Scores on the maps of a dataset.
