@@ -5,11 +5,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::SystemTime;
 
+use radome_dsp::Occupancy;
 use radome_models::dataset::{DatasetError, lock_folder};
 use radome_models::study::{
-    Condition, Outcome, Progress, Report, Study, StudyError, StudySpec, Variant, paired_difference,
+    Condition, Job, Outcome, Progress, Report, Study, StudyError, StudySpec, Variant, paired_difference,
 };
-use radome_models::{Dataset, TrainSpec};
+use radome_models::{Dataset, Metrics, TrainSpec};
 
 use crate::support::{Maps, dataset};
 
@@ -280,6 +281,57 @@ fn a_plan_counts_what_is_done_and_times_the_rest() {
     let (after, timed) = plan();
     assert_eq!((after.trainings, after.done, timed.len()), (10, 10, 0));
     assert!(after.hours == 0.0 && after.networks.iter().all(|network| network.step_seconds.is_none()), "{after:?}");
+}
+
+/// The recall of a recording with one class was called its balanced accuracy, and each recording counted as a seed.
+#[test]
+fn recordings_that_are_held_out_in_turn_are_scored_together() {
+    use Occupancy::{Empty, One, Two};
+    let maps = dataset(Maps { sequences: [1, 0, 0], ..FEW });
+    let spec = StudySpec {
+        variants: vec![variant("hqnn")],
+        seeds: vec![1, 2, 3, 4],
+        label_fractions: vec![1.0],
+        leave_one_recording_out: true,
+        ..spec()
+    };
+    let outcome = |seed: u64, recording: usize, predictions: [(Occupancy, Occupancy); 2]| {
+        let job = Job {
+            variant: "hqnn".to_owned(),
+            label_fraction: 1.0,
+            learning_rate: 1e-3,
+            seed,
+            held_out: Some(format!("s{recording}")),
+        };
+        Outcome { job, training: 0.9, test: Some(Metrics::from_predictions(predictions)), ..Outcome::default() }
+    };
+    let broken = Outcome { test: None, error: Some("not finite".to_owned()), ..outcome(4, 1, [(Empty, Empty); 2]) };
+    let outcomes = [
+        outcome(1, 1, [(Empty, Empty); 2]),
+        outcome(1, 2, [(One, One); 2]),
+        outcome(1, 3, [(Two, Two); 2]),
+        outcome(2, 1, [(Empty, Empty); 2]),
+        outcome(2, 2, [(One, One), (One, Two)]),
+        outcome(2, 3, [(Two, One); 2]),
+        // Two recordings of this seed are left.
+        outcome(3, 1, [(Empty, Empty); 2]),
+        broken,
+        outcome(4, 2, [(One, One); 2]),
+        outcome(4, 3, [(Two, Two); 2]),
+    ];
+    let rates = BTreeMap::from([("hqnn".to_owned(), 1e-3)]);
+    let report = radome_models::study::report(&spec, &maps, &rates, &outcomes);
+    let cell = &report.cells[0];
+    let scores: Vec<(u64, f64)> = cell.scores.iter().map(|score| (score.seed, score.balanced_accuracy)).collect();
+    assert_eq!(scores, [(1, 1.0), (2, 0.5), (4, 1.0 / 3.0)]);
+    let [test, training] = [cell.test, cell.training].map(|interval| interval.expect("scores"));
+    assert_eq!((test.count, test.most, training.count), (3, 1.0, 4));
+    assert_eq!((report.done, report.planned), (10, 12));
+    let text = report.markdown();
+    assert!(
+        text.contains("Each recording in turn is the test split") && text.contains("| hqnn | 0.001 | 3 |"),
+        "{text}"
+    );
 }
 
 /// Asserts that shares of the maps and noise levels repeat no training: each has one file.

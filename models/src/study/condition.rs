@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::{StudyError, check_setting};
 use super::outcome::Job;
-use super::score::Score;
+use super::score::{Score, SeedMetrics, seed_metrics};
 use super::spec::StudySpec;
 use crate::dataset::{Dataset, Split};
 use crate::interval::{Interval, t_interval};
@@ -152,7 +152,7 @@ pub struct ConditionCell {
     pub done: usize,
     /// Balanced accuracy; chance where a training broke off.
     pub balanced_accuracy: Option<Interval>,
-    /// Balanced accuracy of each training.
+    /// Balanced accuracy of each training, or of each seed if the study holds out each recording in turn.
     #[serde(default)]
     pub scores: Vec<Score>,
     /// Accuracy; chance where a training broke off.
@@ -162,11 +162,12 @@ pub struct ConditionCell {
 }
 
 impl ConditionReport {
-    /// Makes the report of one condition. `jobs` are the trainings on all labels, and `judgement` reads the scores of
-    /// one, if they exist.
+    /// Makes the report of one condition. `jobs` are the trainings on all labels, of which each seed has `trainings`, and
+    /// `judgement` reads the scores of one, if they exist.
     pub(super) fn new(
         spec: &StudySpec,
         jobs: &[Job],
+        trainings: usize,
         condition: &Condition,
         judgement: &dyn Fn(&Job) -> Option<Judgement>,
     ) -> Self {
@@ -175,17 +176,14 @@ impl ConditionReport {
         for variant in &spec.variants {
             let of_variant = jobs.iter().filter(|job| job.variant == variant.name);
             let judgements: Vec<Judgement> = of_variant.filter_map(judgement).collect();
-            let scores = || judgements.iter().map(|judgement| judgement.metrics.as_ref());
+            let of_models = judgements.iter().map(|judgement| (judgement.job.seed, judgement.metrics.as_ref()));
+            let scores = seed_metrics(of_models, trainings);
             let interval = |score: &dyn Fn(&Metrics) -> f64| {
-                let values: Vec<f64> = scores().map(|metrics| metrics.map_or(CHANCE, score)).collect();
-                t_interval(&values)
-            };
-            let score = |judgement: &Judgement| {
-                let of = judgement.metrics.as_ref().map_or(CHANCE, |metrics| metrics.balanced_accuracy);
-                Score::new(&judgement.job, of)
+                let values = scores.iter().map(|of| of.metrics.as_ref().map_or(CHANCE, score));
+                t_interval(&values.collect::<Vec<f64>>())
             };
             let mut confusion = Confusion::default();
-            for metrics in scores().flatten() {
+            for metrics in judgements.iter().filter_map(|judgement| judgement.metrics.as_ref()) {
                 maps = maps.max(metrics.samples);
                 add_confusion(&mut confusion, &metrics.confusion);
             }
@@ -193,7 +191,7 @@ impl ConditionReport {
                 variant: variant.name.clone(),
                 done: judgements.len(),
                 balanced_accuracy: interval(&|metrics| metrics.balanced_accuracy),
-                scores: judgements.iter().map(score).collect(),
+                scores: scores.iter().map(SeedMetrics::score).collect(),
                 accuracy: interval(&|metrics| metrics.accuracy),
                 confusion,
             });

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::condition::ConditionReport;
 use super::outcome::{FAILED_BELOW, Job, Outcome};
-use super::score::Score;
+use super::score::{Score, SeedMetrics, over_seeds, seed_metrics};
 use super::spec::StudySpec;
 use crate::dataset::Dataset;
 use crate::interval::{Interval, median, t_interval};
@@ -30,7 +30,7 @@ pub struct Cell {
     pub failed: usize,
     /// Balanced accuracy on the test split; chance where a training broke off.
     pub test: Option<Interval>,
-    /// Balanced accuracy on the test split by training.
+    /// Balanced accuracy on the test split by training, or by seed if the study holds out each recording in turn.
     #[serde(default)]
     pub scores: Vec<Score>,
     /// Accuracy on the test split.
@@ -58,6 +58,13 @@ pub struct Cell {
     pub parameters: usize,
     /// Multiply-adds of one map.
     pub multiply_adds: u64,
+}
+
+impl Cell {
+    /// Number of seeds with a score; of trainings, in studies without a test split and in old reports.
+    fn seeds(&self) -> usize {
+        if self.scores.is_empty() { self.done } else { self.scores.len() }
+    }
 }
 
 /// One epoch of a variant's trainings, each by the initialisation that was chosen.
@@ -144,14 +151,16 @@ pub(super) fn groups<'a>(
 
 /// Makes the report of outcomes, without conditions.
 pub fn report(spec: &StudySpec, dataset: &Dataset, chosen: &BTreeMap<String, f64>, outcomes: &[Outcome]) -> Report {
-    let cells: Vec<Cell> = groups(spec, chosen, outcomes).iter().map(|group| cell(spec, group)).collect();
+    let trainings = spec.held_out(dataset).len();
+    let cells: Vec<Cell> = groups(spec, chosen, outcomes).iter().map(|group| cell(spec, group, trainings)).collect();
+    let pooling = spec.leave_one_recording_out.then(|| POOLING.to_owned());
     Report {
         title: spec.title.clone(),
-        remarks: spec.remarks.clone(),
+        remarks: spec.remarks.iter().cloned().chain(pooling).collect(),
         dataset_hash: dataset.hash(),
         maps: dataset.rows().len(),
         done: cells.iter().map(|cell| cell.done).sum(),
-        planned: cells.len() * spec.seeds.len() * spec.held_out(dataset).len(),
+        planned: cells.len() * spec.seeds.len() * trainings,
         target: spec.target,
         cells,
         failures: outcomes.iter().filter_map(failure).collect(),
@@ -170,33 +179,44 @@ fn failure(outcome: &Outcome) -> Option<Failure> {
     Some(Failure { job: outcome.job.clone(), reason })
 }
 
-fn cell(spec: &StudySpec, group: &Group) -> Cell {
+/// Remark on studies that hold out each recording in turn.
+const POOLING: &str = "Each recording in turn is the test split. Test scores are computed once for each seed, from the predictions \
+                       on all recordings together; those of training and validation are means over the trainings of a seed.";
+
+/// Test scores of each seed. `metrics` are those of an outcome; trainings that broke off have none.
+fn test_scores<'a>(
+    outcomes: &[&'a Outcome],
+    trainings: usize,
+    metrics: impl Fn(&'a Outcome) -> Option<&'a Metrics>,
+) -> Vec<SeedMetrics> {
+    let scored = outcomes.iter().map(|&outcome| (outcome, metrics(outcome)));
+    let counted = scored.filter(|(outcome, metrics)| outcome.error.is_some() || metrics.is_some());
+    seed_metrics(counted.map(|(outcome, metrics)| (outcome.job.seed, metrics)), trainings)
+}
+
+/// Results of one group, each seed of which has so many trainings.
+fn cell(spec: &StudySpec, group: &Group, trainings: usize) -> Cell {
     let Group { variant, label_fraction, learning_rate, outcomes: of } = group;
     let (label_fraction, learning_rate) = (*label_fraction, *learning_rate);
     let chance = 1.0 / Occupancy::ALL.len() as f64;
     let interval = |f: &dyn Fn(&Outcome) -> Option<f64>| {
-        let values: Vec<f64> = of.iter().filter_map(|outcome| f(outcome)).collect();
-        t_interval(&values)
+        over_seeds(of.iter().filter_map(|outcome| Some((outcome.job.seed, f(outcome)?))))
     };
+    let scores = test_scores(of, trainings, |outcome| outcome.test.as_ref());
     let test = |f: &dyn Fn(&Metrics) -> Option<f64>, broken: Option<f64>| {
-        interval(&|outcome| if outcome.error.is_some() { broken } else { f(outcome.test.as_ref()?) })
-    };
-    let score = |outcome: &&Outcome| {
-        let broken = outcome.error.as_ref().map(|_| chance);
-        let of = broken.or_else(|| Some(outcome.test.as_ref()?.balanced_accuracy))?;
-        Some(Score::new(&outcome.job, of))
+        let values = scores.iter().filter_map(|of| of.metrics.as_ref().map_or(broken, f));
+        t_interval(&values.collect::<Vec<f64>>())
     };
     let mut confusion = Confusion::default();
     for metrics in of.iter().filter_map(|outcome| outcome.test.as_ref()) {
         add_confusion(&mut confusion, &metrics.confusion);
     }
     let under = |snr_db: f64| {
-        interval(&|outcome| {
-            if outcome.error.is_some() {
-                return Some(chance);
-            }
-            outcome.noisy.iter().find(|noisy| noisy.snr_db == snr_db).map(|noisy| noisy.metrics.balanced_accuracy)
-        })
+        let scores = test_scores(of, trainings, |outcome| {
+            outcome.noisy.iter().find(|noisy| noisy.snr_db == snr_db).map(|noisy| &noisy.metrics)
+        });
+        let values = scores.iter().map(|of| of.score().balanced_accuracy);
+        t_interval(&values.collect::<Vec<f64>>())
     };
     let noisy = if label_fraction == 1.0 { spec.snr_db.iter().map(|&snr| (snr, under(snr))).collect() } else { vec![] };
     Cell {
@@ -206,7 +226,7 @@ fn cell(spec: &StudySpec, group: &Group) -> Cell {
         done: of.len(),
         failed: of.iter().filter(|outcome| outcome.failed()).count(),
         test: test(&|metrics| Some(metrics.balanced_accuracy), Some(chance)),
-        scores: of.iter().filter_map(score).collect(),
+        scores: scores.iter().map(SeedMetrics::score).collect(),
         accuracy: test(&|metrics| Some(metrics.accuracy), Some(chance)),
         macro_f1: test(&|metrics| Some(metrics.macro_f1), Some(0.0)),
         populated_recall: test(&|metrics| metrics.populated_recall, None),
@@ -227,8 +247,7 @@ fn curve(outcomes: &[&Outcome]) -> Vec<CurvePoint> {
     let epochs = outcomes.iter().map(|outcome| outcome.curve.len()).max().unwrap_or_default();
     let point = |index: usize| {
         let mean = |of: &dyn Fn(&EpochReport) -> f64| {
-            let values: Vec<f64> = outcomes.iter().filter_map(|outcome| outcome.curve.get(index)).map(of).collect();
-            t_interval(&values)
+            over_seeds(outcomes.iter().filter_map(|outcome| Some((outcome.job.seed, of(outcome.curve.get(index)?)))))
         };
         CurvePoint {
             epoch: index + 1,
@@ -324,7 +343,7 @@ impl Report {
                 "| {} | {} | {} | {} | {} | {} | {} | {} | {} |",
                 cell.variant,
                 cell.learning_rate,
-                cell.done,
+                cell.seeds(),
                 cell.failed,
                 spread(cell.test),
                 short(cell.training),

@@ -211,11 +211,12 @@ impl<'a> Study<'a> {
         let mut report = report(self.spec, self.dataset, &chosen, &self.outcomes()?);
         // A training at a rate that is not chosen yet has no files.
         let rate = |name: &str| chosen.get(name).copied().unwrap_or(f64::NAN);
-        let mut jobs = self.spec.compared_jobs(&self.spec.held_out(self.dataset), rate);
+        let held_out = self.spec.held_out(self.dataset);
+        let mut jobs = self.spec.compared_jobs(&held_out, rate);
         jobs.retain(|job| job.label_fraction == 1.0);
         let of = |condition: &Condition| {
             let judgement = |job: &Job| self.judgement(job, condition);
-            ConditionReport::new(self.spec, &jobs, condition, &judgement)
+            ConditionReport::new(self.spec, &jobs, held_out.len(), condition, &judgement)
         };
         report.conditions = self.conditions.iter().map(of).collect();
         Ok(report)

@@ -1,27 +1,80 @@
-//! Scores by training, and differences between networks under the same seeds.
+//! Scores by seed, and differences between networks under the same seeds.
 
 use serde::{Deserialize, Serialize};
 
-use super::outcome::Job;
 use crate::interval::{Interval, t_interval};
+use crate::metrics::{CLASSES, Confusion, Metrics, add_confusion};
 
-/// Score of the model of one training.
+/// Score of the model of one training, or of all trainings of a seed in studies that hold out each recording in turn.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Score {
     /// Seed of the training.
     pub seed: u64,
-    /// Recording that was its test split, in studies that hold out each in turn.
+    /// Recording that was its test split, if the score is of one recording. Reports pool the recordings of a seed.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<String>,
     /// Balanced accuracy; chance where the training broke off.
     pub balanced_accuracy: f64,
 }
 
-impl Score {
-    pub(super) fn new(job: &Job, balanced_accuracy: f64) -> Self {
-        Score { seed: job.seed, held_out: job.held_out.clone(), balanced_accuracy }
-    }
+/// Balanced accuracy of a guess.
+const CHANCE: f64 = 1.0 / CLASSES as f64;
 
+/// Scores of a seed on a set of maps; `None` if a training broke off.
+pub(super) struct SeedMetrics {
+    seed: u64,
+    pub metrics: Option<Metrics>,
+}
+
+impl SeedMetrics {
+    /// Balanced accuracy; chance where a training broke off.
+    pub(super) fn score(&self) -> Score {
+        let balanced_accuracy = self.metrics.as_ref().map_or(CHANCE, |metrics| metrics.balanced_accuracy);
+        Score { seed: self.seed, held_out: None, balanced_accuracy }
+    }
+}
+
+/// Scores of each seed, from those of its trainings, of which there are `trainings` if each recording is held out in turn, and
+/// otherwise one. Their confusions are added before scores are computed: a recording of one class has no balanced accuracy. Seeds
+/// whose trainings are not all done are left out.
+pub(super) fn seed_metrics<'a>(
+    scores: impl IntoIterator<Item = (u64, Option<&'a Metrics>)>,
+    trainings: usize,
+) -> Vec<SeedMetrics> {
+    let whole = by_seed(scores).into_iter().filter(|(_, of)| of.len() == trainings);
+    whole.map(|(seed, of)| SeedMetrics { seed, metrics: pooled(&of) }).collect()
+}
+
+fn pooled(of: &[Option<&Metrics>]) -> Option<Metrics> {
+    if let [one] = of {
+        return one.cloned();
+    }
+    let mut confusion = Confusion::default();
+    for metrics in of {
+        add_confusion(&mut confusion, &(*metrics)?.confusion);
+    }
+    Some(Metrics::from_confusion(confusion))
+}
+
+/// Mean over seeds and its interval, of the mean of each seed's trainings.
+pub(super) fn over_seeds(values: impl IntoIterator<Item = (u64, f64)>) -> Option<Interval> {
+    let means = by_seed(values).into_iter().map(|(_, of)| of.iter().sum::<f64>() / of.len() as f64);
+    t_interval(&means.collect::<Vec<f64>>())
+}
+
+/// Values of each seed, in their order.
+fn by_seed<T>(values: impl IntoIterator<Item = (u64, T)>) -> Vec<(u64, Vec<T>)> {
+    let mut groups: Vec<(u64, Vec<T>)> = Vec::new();
+    for (seed, value) in values {
+        match groups.iter_mut().find(|(of, _)| *of == seed) {
+            Some((_, group)) => group.push(value),
+            None => groups.push((seed, vec![value])),
+        }
+    }
+    groups
+}
+
+impl Score {
     /// Score in `others` of the training with the same seed and the same recording held out.
     fn partner<'a>(&self, others: &'a [Score]) -> Option<&'a Score> {
         others.iter().find(|other| other.seed == self.seed && other.held_out == self.held_out)

@@ -250,7 +250,12 @@ fn told(outcome: &Outcome) -> anyhow::Result<()> {
     let what = match (&outcome.error, &outcome.test) {
         (Some(error), _) => format!("failed: {}", error.lines().next().unwrap_or_default()),
         (None, Some(test)) => {
-            format!("balanced accuracy {:.3} test, {:.3} training", test.balanced_accuracy, outcome.training)
+            // One recording may lack classes.
+            let of_test = match &job.held_out {
+                Some(recording) => format!("accuracy {:.3} on '{recording}'", test.accuracy),
+                None => format!("balanced accuracy {:.3} test", test.balanced_accuracy),
+            };
+            format!("{of_test}, {:.3} training", outcome.training)
         }
         (None, None) => format!("{:.3} training, no test split", outcome.training),
     };
