@@ -297,6 +297,14 @@ mod hard_cases {
         assert!(said.contains("warning: ") && said.contains("may be among those evaluated"), "{said}");
     }
 
+    /// Sequences were divided by seed, and then none of the seeds was in two splits.
+    #[test]
+    fn verify_finds_the_leak_that_a_training_makes() {
+        let verify = command!("dataset verify --by seed", undivided());
+        fails_with(verify, &["leaks between splits", "hint: split = { by = \"seed\" } keeps each seed in one split"]);
+        success(command!("dataset verify --by seed", maps()));
+    }
+
     /// No map is no score.
     #[test]
     fn an_empty_split_has_no_score() {

@@ -218,6 +218,24 @@ mod hard_cases {
         assert_eq!((report.maps, report.sequences, report.split_maps), (6, 3, [3, 1, 2]));
     }
 
+    /// Sequences were divided by the property that was then checked, so that no leak of it was found.
+    #[test]
+    fn leaks_that_a_training_by_sequence_makes_are_found() {
+        let header = header();
+        let by_seed = SplitSpec { by: SplitBy::Seed, ..SplitSpec::default() };
+        let leaks = |rule: Option<&SplitSpec>| {
+            let of = |k: u64| ManifestRow { seed: Some(k % 4), ..row(&format!("s{k}"), k, Occupancy::One) };
+            let mut rows: Vec<ManifestRow> = (0..12).map(of).collect();
+            let splits = rule.map_or_else(Vec::new, |rule| rule.assign(&rows).expect("splits"));
+            rows.iter_mut().zip(splits).for_each(|(row, split)| row.split = Some(split));
+            let maps = rows.into_iter().map(|row| (map(&header, row.frame), row)).collect();
+            let set = Dataset::from_maps(header.clone(), maps).expect("in memory");
+            verify(&set, &by_seed).expect("a report").leaks.len()
+        };
+        assert!(leaks(None) > 0);
+        assert_eq!(leaks(Some(&by_seed)), 0);
+    }
+
     /// Recordings of people without a name were each a group of their own, and nothing was said.
     #[test]
     fn sequences_with_people_that_lack_the_property_of_a_split_are_named() {

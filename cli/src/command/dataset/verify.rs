@@ -13,7 +13,8 @@ use crate::output;
 pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
-    /// Property, besides the sequence, that no two splits may share
+    /// Property, besides the sequence, that no two splits may share. Sequences without a split of their own are divided by the default
+    /// rule of trainings, by sequence
     #[arg(long, value_name = "PROPERTY", value_parser = one_of(PROPERTIES), default_value = "sequence")]
     by: SplitBy,
     /// Print one JSON object
@@ -74,9 +75,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         show(report.unpaired.iter().map(|fault| format!("pair '{}' {}", fault.pair, fault.what)), "pairs")?;
     }
+    let by = arguments.by;
+    let is_left_to_training = dataset.rows().iter().any(|row| row.split.is_none());
+    let hint = match report.leaks.iter().any(|leak| leak.by == by) && is_left_to_training && by != SplitBy::Sequence {
+        true => format!(
+            "\n\nhint: split = {{ by = \"{by}\" }} keeps each {by} in one split, in the settings of a training or, once and for all, in the \
+             dataset's spec"
+        ),
+        false => String::new(),
+    };
     ensure!(
         report.is_sound(),
-        "{}: {} damaged maps, {} groups of duplicates, {} leaks between splits, {} pairs that are none",
+        "{}: {} damaged maps, {} groups of duplicates, {} leaks between splits, {} pairs that are none{hint}",
         arguments.dataset.display(),
         report.damaged.len(),
         report.duplicates.len(),
