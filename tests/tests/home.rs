@@ -200,6 +200,29 @@ fn an_orderly_end_says_offline_itself() {
     });
 }
 
+/// Regression test: nothing was said of messages that the broker's access rules reject.
+#[test]
+fn a_broker_that_rejects_what_is_published_is_told_of() {
+    let Some(mut broker) = Broker::prepare() else { return };
+    let folder = broker.folder.path().to_owned();
+    let (rules, settings) = (folder.join("rules"), folder.join("mosquitto.conf"));
+    std::fs::write(&rules, "topic write radome/#\n").expect("writable");
+    // mosquitto drops root's privileges before it reads the rules.
+    for (path, mode) in [(&folder, 0o755), (&rules, 0o644)] {
+        std::fs::set_permissions(path, std::os::unix::fs::PermissionsExt::from_mode(mode)).expect("settable");
+    }
+    let others = std::fs::read_to_string(&settings).expect("written");
+    std::fs::write(&settings, format!("{others}acl_file {}\n", rules.display())).expect("writable");
+    broker.start();
+    let live = Running::start(watch().args(["--mqtt", &broker.url(), "--metrics", "127.0.0.1:0"]));
+    let is_rejection =
+        |line: &str| line.contains("it rejects what is published: NotAuthorized").then(|| line.to_owned());
+    let said = live.stderr.find(0, "the rejection", is_rejection);
+    assert!(said.contains(&format!("needs to write {}, ", discovery_topic())), "{said}");
+    scrape(live.metrics_port(), |page| metric(page, "radome_mqtt_rejected_total") >= 1.0);
+    stop_and_count(live);
+}
+
 /// Runs openssl in a folder; returns `false` if it is not installed.
 fn openssl(folder: &Path, arguments: &str) -> bool {
     let output = Command::new("openssl").args(arguments.split(' ')).current_dir(folder).output();

@@ -77,6 +77,11 @@ impl Device {
         format!("{}/status", self.discovery_prefix)
     }
 
+    /// Topics that the radar subscribes to.
+    pub fn subscribed_topics(&self) -> Vec<String> {
+        std::iter::once(self.hub_topic()).chain(self.report_topic()).collect()
+    }
+
     /// Topic where the hub searches for devices.
     pub fn discovery_topic(&self) -> String {
         format!("{}/device/bgt60_{}/config", self.discovery_prefix, self.id)

@@ -45,6 +45,8 @@ pub struct Counters {
     /// Number of established connections to the broker.
     pub mqtt_connections: AtomicU64,
     pub mqtt_published: AtomicU64,
+    /// Number of publications and subscriptions that the broker rejected.
+    pub mqtt_rejected: AtomicU64,
     /// Number of received messages that were not understood or not followed.
     pub mqtt_refused: AtomicU64,
     /// Number of connections to the metrics that were replaced by newer ones because there were too many.

@@ -110,6 +110,11 @@ impl Page {
         for (name, help, counter) in [
             ("radome_mqtt_connections_total", "Connections to the broker.", &counters.mqtt_connections),
             ("radome_mqtt_published_total", "Messages sent to the broker.", &counters.mqtt_published),
+            (
+                "radome_mqtt_rejected_total",
+                "Publications and subscriptions that the broker rejected.",
+                &counters.mqtt_rejected,
+            ),
             ("radome_mqtt_refused_total", "Messages of others that were not obeyed.", &counters.mqtt_refused),
             ("radome_http_turned_away_total", "Connections that gave way to newer ones.", &counters.http_turned_away),
             (

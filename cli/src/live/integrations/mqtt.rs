@@ -1,15 +1,16 @@
 //! MQTT client: publishes answers to a broker, and announces the radar to Home Assistant. Failures of the broker do not
 //! affect the classification of frames.
 
+use std::io::ErrorKind;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use radome_dsp::Occupancy;
-use rumqttc::Outgoing;
-use rumqttc::v5::mqttbytes::QoS;
-use rumqttc::v5::mqttbytes::v5::{LastWill, Packet, Publish};
-use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, StateError};
+use rumqttc::v5::mqttbytes::v5::{LastWill, Packet, PubAckReason, Publish, SubscribeReasonCode};
+use rumqttc::v5::mqttbytes::{Error as PacketError, QoS};
+use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, StateError, TlsError};
+use rumqttc::{Outgoing, Transport};
 use tokio::sync::{mpsc, watch};
 
 use super::broker::Broker;
@@ -61,10 +62,7 @@ impl Mqtt {
             let (hears, mut heard) = mpsc::channel(16);
             let listener = Listener {
                 broker: self.broker.clone(),
-                has_uuid: self.device.has_uuid,
-                state_topic: self.device.state_topic(),
-                hub_topic: self.device.hub_topic(),
-                report_topic: self.device.report_topic(),
+                device: self.device.clone(),
                 latest: self.latest.clone(),
                 hears,
             };
@@ -100,6 +98,7 @@ impl Mqtt {
 /// The cause, in words.
 pub async fn log_in(options: MqttOptions) -> Result<(), String> {
     let (client, mut events) = AsyncClient::new(options, 8);
+    let is_encrypted = is_encrypted(&events);
     loop {
         match events.poll().await {
             Ok(Event::Incoming(Packet::ConnAck(_))) => {
@@ -107,9 +106,13 @@ pub async fn log_in(options: MqttOptions) -> Result<(), String> {
             }
             Ok(Event::Outgoing(Outgoing::Disconnect)) => return Ok(()),
             Ok(_) => {}
-            Err(error) => return Err(in_words(&error, false)),
+            Err(error) => return Err(in_words(&error, false, is_encrypted)),
         }
     }
+}
+
+fn is_encrypted(events: &EventLoop) -> bool {
+    !matches!(events.options.transport(), Transport::Tcp)
 }
 
 /// Recent closings of the connection by the broker. Two clients with one name disconnect each other repeatedly.
@@ -132,11 +135,7 @@ impl Closings {
 /// Runs the connection and extracts relevant messages.
 struct Listener {
     broker: Broker,
-    /// Whether the board's UUID distinguishes it at the broker.
-    has_uuid: bool,
-    state_topic: String,
-    hub_topic: String,
-    report_topic: Option<String>,
+    device: Device,
     latest: Arc<Latest>,
     hears: mpsc::Sender<Heard>,
 }
@@ -149,34 +148,46 @@ impl Listener {
         let mut since: Option<Instant> = None;
         let mut closings = Closings::default();
         let mut last_words = String::new();
+        let mut told_rejections = Vec::new();
+        let is_encrypted = is_encrypted(&events);
         loop {
             match events.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(_))) => {
                     since = Some(Instant::now());
                     last_words.clear();
+                    told_rejections.clear();
                     counters.mqtt_connected.store(true, Ordering::Relaxed);
                     count(&counters.mqtt_connections);
-                    message!("MQTT broker {}: connected; answers go to {}", self.broker, self.state_topic);
+                    message!("MQTT broker {}: connected; answers go to {}", self.broker, self.device.state_topic());
                     let _ = self.hears.send(Heard::Connected).await;
                 }
                 Ok(Event::Incoming(Packet::Publish(message))) => match self.understand(&message) {
                     Some(heard) if self.hears.try_send(heard).is_ok() => {}
                     _ => count(&counters.mqtt_refused),
                 },
+                Ok(Event::Incoming(packet)) => {
+                    for rejection in rejections(&packet) {
+                        count(&counters.mqtt_rejected);
+                        if !told_rejections.contains(&rejection) {
+                            self.warn_of_rejection(&rejection);
+                            told_rejections.push(rejection);
+                        }
+                    }
+                }
                 Ok(Event::Outgoing(Outgoing::Disconnect)) => return,
-                Ok(_) => {}
+                Ok(Event::Outgoing(_)) => {}
                 Err(error) => {
                     counters.mqtt_connected.store(false, Ordering::Relaxed);
-                    let words = in_words(&error, since.is_some());
+                    let words = in_words(&error, since.is_some(), is_encrypted);
                     if let Some(since) = since.take() {
                         if since.elapsed() > GOOD_CONNECTION {
                             wait = first_wait;
                         }
-                        if !self.has_uuid && closings.are_too_many() {
+                        if !self.device.has_uuid && is_closing(&error) && closings.are_too_many() {
                             self.warn_of_another();
                         }
                     }
-                    if matches!(&error, ConnectionError::MqttState(StateError::Deserialization(_))) {
+                    if is_malformed(&error) {
                         count(&counters.mqtt_refused);
                     }
                     // Each kind of error is reported once.
@@ -203,29 +214,107 @@ impl Listener {
         );
     }
 
+    fn warn_of_rejection(&self, rejection: &str) {
+        tracing::warn!(
+            "MQTT broker {}: it rejects {rejection}; its user needs to write {}, {} and {}, and to read {}",
+            self.broker,
+            self.device.discovery_topic(),
+            self.device.availability_topic(),
+            self.device.state_topic(),
+            self.device.subscribed_topics().join(" and ")
+        );
+    }
+
     /// Parses a message; `None` if it is malformed.
     fn understand(&self, message: &Publish) -> Option<Heard> {
         let topic = message.topic.as_ref();
         let text = std::str::from_utf8(&message.payload).ok()?.trim();
-        if topic == self.hub_topic.as_bytes() {
+        if topic == self.device.hub_topic().as_bytes() {
             return match text {
                 "online" => Some(Heard::HubOnline),
                 "offline" => Some(Heard::HubOffline),
                 _ => None,
             };
         }
-        let is_report = self.report_topic.as_ref().is_some_and(|report| topic == report.as_bytes());
+        let is_report = self.device.report_topic().is_some_and(|report| topic == report.as_bytes());
         // A retained report refers to an earlier run.
         (is_report && !message.retain).then(|| Occupancy::from_name(text).map(Heard::Report)).flatten()
     }
 }
 
+/// Publications and subscriptions that the broker rejects with this answer, each with its reason.
+fn rejections(packet: &Packet) -> Vec<String> {
+    match packet {
+        Packet::PubAck(answer) => match answer.reason {
+            PubAckReason::Success | PubAckReason::NoMatchingSubscribers => Vec::new(),
+            reason => vec![format!("what is published: {reason:?}")],
+        },
+        Packet::SubAck(answer) => {
+            let codes = answer.return_codes.iter();
+            let failures = codes.filter(|code| !matches!(code, SubscribeReasonCode::Success(_)));
+            failures.map(|code| format!("a subscription: {code:?}")).collect()
+        }
+        _ => Vec::new(),
+    }
+}
+
+/// Returns whether data from the broker are no message of MQTT version 5. The library gives the same error for connections
+/// that break, and for messages that the broker does not take.
+fn is_malformed(error: &ConnectionError) -> bool {
+    let ConnectionError::MqttState(StateError::Deserialization(error)) = error else { return false };
+    match error {
+        // An end within a message has this kind, which errors of the system do not have.
+        PacketError::Io(error) => error.kind() == ErrorKind::Other,
+        PacketError::OutgoingPacketTooLarge { .. } => false,
+        _ => true,
+    }
+}
+
+/// Returns whether the broker has closed the connection in order.
+fn is_closing(error: &ConnectionError) -> bool {
+    matches!(error, ConnectionError::MqttState(StateError::ServerDisconnect { .. } | StateError::ConnectionAborted))
+}
+
 /// Describes the cause of a failed connection, with a remedy. `was_up` tells whether the broker had accepted it. Data from the
 /// broker are never shown, since a server that echoes its input would echo the password.
-fn in_words(error: &ConnectionError, was_up: bool) -> String {
+fn in_words(error: &ConnectionError, was_up: bool, is_encrypted: bool) -> String {
     use rumqttc::v5::mqttbytes::v5::ConnectReturnCode as Code;
+    let [encryption, certificate] = match (was_up, is_encrypted) {
+        (true, _) => ["", ""],
+        (false, false) => ["; it may expect encryption: mqtts://", ""],
+        (false, true) => ["", "; it may ask for a client certificate, which radome cannot give"],
+    };
     match error {
-        ConnectionError::Io(error) | ConnectionError::MqttState(StateError::Io(error)) => error.to_string(),
+        ConnectionError::NotConnAck(_) => format!("it does not answer in MQTT version 5{encryption}"),
+        _ if is_malformed(error) => format!("it does not answer in MQTT version 5{encryption}"),
+        // The library takes the refusal of an older version for the beginning of an answer.
+        ConnectionError::MqttState(StateError::ConnectionAborted) if !was_up => {
+            format!("it closes the connection and does not answer in MQTT version 5{encryption}{certificate}")
+        }
+        ConnectionError::Io(error)
+        | ConnectionError::Tls(TlsError::Io(error))
+        | ConnectionError::MqttState(StateError::Io(error) | StateError::Deserialization(PacketError::Io(error))) => {
+            let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<rustls::Error>());
+            match (cause, error.kind()) {
+                (Some(rustls::Error::AlertReceived(rustls::AlertDescription::CertificateRequired)), _) => {
+                    "it asks for a client certificate, which radome cannot give".into()
+                }
+                (Some(cause), _) => format!("TLS: {cause}"),
+                (None, ErrorKind::ConnectionReset | ErrorKind::BrokenPipe | ErrorKind::UnexpectedEof) => {
+                    format!("{error}{encryption}{certificate}")
+                }
+                (None, _) => error.to_string(),
+            }
+        }
+        ConnectionError::MqttState(
+            StateError::OutgoingPacketTooLarge { pkt_size, max }
+            | StateError::Deserialization(PacketError::OutgoingPacketTooLarge { pkt_size, max }),
+        ) => {
+            format!(
+                "its limit of {max} bytes is below the {pkt_size} of the announcement: raise it at the broker \
+                 (max_packet_size of mosquitto)"
+            )
+        }
         ConnectionError::Timeout(_) => "no answer".into(),
         ConnectionError::ConnectionRefused(Code::BadUserNamePassword | Code::NotAuthorized) => {
             "it refuses the login (user in the URL or in RADOME_MQTT_USER; password in --mqtt-password-file or in \
@@ -234,13 +323,6 @@ fn in_words(error: &ConnectionError, was_up: bool) -> String {
         }
         ConnectionError::ConnectionRefused(code) => format!("it refuses the connection: {code:?}"),
         ConnectionError::Tls(error) => format!("TLS: {error}"),
-        ConnectionError::NotConnAck(_) | ConnectionError::MqttState(StateError::Deserialization(_)) => {
-            "it does not answer in MQTT version 5".into()
-        }
-        // The library takes the refusal of an older version for the beginning of an answer.
-        ConnectionError::MqttState(StateError::ConnectionAborted) if !was_up => {
-            "it closes the connection and does not answer in MQTT version 5".into()
-        }
         ConnectionError::MqttState(StateError::ServerDisconnect { reason_code, .. }) => {
             format!("it ends the connection: {reason_code:?}")
         }
@@ -320,8 +402,7 @@ impl Teller<'_> {
     }
 
     fn subscribe(&self) {
-        let topics = [Some(self.mqtt.device.hub_topic()), self.mqtt.device.report_topic()];
-        for topic in topics.into_iter().flatten() {
+        for topic in self.mqtt.device.subscribed_topics() {
             // The queue is nearly empty, since nothing else is sent before.
             let _ = self.client.try_subscribe(topic, QoS::AtLeastOnce);
         }
@@ -366,7 +447,7 @@ mod tests {
     use std::io::{Read, Write};
     use std::net::{Shutdown, TcpListener};
 
-    use rumqttc::v5::mqttbytes::v5::{Connect, Login};
+    use rumqttc::v5::mqttbytes::v5::{Connect, Login, PubAck, SubAck};
 
     use super::*;
 
@@ -377,7 +458,7 @@ mod tests {
         let login = Login { username: "radar".into(), password: "hunter2".into() };
         let error = ConnectionError::NotConnAck(Box::new(Packet::Connect(connect, None, Some(login))));
         assert!(error.to_string().contains("hunter2"), "the library shows it");
-        assert!(!in_words(&error, false).contains("hunter2"));
+        assert!(!in_words(&error, false, false).contains("hunter2"));
     }
 
     /// Regression test: of a broker that refuses version 5 in the words of version 3.1.1 it said that the connection was
@@ -398,11 +479,56 @@ mod tests {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
         let (client, mut events) = AsyncClient::new(MqttOptions::new("radome-1", "127.0.0.1", port), 8);
         let error = runtime.block_on(events.poll()).expect_err("a refusal");
-        let words = in_words(&error, false);
+        let words = in_words(&error, false, false);
         assert!(words.contains("does not answer in MQTT version 5"), "{words}");
         // Of a connection that was up, the end says nothing about versions.
-        assert!(!in_words(&error, true).contains("version"));
+        assert!(!in_words(&error, true, false).contains("version"));
         drop((client, events));
         broker.join().expect("no panic");
+    }
+
+    /// Regression test: each of these was said to be a broker that does not answer in MQTT version 5, and was counted as a
+    /// message that is refused.
+    #[test]
+    fn a_lost_connection_and_a_limit_are_not_taken_for_another_version() {
+        let of = |error| ConnectionError::MqttState(StateError::Deserialization(error));
+        let alert = rustls::Error::AlertReceived(rustls::AlertDescription::CertificateRequired);
+        for (error, is_encrypted, expected) in [
+            (PacketError::Io(ErrorKind::ConnectionReset.into()), false, "connection reset"),
+            (
+                PacketError::Io(std::io::Error::new(ErrorKind::InvalidData, alert)),
+                true,
+                "asks for a client certificate",
+            ),
+            (PacketError::OutgoingPacketTooLarge { pkt_size: 1523, max: 1000 }, false, "1000 bytes is below the 1523"),
+        ] {
+            let error = of(error);
+            let words = in_words(&error, true, is_encrypted);
+            assert!(words.contains(expected) && !words.contains("version"), "{words}");
+            assert!(!is_malformed(&error) && !is_closing(&error), "{words}");
+        }
+        let malformed = of(PacketError::InvalidPacketType(15));
+        assert!(is_malformed(&malformed) && in_words(&malformed, true, false).ends_with("in MQTT version 5"));
+    }
+
+    #[test]
+    fn a_port_that_was_never_up_may_expect_encryption_or_a_certificate() {
+        let of = |error| ConnectionError::MqttState(StateError::Deserialization(error));
+        let malformed = of(PacketError::InvalidPacketType(15));
+        assert!(in_words(&malformed, false, false).contains("mqtts://"));
+        assert!(!in_words(&malformed, false, true).contains("mqtts://"));
+        let reset = of(PacketError::Io(ErrorKind::ConnectionReset.into()));
+        assert!(in_words(&reset, false, false).contains("mqtts://"));
+        assert!(in_words(&reset, false, true).contains("client certificate"));
+    }
+
+    #[test]
+    fn answers_of_a_broker_that_rejects_name_their_reason() {
+        let answer = |reason| Packet::PubAck(PubAck { reason, ..PubAck::new(1, None) });
+        assert!(rejections(&answer(PubAckReason::NoMatchingSubscribers)).is_empty());
+        assert_eq!(rejections(&answer(PubAckReason::NotAuthorized)), ["what is published: NotAuthorized"]);
+        let return_codes = vec![SubscribeReasonCode::Success(QoS::AtLeastOnce), SubscribeReasonCode::NotAuthorized];
+        let answer = Packet::SubAck(SubAck { pkid: 2, return_codes, properties: None });
+        assert_eq!(rejections(&answer), ["a subscription: NotAuthorized"]);
     }
 }
