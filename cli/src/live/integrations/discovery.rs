@@ -109,14 +109,16 @@ impl Device {
                 "stat_cla": "total_increasing", "val_tpl": "{{ value_json.dropped_frames }}",
             },
         });
-        if let (Some(topic), Some(components)) = (self.report_topic(), components.as_object_mut()) {
-            for (class, name) in REPORTS {
-                let report = json!({
-                    "p": "button", "name": name, "ent_cat": "diagnostic", "uniq_id": unique(&format!("report_{class}")),
+        for (class, name) in REPORTS {
+            let component = format!("report_{class}");
+            components[&component] = match self.report_topic() {
+                Some(topic) => json!({
+                    "p": "button", "name": name, "ent_cat": "diagnostic", "uniq_id": unique(&component),
                     "cmd_t": topic, "pl_prs": class,
-                });
-                components.insert(format!("report_{class}"), report);
-            }
+                }),
+                // The hub removes a component of an earlier run if it is sent with its platform alone.
+                None => json!({ "p": "button" }),
+            };
         }
         // The hub shows `sw` as the firmware of the device, and the origin `o` as the program that speaks for it.
         let firmware = self.firmware.as_deref().unwrap_or(version);
@@ -186,6 +188,7 @@ mod tests {
         assert_eq!(device.discovery()["dev"]["name"], "Bedroom radar");
         assert_eq!(device.discovery()["dev"]["sw"], "2.6.0");
         assert_eq!(device.discovery()["o"]["sw"], env!("CARGO_PKG_VERSION"));
+        assert_eq!(device.discovery()["cmps"]["report_empty"], json!({ "p": "button" }), "that of an earlier run goes");
         let device = Device::new(Some(&board("0000")), Some("Kitchen #1/+"), "homeassistant", true);
         assert_eq!(device.state_topic(), "radome/kitchen__1__/state", "no wildcard may stand in a topic");
         assert_eq!(device.discovery()["cmps"]["report_empty"]["pl_prs"], "empty");
