@@ -329,14 +329,24 @@ fn wrong_use_ends_with_2() {
         let (status, _, said) = outcome(command!("live x.mcap", ..arguments));
         assert!(status == Some(2) && said.contains("required"), "{arguments:?}: {said}");
     }
-    // Options of the broker are checked before the source is opened, which may be a board.
+    // Options are checked before the source is opened, which may be a board.
     for (arguments, reason) in [
         (&["--mqtt", "http://x"][..], "does not begin with mqtt://"),
         (&["--mqtt", "mqtt://x", "--mqtt-discovery-prefix", "#"], "--mqtt-discovery-prefix"),
         (&["--mqtt", "mqtt://x", "--mqtt-ca", "x.pem"], "--mqtt-ca is for"),
+        (&["--token-file", "x"], "for a page or metrics"),
+        (&["--metrics", "0.0.0.0:0"], "reached from the network"),
     ] {
         let (status, _, said) = outcome(command!("live serial:/dev/no-such-port", ..arguments));
         assert!(status == Some(2) && said.contains(reason) && said.contains("hint:"), "{arguments:?}: {said}");
+    }
+    for (arguments, reason) in [
+        (&["--keep-to", "x", "--keep-last-s", "0"][..], "above 0"),
+        (&["--keep-to", "x", "--keep-memory-mib", "0"], "--keep-memory-mib"),
+        (&["--mqtt", "mqtt://x", "--mqtt-name", ""], "--mqtt-name"),
+    ] {
+        let (status, _, said) = outcome(command!("live serial:/dev/no-such-port", ..arguments));
+        assert!(status == Some(2) && said.contains(reason), "{arguments:?}: {said}");
     }
     for option in ["--on-delay-s", "--off-delay-s", "--speed"] {
         for value in ["nan", "inf", "-3"] {

@@ -628,7 +628,7 @@ mod hard_cases {
 
     #[test]
     fn metrics_off_loopback_need_a_token_and_tell_nothing_without() {
-        let said = radome_tests::failure(watch().args(["--metrics", "0.0.0.0:0"]));
+        let said = radome_tests::wrong_use(watch().args(["--metrics", "0.0.0.0:0"]));
         assert!(said.contains("--token-file") && said.contains("hint:"), "{said}");
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("token");

@@ -2,10 +2,10 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use radome_driver::{RecorderOptions, RecordingHeader};
 
-use crate::exit::Ended;
+use crate::exit::{Ended, wrong_use};
 use crate::judge::{BUILT_IN, Delays, Model};
 use crate::live::background::Background;
 use crate::live::classify::{FrameClassifier, run as run_classifier};
@@ -74,8 +74,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let started = Instant::now();
     output::catch_interrupts()?;
     if arguments.view.access.is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
-        bail!("--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT");
+        wrong_use!(
+            "--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT"
+        );
     }
+    arguments.integrations.check_metrics(&arguments.view.access)?;
     let broker = arguments.integrations.broker()?;
     let output = arguments.output.as_deref().map(NewRecording::named);
     if let Some(path) = output.as_ref().map(NewRecording::path) {

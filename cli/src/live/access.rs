@@ -53,6 +53,11 @@ impl Arguments {
         self.token_file.is_some() || !self.allow_host.is_empty()
     }
 
+    /// Returns whether `--token-file` is given.
+    pub fn has_token(&self) -> bool {
+        self.token_file.is_some()
+    }
+
     /// Returns the token of `--token-file`, if one is used.
     ///
     /// # Errors

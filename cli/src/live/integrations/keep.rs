@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use radome_driver::protocol::packed12;
 use radome_driver::recording::{Format, RecordingWriter};
@@ -15,6 +15,7 @@ use radome_driver::{FrameResult, LabelSpan, RecordingHeader};
 use radome_dsp::{Frame, Gap, Occupancy};
 
 use super::latest::{Latest, count};
+use crate::exit::wrong_use;
 use crate::live::health::Health;
 use crate::live::recorder::frame_result;
 use crate::live::sink::{Moment, Sink};
@@ -28,14 +29,20 @@ pub struct Arguments {
     #[arg(long, value_name = "DIR")]
     keep_to: Option<PathBuf>,
     /// Seconds of the past to keep
-    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, requires = "keep_to")]
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, requires = "keep_to", value_parser = parse_span_s)]
     keep_last_s: f64,
     /// Memory for these frames; older frames are dropped
-    #[arg(long, value_name = "MIB", default_value_t = 256, requires = "keep_to")]
+    #[arg(long, value_name = "MIB", default_value_t = 256, requires = "keep_to", value_parser = clap::value_parser!(u64).range(1..))]
     keep_memory_mib: u64,
     /// Size of the folder above which reports are refused
     #[arg(long, value_name = "MIB", default_value_t = 4096, requires = "keep_to")]
     keep_disk_mib: u64,
+}
+
+/// Parses the seconds of the past to keep.
+fn parse_span_s(text: &str) -> Result<f64, &'static str> {
+    let span_s = text.parse::<f64>().ok().filter(|span_s| *span_s > 0.0 && *span_s <= 86_400.0);
+    span_s.ok_or("expected seconds, above 0 and up to a day")
 }
 
 impl Arguments {
@@ -150,7 +157,7 @@ impl Keeper {
     /// Creates a keeper, its sender and its thread; `None` if nothing is to be kept.
     ///
     /// # Errors
-    /// The folder cannot be written, or the thread cannot be started.
+    /// The folder cannot be written, or the memory holds no frame.
     pub fn open(
         arguments: &Arguments,
         header: &RecordingHeader,
@@ -158,14 +165,19 @@ impl Keeper {
     ) -> anyhow::Result<Option<(Self, Reports, Saver)>> {
         let Some(folder) = &arguments.keep_to else { return Ok(None) };
         let span_s = arguments.keep_last_s;
-        if !(span_s > 0.0 && span_s <= 86_400.0) {
-            bail!("--keep-last-s {span_s}: expected seconds, above 0 and up to a day");
+        let most_bytes = usize::try_from(arguments.keep_memory_mib << 20).unwrap_or(usize::MAX);
+        let frame_bytes = packed12::packed_length(header.waveform.shape().codes()) + size_of::<Kept>();
+        if most_bytes < frame_bytes {
+            wrong_use!(
+                "--keep-memory-mib {}: one frame takes {} MiB, and nothing would be kept\n\nhint: name the memory for all of the last \
+                 {span_s:.0} s",
+                arguments.keep_memory_mib,
+                frame_bytes.div_ceil(1 << 20)
+            );
         }
         std::fs::create_dir_all(folder).with_context(|| {
             format!("cannot make the folder {}\n\nhint: --keep-to a folder that this user may write", folder.display())
         })?;
-        let most_bytes = usize::try_from(arguments.keep_memory_mib << 20).unwrap_or(usize::MAX);
-        let frame_bytes = packed12::packed_length(header.waveform.shape().codes()) + size_of::<Kept>();
         let fits_s = (most_bytes / frame_bytes) as f64 * header.waveform.frame_interval_s();
         if fits_s < span_s {
             message!("of the last {span_s:.0} s only {fits_s:.0} s are kept: --keep-memory-mib allows no more");
@@ -333,7 +345,22 @@ fn folder_bytes(folder: &Path) -> anyhow::Result<u64> {
 
 #[cfg(test)]
 mod tests {
+    use radome_dsp::{Waveform, WaveformRequest};
+
     use super::*;
+    use crate::exit::WrongUse;
+
+    #[test]
+    fn memory_that_holds_no_frame_is_wrong_use() {
+        let waveform = Waveform::realise(WaveformRequest::paper()).expect("a valid waveform");
+        let folder = tempfile::tempdir().expect("a folder");
+        let keep_to = Some(folder.path().join("reports"));
+        let arguments = Arguments { keep_to, keep_last_s: 60.0, keep_memory_mib: 0, ..Arguments::default() };
+        let latest = Latest::new(Instant::now(), Duration::from_secs(1));
+        let opened = Keeper::open(&arguments, &RecordingHeader::new(waveform), latest);
+        assert!(opened.is_err_and(|error| error.is::<WrongUse>()));
+        assert!(!folder.path().join("reports").exists(), "refused before anything is made");
+    }
 
     fn results(people: &[u8]) -> Vec<FrameResult> {
         let result = |(i, people): (usize, &u8)| FrameResult {

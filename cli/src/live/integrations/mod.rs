@@ -14,7 +14,8 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
+use clap::builder::NonEmptyStringValueParser;
 use radome_driver::{BoardIdentity, RecordingHeader};
 use radome_dsp::Occupancy;
 use rumqttc::v5::MqttOptions;
@@ -37,7 +38,7 @@ pub struct Arguments {
     #[command(flatten)]
     broker: BrokerArguments,
     /// Name of the radar in Home Assistant and in the title of the page; also its identity if the board has none
-    #[arg(long, value_name = "NAME", requires = "mqtt")]
+    #[arg(long, value_name = "NAME", requires = "mqtt", value_parser = NonEmptyStringValueParser::new())]
     mqtt_name: Option<String>,
     /// Topic prefix under which Home Assistant looks for devices
     #[arg(long, value_name = "TOPIC", default_value = "homeassistant", requires = "mqtt")]
@@ -67,6 +68,20 @@ impl Arguments {
         Ok(Some((broker, options)))
     }
 
+    /// Refuses metrics that the network reaches and no token protects.
+    ///
+    /// # Errors
+    /// [`WrongUse`](crate::exit::WrongUse) for such an address.
+    pub fn check_metrics(&self, access: &access::Arguments) -> anyhow::Result<()> {
+        if let Some(address) = self.metrics.filter(|address| !address.ip().is_loopback() && !access.has_token()) {
+            wrong_use!(
+                "metrics on {address} are reached from the network, and say whether somebody is here\n\nhint: --token-file FILE protects \
+                 them, and Prometheus is given the file as authorization: credentials_file"
+            );
+        }
+        Ok(())
+    }
+
     /// Returns the name of the radar, if the user gave one.
     pub fn name(&self) -> Option<&str> {
         self.mqtt_name.as_deref()
@@ -94,7 +109,7 @@ impl Integrations {
     /// policy of the metrics' port, and `board` the one at work, as which the broker knows this radar.
     ///
     /// # Errors
-    /// A port cannot be opened or is not protected, or a signal cannot be caught.
+    /// A port cannot be opened, the token cannot be read, a folder cannot be written, or a signal cannot be caught.
     pub fn open(
         arguments: &Arguments,
         broker: Option<(Broker, MqttOptions)>,
@@ -186,7 +201,7 @@ fn check_prefix(prefix: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Opens the metrics' port. The network reaches it only with a token.
+/// Opens the metrics' port. The network reaches it only with a token: see [`Arguments::check_metrics`].
 fn serve_metrics(
     runtime: &Runtime,
     address: SocketAddr,
@@ -195,11 +210,6 @@ fn serve_metrics(
     reports: Option<Reports>,
 ) -> anyhow::Result<()> {
     let token = access.token()?;
-    ensure!(
-        token.is_some() || address.ip().is_loopback(),
-        "metrics on {address} are reached from the network, and say whether somebody is here\n\nhint: --token-file FILE protects \
-         them, and Prometheus is given the file as authorization: credentials_file"
-    );
     let listener = runtime.block_on(tokio::net::TcpListener::bind(address)).with_context(|| {
         format!("cannot serve metrics on {address}\n\nhint: choose another with --metrics 127.0.0.1:PORT")
     })?;
