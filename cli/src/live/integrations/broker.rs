@@ -184,6 +184,11 @@ impl Broker {
         if !is_host(host) || port == 0 {
             bail!("the broker's address holds no valid host, or port 0, or more than host and port{GRAMMAR}");
         }
+        ensure!(
+            !is_encrypted || !host.starts_with('['),
+            "the certificate of an encrypted broker cannot be verified by an IPv6 address\n\nhint: name the broker by its host name, \
+             mqtts://HOST"
+        );
         let decode = |text: &str| percent_decode_str(text).decode_utf8().map(|text| text.into_owned());
         let url_user = match login.filter(|login| !login.is_empty()).map(decode) {
             Some(Ok(user)) => Some(user),
@@ -213,13 +218,19 @@ fn tls(authorities: Option<&Path>) -> anyhow::Result<rustls::ClientConfig> {
             for certificate in CertificateDer::pem_file_iter(path).with_context(named)? {
                 roots.add(certificate.with_context(named)?).with_context(named)?;
             }
+            ensure!(
+                !roots.is_empty(),
+                "{} holds no certificate\n\nhint: --mqtt-ca names a file in PEM, which begins with -----BEGIN CERTIFICATE-----",
+                path.display()
+            );
         }
         None => {
             roots.add_parsable_certificates(rustls_native_certs::load_native_certs().certs);
+            ensure!(
+                !roots.is_empty(),
+                "this system has no certificate to trust the broker by\n\nhint: name its authority's with --mqtt-ca FILE.pem"
+            );
         }
-    }
-    if roots.is_empty() {
-        bail!("there is no certificate to trust the broker by\n\nhint: name its authority's with --mqtt-ca FILE.pem");
     }
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let builder = rustls::ClientConfig::builder_with_provider(provider).with_safe_default_protocol_versions()?;
@@ -292,6 +303,14 @@ mod tests {
         assert!(read_password(Path::new("/no/such/file")).is_err_and(|e| format!("{e:#}").contains("/no/such/file")));
     }
 
+    /// Regression test: of a file without a certificate it said to name the file, and not which was named.
+    #[test]
+    fn a_file_without_a_certificate_is_named() {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        let error = tls(Some(file.path())).expect_err("no certificate");
+        assert!(error.to_string().starts_with(&format!("{} holds no certificate", file.path().display())), "{error}");
+    }
+
     mod hard_cases {
         use proptest::prelude::*;
 
@@ -317,6 +336,9 @@ mod tests {
                 "mqtt://[hub]:1",
                 "mqtt://[::1]x:1",
                 "mqtt://a hub",
+                // The TLS library takes no address in brackets.
+                "mqtts://[::1]",
+                "mqtts://[fe80::1]:8883",
             ] {
                 let Err(error) = parse(url) else { panic!("{url} was taken") };
                 let said = format!("{error:#}");
