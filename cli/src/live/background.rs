@@ -86,8 +86,10 @@ impl Capture {
         let threshold_db = (MARGIN * most).max(LEAST_THRESHOLD_DB);
         if threshold_db > MOST_THRESHOLD_DB {
             bail!(
-                "the end of the capture shows {most:.0} dB that its beginning did not: the room was not empty, or something moves in \
-                 it that never does so twice in the same way\n\nhint: leave the room, or capture for longer"
+                "the end of the capture exceeds its beginning by {most:.0} dB, summed over the cells of a map, expected at most \
+                 {:.0} dB: the room was not empty, or something moves in it that never does so twice in the same way\n\nhint: leave the \
+                 room, or capture for longer",
+                MOST_THRESHOLD_DB / MARGIN
             );
         }
         let (frames, model_hash) = (maps.len(), judge.model_hash.clone());
