@@ -261,8 +261,10 @@ impl Place {
         let check = |found: &[LabelSpan]| match found == known {
             true => Ok(()),
             false => bail!(
-                "another program has changed the labels in {}\n\nhint: export yours, open the page anew, and import them",
-                self.name()
+                "another program has changed the labels in {}\n\nhint: export yours, end this program, and add them: radome recording \
+                 label {} --from EXPORT",
+                self.name(),
+                self.recording().display()
             ),
         };
         match self {
@@ -449,10 +451,11 @@ impl Keeper {
                 state = lock(&self.state);
             }
             let (revision, known) = (state.book.revision, state.known.clone());
+            let is_due = state.saved != revision || has_grown;
             let labels = state.book.labels(self.now_s() + self.interval_s);
             drop(state);
             // The disk may be slow, so no lock is held.
-            let written = if revision > 0 { place.write(&known, &labels) } else { Ok(known) };
+            let written = if is_due { place.write(&known, &labels) } else { Ok(known) };
             let mut state = lock(&self.state);
             match written {
                 Ok(known) => (state.saved, state.known, state.fault) = (revision, known, None),
@@ -569,6 +572,26 @@ mod tests {
     mod hard_cases {
         use super::super::super::cut_labels::tests::recorded;
         use super::*;
+
+        /// Regression test: labels that were saved were written once more at the end, and were said not to be saved if
+        /// another program had changed them since.
+        #[test]
+        fn labels_that_are_saved_are_not_written_again_at_the_end() {
+            let folder = tempfile::tempdir().expect("a folder");
+            let path = folder.path().join("night.mcap");
+            recorded(&path).finish().expect("finishes");
+            let keeper = Keeper::open(None, None, Path::new("cfar"), 0.1).expect("opens");
+            let keeper = Keeper { place: Some(Place::Mcap(path.clone())), ..keeper };
+            keeper.edit(|book, _| book.add(LabelSpan::new(0.3, 0.5, "one"))).expect("fits");
+            keeper.close();
+            keeper.keep();
+            assert_eq!(labels::of(&path).expect("labels").len(), 1);
+            let theirs = [LabelSpan::new(0.3, 0.6, "two")];
+            mcap::set_labels(&path, &theirs).expect("free");
+            keeper.keep();
+            keeper.last_word().expect("all were saved");
+            assert_eq!(labels::of(&path).expect("labels"), theirs);
+        }
 
         /// Regression test: labels of a recording that is being made could lie before its start and behind its end.
         #[test]
