@@ -70,6 +70,15 @@ pub fn is_built_in(name: &Path) -> bool {
     name == Path::new(BUILT_IN) && !name.exists()
 }
 
+fn is_cfar(name: &Path) -> bool {
+    name == Path::new(CFAR) && !name.exists()
+}
+
+/// Returns whether a name is that of a model without a file: the built-in one or the classical detector.
+pub fn is_without_file(name: &Path) -> bool {
+    is_built_in(name) || is_cfar(name)
+}
+
 /// Delays of the number of people, which suppress flicker.
 #[derive(Debug, Clone, Copy)]
 pub struct Delays {
@@ -152,7 +161,7 @@ impl Model {
     /// # Errors
     /// The file cannot be read or is no model.
     pub fn open(name: &Path) -> anyhow::Result<Self> {
-        if name == Path::new(CFAR) && !name.exists() {
+        if is_cfar(name) {
             return Ok(Model::Cfar);
         }
         if is_built_in(name) {

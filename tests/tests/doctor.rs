@@ -120,6 +120,19 @@ fn a_bundle_names_nobody_and_lists_what_it_packs() {
     assert_eq!(std::fs::read_dir(temporary.path()).expect("readable").count(), 0);
 }
 
+/// Regression test: the card of the built-in model was not packed, and its name was hidden as a path.
+#[test]
+fn the_built_in_model_is_packed_and_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let bundle = folder.path().join("report.zip");
+    json_lines(doctor().args(["--model", "room-hqnn", "--bundle"]).arg(&bundle));
+    let parts = unpacked(&bundle);
+    let card: Value = serde_json::from_slice(&parts["model.json"]).expect("JSON");
+    assert!(card["waveform"].is_object(), "{card}");
+    let checks = String::from_utf8_lossy(&parts["checks.json"]);
+    assert!(checks.contains("room-hqnn: "), "{checks}");
+}
+
 #[test]
 fn a_bundle_is_not_written_over_another_file() {
     let folder = tempfile::tempdir().expect("a folder");

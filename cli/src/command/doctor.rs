@@ -64,7 +64,7 @@ impl Arguments {
         let source = source.filter(|source| *source != "auto").map(Path::new);
         for path in [
             source,
-            self.model.as_deref(),
+            self.model.as_deref().filter(|name| !judge::is_without_file(name)),
             Some(self.record_to.as_path()),
             self.broker.mqtt_password_file.as_deref(),
             self.broker.mqtt_ca.as_deref(),

@@ -14,7 +14,7 @@ use super::check::Check;
 use super::checks::Examined;
 use super::redact::{Kind, Redactor};
 use super::wire::WireLog;
-use crate::files;
+use crate::{files, judge};
 
 const EXISTS_HINT: &str = "hint: choose another name for --bundle, or remove that file";
 
@@ -72,10 +72,18 @@ pub fn parts(
         parts.push(("registers.txt", registers.collect::<String>().into_bytes()));
         parts.push(("frames.mcap", recording(seen, redactor)?));
     }
-    if let Some(card) = model.and_then(|path| ModelCard::load(path).ok()) {
+    if let Some(card) = model.and_then(card) {
         parts.push(("model.json", redacted(&card, redactor)?));
     }
     Ok(parts)
+}
+
+/// Card of a model; `None` of the classical detector, which has none, and of a file that cannot be read.
+fn card(model: &Path) -> Option<ModelCard> {
+    if judge::is_built_in(model) {
+        return Some(judge::network(model).ok()?.card);
+    }
+    ModelCard::load(model).ok()
 }
 
 /// Writes the archive atomically, and never over another file. Only its owner may read it.
