@@ -10,9 +10,7 @@ pub const FARTHEST_M: f64 = 10_000.0;
 #[derive(Debug, Error, PartialEq)]
 pub enum MeshError {
     /// A triangle names a vertex that does not exist.
-    #[error(
-        "triangle {triangle} names vertex {vertex}, but there are {vertices}\n\nhint: the mesh's indices are damaged; export it again"
-    )]
+    #[error("triangle {triangle} names vertex {vertex}, but there are {vertices}")]
     NoSuchVertex {
         /// Index of the triangle.
         triangle: usize,
@@ -22,9 +20,7 @@ pub enum MeshError {
         vertices: usize,
     },
     /// A vertex has no valid position.
-    #[error(
-        "vertex {vertex} is at {position}, expected finite coordinates of at most {FARTHEST_M} m\n\nhint: check the unit of the mesh"
-    )]
+    #[error("vertex {vertex} is at {position}, expected finite coordinates of at most {FARTHEST_M} m")]
     NoPlace {
         /// Index of the vertex.
         vertex: usize,
@@ -55,8 +51,19 @@ impl Mesh {
     /// # Errors
     /// [`MeshError::NoSuchVertex`] and [`MeshError::NoPlace`].
     pub fn check(&self) -> Result<(), MeshError> {
-        // This form of the test rejects NaN.
-        let is_placed = |v: &DVec3| v.is_finite() && v.abs().max_element() <= FARTHEST_M;
+        self.check_within(FARTHEST_M)
+    }
+
+    /// Checks the same of a mesh whose coordinates are not yet in metres: they may have any finite value.
+    ///
+    /// # Errors
+    /// [`MeshError::NoSuchVertex`] and [`MeshError::NoPlace`].
+    pub(crate) fn check_unscaled(&self) -> Result<(), MeshError> {
+        self.check_within(f64::MAX)
+    }
+
+    fn check_within(&self, farthest: f64) -> Result<(), MeshError> {
+        let is_placed = |v: &DVec3| v.is_finite() && v.abs().max_element() <= farthest;
         if let Some((vertex, &position)) = self.vertices.iter().enumerate().find(|(_, v)| !is_placed(v)) {
             return Err(MeshError::NoPlace { vertex, position });
         }

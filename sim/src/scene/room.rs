@@ -306,15 +306,13 @@ fn import_parts(mesh: &RoomMeshFile, folder: &Path, file: &Path) -> Result<Vec<P
     if says || ["stl", "obj"].contains(&extension.as_str()) {
         named_by_spec(folder, Path::new(&mesh.file)).map_err(|e| FileError::unreadable(&e))?;
     }
-    import(file, unit, up).map_err(|e| {
-        let (place, problem) = match &e {
-            ImportError::Read { source, .. } => return FileError::unreadable(source),
-            ImportError::Content { source, .. } => ("content", source.to_string()),
-            ImportError::Format { extension, .. } => {
-                ("name", format!("it ends in {extension:?}, expected .stl, .obj, .gltf or .glb"))
-            }
-        };
-        FileError::new(place, problem, "export it again as binary STL, OBJ with triangles, or glTF")
+    import(file, unit, up).map_err(|e| match &e {
+        ImportError::Read { source, .. } => FileError::unreadable(source),
+        ImportError::Content { source, .. } => FileError::new("content", source.to_string(), source.hint()),
+        ImportError::Format { extension, .. } => {
+            let problem = format!("it ends in {extension:?}, expected .stl, .obj, .gltf or .glb");
+            FileError::new("name", problem, "export it in one of these formats")
+        }
     })
 }
 

@@ -279,7 +279,7 @@ pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Vec<Part>, Parse
         for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
             let name = node.name().unwrap_or_default().to_owned();
             let mut mesh = file.triangles(&primitive, &format!("mesh of node {name:?}"))?;
-            mesh.check()?;
+            mesh.check_unscaled()?;
             mesh.vertices.iter_mut().for_each(|v| *v = matrix.transform_point3(*v));
             // A mirroring transform reverses the winding.
             if matrix.determinant() < 0.0 {

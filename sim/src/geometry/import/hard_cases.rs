@@ -125,9 +125,9 @@ fn a_doorway_in_a_wall_of_one_face_stays_open() {
 }
 
 /// glTF document of three nodes in two scenes: a strip with a fan as its child in the default scene, and another strip in
-/// the first one. Strip and fan are a square of 1 m^2 across z. Points beside the strip are no surface.
-fn strip_and_fan() -> serde_json::Value {
-    let places: [[f32; 3]; 4] = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]];
+/// the first one. Strip and fan are a square across z with sides of this length. Points beside the strip are no surface.
+fn strip_and_fan(side: f32) -> serde_json::Value {
+    let places: [[f32; 3]; 4] = [[0.0, 0.0, 0.0], [side, 0.0, 0.0], [0.0, side, 0.0], [side, side, 0.0]];
     let mut bytes: Vec<u8> = places.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
     bytes.extend([0u16, 1, 3, 2].iter().flat_map(|i| i.to_le_bytes()));
     let data = base64::engine::general_purpose::STANDARD.encode(&bytes);
@@ -143,7 +143,7 @@ fn strip_and_fan() -> serde_json::Value {
             { "primitives": [{ "attributes": { "POSITION": 0 }, "indices": 1, "mode": 6 }] },
         ],
         "accessors": [
-            { "bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0] },
+            { "bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [side, side, 0] },
             { "bufferView": 1, "componentType": 5123, "count": 4, "type": "SCALAR" },
         ],
         "bufferViews": [
@@ -160,7 +160,7 @@ fn gltf_parts(document: &serde_json::Value) -> Vec<Part> {
 /// Strips and fans were no surface, without a word.
 #[test]
 fn strips_and_fans_of_gltf_are_surfaces() {
-    let parts = gltf_parts(&strip_and_fan());
+    let parts = gltf_parts(&strip_and_fan(1.0));
     assert_eq!(parts.len(), 2, "{parts:?}");
     for Part { name, mesh, .. } in parts {
         let areas: Vec<DVec3> = (0..mesh.triangles.len()).map(|t| mesh.area_vector(t) / 2.0).collect();
@@ -173,7 +173,7 @@ fn strips_and_fans_of_gltf_are_surfaces() {
 fn nodes_of_other_scenes_are_no_surfaces() {
     let names =
         |document: &serde_json::Value| gltf_parts(document).into_iter().map(|part| part.name).collect::<Vec<_>>();
-    let mut document = strip_and_fan();
+    let mut document = strip_and_fan(1.0);
     assert_eq!(names(&document), ["strip", "fan"]);
     document.as_object_mut().expect("an object").remove("scene");
     assert_eq!(names(&document), ["other"], "the first scene");
@@ -244,6 +244,27 @@ fn units_and_axes_are_applied_and_the_path_is_named() {
     let other = import(&folder.join("box.fbx"), LengthUnit::Metre, UpAxis::Z);
     assert!(matches!(other, Err(ImportError::Format { .. })));
     std::fs::remove_dir_all(&folder).expect("removed");
+}
+
+/// Numbers above 10000 were taken for metres, and refused, before the unit or the scale of a node applied to them.
+#[test]
+fn coordinates_are_limited_in_metres() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let corner = |name: &str, text: &str, unit| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).expect("written");
+        import(&path, unit, UpAxis::Z).map(|parts| parts[0].mesh.vertices[1])
+    };
+    let obj = "v 0 0 0\nv 12000 0 0\nv 0 12000 0\nf 1 2 3\n";
+    assert_eq!(corner("hall.obj", obj, LengthUnit::Millimetre).expect("12 m"), DVec3::X * 12.0);
+    let error = corner("hall.obj", obj, LengthUnit::Metre).expect_err("12 km").to_string();
+    assert!(error.contains("[12000, 0, 0]") && error.contains("hint: check the unit"), "{error}");
+    assert_eq!(error.matches("hint: ").count(), 1, "{error}");
+
+    let mut document = strip_and_fan(12_000.0);
+    document["nodes"][0]["scale"] = serde_json::json!([0.001, 0.001, 0.001]);
+    let scaled = corner("hall.gltf", &document.to_string(), LengthUnit::Metre).expect("12 m");
+    assert!((scaled - DVec3::X * 12.0).length() < 1e-5, "{scaled}");
 }
 
 /// Damaged or missing bytes give a result or an error, never a panic.

@@ -115,6 +115,16 @@ pub enum ParseError {
     Empty,
 }
 
+impl ParseError {
+    /// Remedy for this error.
+    pub fn hint(&self) -> &'static str {
+        match self {
+            ParseError::Mesh(MeshError::NoPlace { .. }) => "check the unit of the file's numbers",
+            _ => "export it again as binary STL, OBJ with triangles, or glTF",
+        }
+    }
+}
+
 /// Error in the import of a mesh file.
 #[derive(Debug, Error)]
 pub enum ImportError {
@@ -127,7 +137,7 @@ pub enum ImportError {
         source: std::io::Error,
     },
     /// The content is damaged.
-    #[error("{path}: {source}\n\nhint: export it again as binary STL, OBJ with triangles, or glTF")]
+    #[error("{path}: {source}\n\nhint: {}", .source.hint())]
     Content {
         /// Path of the file.
         path: PathBuf,

@@ -53,7 +53,7 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
     for model in models {
         let vertices = model.mesh.positions.as_chunks::<3>().0.iter().map(|&p| DVec3::from(p)).collect();
         let mut mesh = Mesh { vertices, triangles: Vec::new() };
-        mesh.check()?;
+        mesh.check_unscaled()?;
         mesh.triangles = if model.mesh.face_arities.is_empty() {
             model.mesh.indices.as_chunks::<3>().0.to_vec()
         } else {
