@@ -39,6 +39,10 @@ const BETWEEN_TIMES_S: f64 = 1.2;
 const BETWEEN_ARROWS: f64 = 100.0;
 /// Ways are drawn this far out of the room, m.
 const OUTSIDE_M: f64 = 0.15;
+/// Least distance between points of a line along a way, pixels, and upper limit of its sections. The time to draw a line
+/// grows with the square of the number of its sections that cross or touch.
+const LEAST_SECTION: f64 = 0.5;
+const MOST_SECTIONS: usize = 300;
 /// Bodies drawn of everybody after the first.
 const LATER: usize = 3;
 
@@ -501,11 +505,26 @@ fn is_about(view: &View, p: DVec3) -> bool {
     p.min_element() > -OUTSIDE_M && p.x < view.size_m.x + OUTSIDE_M && p.y < view.size_m.y + OUTSIDE_M
 }
 
+/// Lines along a way, as few and as short as the picture needs. Each one begins with the last section of the one before, so
+/// that the corner between them is round as well.
+fn lines_along(places: &[Pixel]) -> Vec<Vec<Pixel>> {
+    let mut kept: Vec<Pixel> = Vec::new();
+    for &[x, y] in places {
+        if kept.last().is_none_or(|[last_x, last_y]| (x - last_x).hypot(y - last_y) >= LEAST_SECTION) {
+            kept.push([x, y]);
+        }
+    }
+    let begins = (0..kept.len().saturating_sub(1)).step_by(MOST_SECTIONS);
+    begins.map(|first| kept[first.saturating_sub(1)..kept.len().min(first + MOST_SECTIONS + 1)].to_vec()).collect()
+}
+
 fn draw_way(canvas: &mut Canvas, view: &View, way: &Way) {
     for piece in way.places.split(|(_, p)| !is_about(view, *p)).filter(|piece| piece.len() > 1) {
         let places: Vec<Pixel> = piece.iter().map(|(_, p)| view.at(*p)).collect();
-        canvas.line(&places, &Line { ink: Ink::solid([255, 255, 255]).faint(0.8), width: 4.0, is_dashed: false });
-        canvas.line(&places, &Line { ink: way.ink, width: 2.0, is_dashed: false });
+        let lines = lines_along(&places);
+        let halo = Line { ink: Ink::solid([255, 255, 255]).faint(0.8), width: 4.0, is_dashed: false };
+        lines.iter().for_each(|line| canvas.line(line, &halo));
+        lines.iter().for_each(|line| canvas.line(line, &Line { ink: way.ink, width: 2.0, is_dashed: false }));
         let mut since = 0.6 * BETWEEN_ARROWS;
         for pair in places.windows(2) {
             let &[a, b] = pair else { continue };
@@ -681,6 +700,20 @@ mod tests {
         assert!(differ([3.5, 3.6], [3.6, 3.6]));
         assert!(!differ([3.5, 2.2], [3.6, 2.2]));
         assert!(differ([3.182, 1.818], [3.6, 2.2]));
+    }
+
+    /// A way of 40,000 frames was one line of 80,000 points, which took a minute to draw.
+    #[test]
+    fn long_ways_are_drawn_in_short_lines() {
+        let stands = vec![[5.0, 5.0]; 10_000];
+        let walks = (0..1000).map(|i| [5.0 + 7.0 * f64::from(i), 5.0]);
+        let lines = lines_along(&stands.into_iter().chain(walks).collect::<Vec<_>>());
+        assert_eq!(lines.iter().map(Vec::len).collect::<Vec<_>>(), [301, 302, 302, 101]);
+        for pair in lines.windows(2) {
+            assert!(pair[0].ends_with(&pair[1][..2]), "{:?}", pair[1]);
+        }
+        assert_eq!(lines.last().and_then(|line| line.last()), Some(&[5.0 + 7.0 * 999.0, 5.0]));
+        assert!(lines_along(&[[1.0, 1.0]; 7]).is_empty());
     }
 
     /// The beam ends where the pattern has lost half its power.
