@@ -12,7 +12,7 @@ use radome_sim::people::motion::Motion;
 use radome_sim::people::skin::EDGE_M;
 use radome_sim::people::walking_mesh::WalkingMesh;
 use radome_sim::scenario::Scenario;
-use radome_sim::scene_file::{BodyFile, SurfaceFile};
+use radome_sim::scene_file::{BodyFile, FurnitureFile, SurfaceFile};
 
 use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
 use super::legend::{draw_sign, legend, legend_rows};
@@ -413,9 +413,15 @@ fn draw_radar(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labe
     labels.take([at[0] - SIZE, at[1] - SIZE], [at[0] + SIZE, at[1] + SIZE]);
 }
 
+/// Furniture without the walls of meshes, which are drawn by their outlines.
+fn furniture(scene: &Scene) -> impl Iterator<Item = &FurnitureFile> {
+    let all = scene.file().furniture.iter().enumerate();
+    all.filter(|(number, _)| !scene.is_wall_of_mesh(*number)).map(|(_, furniture)| furniture)
+}
+
 fn draw_furniture(canvas: &mut Canvas, view: &View, scene: &Scene) {
     // What is nearer to who looks hides the rest a little.
-    let mut all: Vec<_> = scene.file().furniture.iter().collect();
+    let mut all: Vec<_> = furniture(scene).collect();
     let depth = if view.is_plan() { 2 } else { 1 - view.across };
     let sign = if view.is_plan() || view.across == 1 { 1.0 } else { -1.0 };
     all.sort_by(|a, b| {
@@ -441,7 +447,7 @@ fn draw_furniture(canvas: &mut Canvas, view: &View, scene: &Scene) {
 }
 
 fn label_furniture(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labels) {
-    for furniture in &scene.file().furniture {
+    for furniture in furniture(scene) {
         let low = DVec3::from_array(furniture.position_m);
         let area = view.rectangle(low, low + DVec3::from_array(furniture.size_m));
         let ([x0, y0], [x1, y1]) = (area[0], area[2]);
@@ -714,6 +720,38 @@ mod tests {
         }
         assert_eq!(lines.last().and_then(|line| line.last()), Some(&[5.0 + 7.0 * 999.0, 5.0]));
         assert!(lines_along(&[[1.0, 1.0]; 7]).is_empty());
+    }
+
+    /// Returns whether the plans of two scenes differ at a place of the room, m.
+    fn differ(scenes: [&Scene; 2], place_m: [f64; 2]) -> bool {
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        let [a, b] = scenes.map(|scene| {
+            let preview = Preview { scene, seed: 3, people: None, until_s: 0.1, paths: &[] };
+            draw(&preview, file.path()).expect("a picture");
+            let (width, pixels) = rgb_of(file.path());
+            let [plan, _] = views(scene);
+            let [x, y] = plan.at(DVec3::new(place_m[0], place_m[1], 0.0));
+            pixels[y as usize * width + x as usize]
+        });
+        a != b
+    }
+
+    /// Two walls of a file, at a right angle, were drawn as furniture on the floor between them.
+    #[test]
+    fn inner_walls_of_meshes_leave_the_floor_free() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let [text, mesh] = ["room-mesh.toml", "room-mesh.obj"]
+            .map(|name| std::fs::read_to_string(files::fixture("scenes").expect("a folder").join(name)).expect("text"));
+        let receivers = files::fixture("receivers").expect("a folder").canonicalize().expect("a path");
+        let text = text.replace("../receivers", &receivers.display().to_string());
+        let walls = "o inner\nusemtl plaster\nv -2 0 0\nv -2 0 2.6\nv 0 0 0\nv 0 0 2.6\nv 0 -2 0\nv 0 -2 2.6\n\
+                     f -6 -5 -3 -4\nf -4 -3 -1 -2\n";
+        let [without, with] = ["", walls].map(|walls| {
+            std::fs::write(folder.path().join("room-mesh.obj"), format!("{mesh}{walls}")).expect("written");
+            Scene::parse(&text, &folder.path().join("scene.toml")).expect("a scene")
+        });
+        assert!(differ([&without, &with], [3.0, 1.0]), "no wall");
+        assert!(!differ([&without, &with], [1.5, 0.5]), "the floor between the walls");
     }
 
     /// The beam ends where the pattern has lost half its power.

@@ -65,15 +65,20 @@ impl Floor {
     }
 }
 
+/// Whether a piece of furniture, by its index, is a piece of a mesh that counts as a wall.
+pub(crate) fn is_wall(scene: &Scene, number: usize) -> bool {
+    let is_of_mesh = !scene.meshes.pieces.is_empty() && number >= scene.meshes.own_furniture;
+    let is_large = |f: &FurnitureFile| f.position_m[2] + f.size_m[2] > HEAD_M && f.size_m[0].max(f.size_m[1]) > LARGE_M;
+    is_of_mesh && scene.file.furniture.get(number).is_some_and(is_large)
+}
+
 /// Obstacles that people walk around: furniture and walls.
 pub(crate) fn blocks(scene: &Scene) -> Vec<Block> {
     /// Height below which objects are no obstacles, m.
     const CARPET_M: f64 = 0.05;
-    let (has_meshes, of_meshes) = (!scene.meshes.pieces.is_empty(), scene.meshes.own_furniture);
     let in_the_way = scene.file.furniture.iter().enumerate().filter(|(number, f)| {
         let [bottom, top] = [f.position_m[2], f.position_m[2] + f.size_m[2]];
-        let is_wall = has_meshes && *number >= of_meshes && top > HEAD_M && f.size_m[0].max(f.size_m[1]) > LARGE_M;
-        bottom < HEAD_M && top > CARPET_M && !is_wall
+        bottom < HEAD_M && top > CARPET_M && !is_wall(scene, *number)
     });
     let block = |(_, f): (usize, &FurnitureFile)| {
         let ([x, y, _], [w, d, _]) = (f.position_m, f.size_m);

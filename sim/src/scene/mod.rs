@@ -343,6 +343,12 @@ impl Scene {
         &self.outlines
     }
 
+    /// Whether a piece of furniture, by its index, stands for walls within the room's meshes. Its box may hold a part of the
+    /// floor.
+    pub fn is_wall_of_mesh(&self, furniture: usize) -> bool {
+        ground::is_wall(self, furniture)
+    }
+
     /// Openings of the room's plan; none without a plan.
     pub fn openings(&self) -> Vec<Opening<'_>> {
         self.file.room.plan.as_ref().map_or_else(Vec::new, plan::openings)
