@@ -124,6 +124,18 @@ fn an_obj_room_of_solid_walls_is_what_lies_within() {
 mod hard_cases {
     use super::*;
 
+    /// Lists of paths named such surfaces by empty texts.
+    #[test]
+    fn parts_without_a_name_are_named_by_their_material_or_file() {
+        let [stl, obj, _] = rooms::room_files();
+        for ((name, unit, text), expected) in [(stl, "room plasterboard"), (obj, "plaster")] {
+            let lines = text.lines().filter(|line| !line.starts_with("o "));
+            let nameless = lines.map(|line| line.replace(" part", "") + "\n").collect();
+            let surfaces = rooms::from_file("", (name, unit, nameless));
+            assert!(surfaces.faces.iter().all(|face| face.name == expected), "{name}: {:?}", surfaces.faces);
+        }
+    }
+
     fn told(result: Result<Scene, radome_sim::SceneError>, expected: &[&str]) {
         common::assert_refused(result, &[expected, &["scene.toml:"]].concat());
     }

@@ -125,6 +125,22 @@ mod hard_cases {
         }
     }
 
+    /// Walls that meet in a T were told of as faces that lie on each other.
+    #[test]
+    fn only_faces_that_lie_on_each_other_are_told_of() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let scene = write_file(folder.path(), "scene.toml", fixture_text("scenes/room-mesh.toml"));
+        let room = fixture_text("scenes/room-mesh.obj");
+        let walls = "o inner\nusemtl plaster\nv 0 -1 0\nv 0 -1 2.6\nv 0 -1.5 0\nv 0 -1.5 2.6\nv -1 -1 0\nv -1 -1 2.6\n\
+                     v 1 -1 0\nv 1 -1 2.6\nf -8 -7 -5 -6\nf -8 -7 -3 -4\nf -8 -7 -1 -2\n";
+        let beside = "v 0.5 -1 0\nv 0.5 -1 2.6\nv 1.5 -1 0\nv 1.5 -1 2.6\nf -4 -3 -1 -2\n";
+        for (mesh, is_told) in [(format!("{room}{walls}"), false), (format!("{room}{walls}{beside}"), true)] {
+            write_file(folder.path(), "room-mesh.obj", mesh);
+            let (_, said) = success(command!("scene paths --people 0", &scene));
+            assert_eq!(said.contains("faces that lie on each other"), is_told, "{said}");
+        }
+    }
+
     /// A recording of MCAP bytes got a name by which it was taken for text.
     #[test]
     fn a_text_name_is_refused() {

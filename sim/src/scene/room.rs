@@ -155,7 +155,7 @@ fn outline(piece: &Piece, corner: DVec3) -> Outline {
 /// A part of a mesh file with its material.
 #[derive(Debug)]
 pub(super) struct Piece {
-    /// Name in the file.
+    /// Name in the file, of the part or else of its material; if it has neither, the file's name and the scene's material.
     pub name: String,
     pub surface: SurfaceFile,
     pub mesh: Mesh,
@@ -330,18 +330,22 @@ fn piece(mesh: &RoomMeshFile, file: &Path, part: Part) -> Result<Piece, FileErro
         let problem = format!("no triangle of the part {:?} has an area in this unit", part.name);
         return Err(FileError::new("mesh", problem, "check unit: the numbers may be in metres"));
     }
-    let findings = lint(&welded.mesh);
-    if findings.tangled_edges > 0 || findings.overlaps > 0 {
+    let name = [part.name, part.material.unwrap_or_default()].into_iter().find(|name| !name.is_empty());
+    let name = name.unwrap_or_else(|| {
+        let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+        format!("{stem} {material}")
+    });
+    let overlaps = lint(&welded.mesh).overlaps;
+    if overlaps > 0 {
         tracing::warn!(
             file = %file.display(),
-            part = part.name,
-            tangled_edges = findings.tangled_edges,
-            overlaps = findings.overlaps,
+            part = name,
+            overlaps,
             "the mesh meets itself: of faces that lie on each other only one counts"
         );
     }
     let surface = SurfaceFile { material: material.clone(), thickness_m: mesh.thickness_m };
-    Ok(Piece { name: part.name, surface, mesh: welded.mesh })
+    Ok(Piece { name, surface, mesh: welded.mesh })
 }
 
 /// Returns the planes along each axis, in order of position.
