@@ -173,7 +173,9 @@ impl Script<'_> {
             if blocks(self.scene).iter().any(is_within) {
                 self.tell(to, "stands at", "lies within furniture or a wall");
             }
-            if !is_first {
+            if is_first {
+                self.tell_if_outside(to, "stands at");
+            } else {
                 path = self.go(path, to, speed);
             }
         }
@@ -213,14 +215,20 @@ impl Script<'_> {
     /// Walks to a place, around obstacles, or straight through them if there is no way around.
     fn go(&self, path: MotionBuilder, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
         let way = self.ground.map_or_else(|| Some(vec![to]), |ground| ground.way_around(path.place(), to));
-        if !(0..2).all(|axis| (0.0..=self.file.room.size_m[axis]).contains(&to[axis])) {
-            if !is_meant_outside(self.file, to) {
-                self.tell(to, "goes straight to", "lies outside the room");
-            }
-        } else if way.is_none() {
+        let is_outside = self.tell_if_outside(to, "goes straight to");
+        if !is_outside && way.is_none() {
             self.tell(to, "goes straight to", "cannot be reached around walls and furniture");
         }
         along(path, way.unwrap_or_else(|| vec![to]), speed_m_per_s)
+    }
+
+    /// Says that a place lies outside the room, unless people go there on purpose. Returns whether it lies outside.
+    fn tell_if_outside(&self, place: [f64; 2], what: &str) -> bool {
+        let is_outside = !(0..2).all(|axis| (0.0..=self.file.room.size_m[axis]).contains(&place[axis]));
+        if is_outside && !is_meant_outside(self.file, place) {
+            self.tell(place, what, "lies outside the room");
+        }
+        is_outside
     }
 
     /// Says what is unusual about a place, once for the first such place of each person of a scene's file: a scene is

@@ -107,18 +107,23 @@ mod hard_cases {
 
     /// A person went through walls and furniture without a word.
     #[test]
-    fn a_goal_without_a_way_is_told_once() {
+    fn a_place_without_a_way_is_told_once() {
         let folder = tempfile::tempdir().expect("a folder");
         let text = fixture_text("scenes/corridor.toml");
         let (room, _) = text.split_once("[people.visits]").expect("a program of visits");
         let wardrobe = "[[furniture]]\nname = \"wardrobe\"\nposition_m = [6.0, 0.0, 0.0]\nsize_m = [1.0, 2.0, 2.0]\n";
         let scene = folder.path().join("scene.toml");
-        for (goals, expected) in [
-            ("{ walk_to_m = [5.0, 9.0] }, { walk_to_m = [5.0, 12.0] }", "[5.00, 9.00] m, which lies outside the room"),
-            ("{ walk_to_m = [9.0, 1.0] }", "[9.00, 1.00] m, which cannot be reached around"),
-            ("{ walk_to_m = [6.5, 1.0] }", "[6.50, 1.00] m, which lies within furniture"),
+        for (first, goals, expected) in [
+            (
+                "4.0, 1.0",
+                "{ walk_to_m = [5.0, 9.0] }, { walk_to_m = [5.0, 12.0] }",
+                "to [5.00, 9.00] m, which lies outside the room",
+            ),
+            ("4.0, 1.0", "{ walk_to_m = [9.0, 1.0] }", "to [9.00, 1.00] m, which cannot be reached around"),
+            ("4.0, 1.0", "{ walk_to_m = [6.5, 1.0] }", "at [6.50, 1.00] m, which lies within furniture"),
+            ("5.0, -9.0", "{ stand_s = 5.0 }", "at [5.00, -9.00] m, which lies outside the room"),
         ] {
-            let actor = format!("[[people.actor]]\nstep = [{{ walk_to_m = [4.0, 1.0] }}, {goals}]\n");
+            let actor = format!("[[people.actor]]\nstep = [{{ walk_to_m = [{first}] }}, {goals}]\n");
             std::fs::write(&scene, format!("{room}{wardrobe}[people]\nkeep_off_m = 0.3\n{actor}")).expect("written");
             let (_, said) = success(command!("scene simulate --frames 1", &scene));
             assert!(said.contains(expected) && said.matches("person 0").count() == 1, "{said}");
