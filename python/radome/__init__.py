@@ -13,6 +13,7 @@ read-only views: copy them to change them. Every error is a :class:`RadomeError`
 """
 
 from ._errors import (
+    ArgumentError,
     ArrayTypeError,
     ArrayValueError,
     ExistingFileError,
@@ -35,6 +36,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AdaptedModel",
     "Answer",
+    "ArgumentError",
     "ArrayTypeError",
     "ArrayValueError",
     "CLASSES",

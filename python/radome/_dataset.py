@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Callable, Dict, List, Optional, Sequence, Tuple, Type, Union
 
 from . import _radome
+from ._errors import ArgumentError
 from ._radome import Map, Waveform
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ class Dataset:
         import numpy as np
 
         if split is not None and split not in _SPLITS:
-            raise ValueError(f"split is {split!r}, expected one of {', '.join(_SPLITS)} or None")
+            raise ArgumentError(f"split is {split!r}, expected one of {', '.join(_SPLITS)} or None")
         #: Folder, absolute: it stays the same when the working directory changes.
         self.path = os.path.abspath(os.fspath(path))
         self.split = split

@@ -23,6 +23,10 @@ class RadomeError(Exception):
         return self.message if self.hint is None else f"{self.message}\nhint: {self.hint}"
 
 
+class ArgumentError(RadomeError, ValueError):
+    """An argument has a value that it cannot have."""
+
+
 class ArrayTypeError(RadomeError, TypeError):
     """An array has elements of a type that cannot be codes or angles."""
 

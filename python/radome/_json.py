@@ -6,6 +6,8 @@ import json
 import math
 from typing import Any
 
+from ._errors import ArgumentError
+
 
 def text(what: str, value: Any) -> str:
     """JSON of options. Numbers and arrays of NumPy are taken as Python's own.
@@ -23,5 +25,5 @@ def _plain(where: str, value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(where, inner) for inner in value]
     if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{where} is {value}, expected a finite number")
+        raise ArgumentError(f"{where} is {value}, expected a finite number")
     return value

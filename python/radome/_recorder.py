@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any, Dict, Optional, Type, Union
 
 from . import _radome
+from ._errors import ArgumentError
 from ._radome import Frame, Waveform
 from ._source import Gap, Label
 
@@ -34,7 +35,7 @@ class Recorder:
         """Adds a frame, a gap or a label.
 
         Sequence numbers of frames rise. Where they jump and no gap was written since the frame before, a gap with the
-        reason ``recorded`` is added. Raises :class:`ValueError` for a frame that does not come after the one before, and
+        reason ``recorded`` is added. Raises :class:`ArgumentError` for a frame that does not come after the one before, and
         for a label whose times, name or confidence cannot be; neither is written.
         """
         if isinstance(event, Frame):
@@ -51,9 +52,9 @@ class Recorder:
     def _frame(self, frame: Frame) -> None:
         last = self._last_sequence
         if last is not None and frame.sequence <= last:
-            raise ValueError(
-                f"frame {frame.sequence} comes after frame {last}: sequence numbers rise; write frames in their order, "
-                "and give Frame.from_array their sequence"
+            raise ArgumentError(
+                f"frame {frame.sequence} comes after frame {last}, but sequence numbers rise",
+                "write frames in their order, and give Frame.from_array their sequence",
             )
         if last is not None and frame.sequence > last + 1 and not self._is_gap_told:
             missing = Gap(last + 1, frame.sequence - last - 1, "recorded")
@@ -82,8 +83,8 @@ class Recorder:
 def _check_label(label: Label) -> None:
     named = f"label {label.label!r} from {label.start_s} to {label.end_s} s"
     if not label.label.strip():
-        raise ValueError(f"{named}: expected a name, such as 'empty', 'one' or 'two'")
+        raise ArgumentError(f"{named}: expected a name, such as 'empty', 'one' or 'two'")
     if not 0.0 <= label.start_s <= label.end_s < math.inf:
-        raise ValueError(f"{named}: expected finite times from 0 on, the end not before the start")
+        raise ArgumentError(f"{named}: expected finite times from 0 on, the end not before the start")
     if label.confidence is not None and not 0.0 <= label.confidence <= 1.0:
-        raise ValueError(f"{named}: confidence is {label.confidence}, expected 0 to 1")
+        raise ArgumentError(f"{named}: confidence is {label.confidence}, expected 0 to 1")

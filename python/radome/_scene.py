@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import List, Optional, Union
 
 from . import _radome
+from ._errors import ArgumentError
 
 
 @dataclass(frozen=True)
@@ -74,5 +75,6 @@ def paths(
     options = {"time_s": time_s, "seed": seed, "people": people, "person": person, "margin_db": margin_db}
     found = _radome.paths(os.fspath(scene), options)
     if person is not None and person not in found["people"]:
-        raise ValueError(f"person {person} is not there at {time_s} s; those who are: {found['people']}")
+        there = f"at that time these are there: {found['people']}" if found["people"] else "at that time nobody is there"
+        raise ArgumentError(f"person {person} is not there at {time_s} s", there)
     return Paths(**{**found, "paths": [Path(**path) for path in found["paths"]]})

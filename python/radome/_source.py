@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Dict, Iterator, List, Optional, Sequence, Tuple, Union
 
 from . import _radome
-from ._errors import RadomeError
+from ._errors import ArgumentError, RadomeError
 from ._radome import Frame, Waveform
 
 _StrPath = Union[str, "os.PathLike[str]"]
@@ -218,10 +218,10 @@ def open(  # noqa: A001 - users write radome.open
         waveform = Waveform.load(waveform)
     for name, count in (("seed", seed), ("people", people), ("frames", frames)):
         if count is not None and not 0 <= operator.index(count) < 2**64:
-            raise ValueError(f"{name} is {count}, expected 0 to 2**64 - 1")
+            raise ArgumentError(f"{name} is {count}, expected 0 to 2**64 - 1")
     for name, value in (("speed", speed), ("give_up_after_s", give_up_after_s)):
         if value is not None and not 0.0 <= value < math.inf:
-            raise ValueError(f"{name} is {value}, expected 0 or a positive number")
+            raise ArgumentError(f"{name} is {value}, expected 0 or a positive number")
     options = {
         "seed": operator.index(seed),
         "people": people,

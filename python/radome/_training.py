@@ -8,6 +8,7 @@ from typing import Any, Callable, Dict, Iterable, List, Optional, Sequence, Tupl
 
 from . import _radome
 from ._dataset import Dataset
+from ._errors import ArgumentError
 from ._radome import MapProcessor, Model
 from ._source import Gap, Label, label_of
 from ._source import open as open_source
@@ -90,9 +91,9 @@ def _whole(dataset: Union[Dataset, _StrPath]) -> "Tuple[_radome.Dataset, Dict[st
     if not isinstance(dataset, Dataset):
         return _radome.Dataset(os.fspath(dataset)), {}
     if dataset.split not in (None, "train"):
-        raise ValueError(
-            f"the dataset is the split {dataset.split!r}, and maps to learn from are those of the training split; "
-            "give radome.Dataset(path) without split"
+        raise ArgumentError(
+            f"the dataset is the split {dataset.split!r}, and maps to learn from are those of the training split",
+            "give radome.Dataset(path) without split",
         )
     return dataset._native, dataset.rule
 
@@ -100,13 +101,13 @@ def _whole(dataset: Union[Dataset, _StrPath]) -> "Tuple[_radome.Dataset, Dict[st
 def _with_rule(settings: Union[Dict[str, Any], str], rule: Dict[str, Any]) -> Dict[str, Any]:
     """Settings with the rule of a dataset as their ``split``."""
     if not isinstance(settings, dict):
-        raise ValueError(
-            f"the dataset has a rule, and {settings} has settings too; write the rule under [split] of that file and "
-            "leave it out of radome.Dataset"
+        raise ArgumentError(
+            f"the dataset has a rule, and {settings} has settings too",
+            "write the rule under [split] of that file and leave it out of radome.Dataset",
         )
     if settings.get("split", rule) != rule:
-        raise ValueError(
-            f"the dataset's rule is {rule} and the settings' split is {settings['split']}; give one of them"
+        raise ArgumentError(
+            f"the dataset's rule is {rule} and the settings' split is {settings['split']}", "give one of them"
         )
     return {**settings, "split": rule}
 
@@ -151,9 +152,9 @@ def adapt(
     if simulated is not None:
         native, rule = _whole(simulated)
         if rule:
-            raise ValueError(
-                f"the simulated dataset has the rule {rule}, and its training split is not divided by it; "
-                "give radome.Dataset(path) without rule"
+            raise ArgumentError(
+                f"the simulated dataset has the rule {rule}, and its training split is not divided by it",
+                "give radome.Dataset(path) without rule",
             )
         adapter.mix(native)
     judging = Model(os.fspath(model))

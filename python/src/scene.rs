@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use pyo3::prelude::*;
-use radome_sim::Scene;
 use radome_sim::path_list::{PathList, PathListOptions};
+use radome_sim::{Scene, Simulator};
 use serde::Deserialize;
 
 use crate::error::{detached, from_python, to_python};
@@ -32,8 +32,10 @@ pub fn paths<'py>(py: Python<'py>, scene: PathBuf, options: &Bound<'py, PyAny>) 
                 format!("time_s is {time_s}, not within a day\n\nhint: give seconds from the first frame on").into()
             );
         }
+        let scene = Scene::load(&scene)?;
+        Simulator::check_people(&scene, people)?;
         let options = PathListOptions { seed, people, person, time_s, margin_db };
-        Ok(PathList::new(&Scene::load(&scene)?, &options)?)
+        Ok(PathList::new(&scene, &options)?)
     })?;
     to_python(py, &list)
 }

@@ -349,13 +349,22 @@ class TestHardCases:
 
     def test_counts_and_people_that_cannot_be_are_named(self):
         for name, value in [("frames", -1), ("seed", -1), ("seed", 2**64), ("people", -1)]:
-            with pytest.raises(ValueError, match=f"^{name} is {value}, expected"):
+            with pytest.raises(radome.ArgumentError, match=f"^{name} is {value}, expected"):
                 radome.simulate(DESK, **{name: value})
-        with pytest.raises(ValueError, match="person 5 is not there"):
-            radome.paths(FIXTURES / "scenes" / "corridor.toml", person=5)
+        corridor = FIXTURES / "scenes" / "corridor.toml"
+        with pytest.raises(radome.ArgumentError, match="person 5 is not there") as error:
+            radome.paths(corridor, person=5)
+        assert isinstance(error.value, radome.RadomeError) and isinstance(error.value, ValueError)
+        assert error.value.hint is not None
+        # The number was ignored.
+        with pytest.raises(radome.RadomeError, match="70 people asked for"):
+            radome.paths(corridor, people=70)
 
     @pytest.mark.parametrize("value", [float("nan"), float("-inf"), np.float32("inf")])
     def test_numbers_that_are_not_finite_are_named(self, desk_frames, value):
+        for name in ("time_s", "margin_db"):
+            with pytest.raises(radome.ArgumentError, match=f"{name} is"):
+                radome.paths(FIXTURES / "scenes" / "corridor.toml", **{name: value})
         with pytest.raises(ValueError, match="tolerance_db is"):
             radome.simulate(DESK, tolerance_db=value)
         with pytest.raises(ValueError, match="sample_rate_hz is"):
