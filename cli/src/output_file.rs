@@ -170,8 +170,8 @@ fn reserve(path: &Path) -> Result<Partial, RecordingError> {
     check_free().map(|()| reserved)
 }
 
-/// Endings of models, arrays, tables and pictures, each of which stands for one format.
-const ENDINGS: [&str; 16] = [
+/// Endings of recordings, models, arrays, tables, pictures and texts, each of which stands for one format.
+const ENDINGS: [&str; 18] = [
     "csv",
     "gif",
     "h5",
@@ -180,6 +180,7 @@ const ENDINGS: [&str; 16] = [
     "jpg",
     "json",
     "mat",
+    "mcap",
     "npy",
     "npz",
     "onnx",
@@ -188,6 +189,7 @@ const ENDINGS: [&str; 16] = [
     "safetensors",
     "svg",
     "toml",
+    "txt",
 ];
 
 /// Hint on the name of a model's file.
@@ -203,6 +205,14 @@ pub fn check_ending(path: &Path, own: &[&str], hint: &str) -> anyhow::Result<()>
         wrong_use!("{}: what is written is not what .{ending} stands for\n\nhint: {hint}", path.display());
     }
     Ok(())
+}
+
+/// Fails if the name of a picture stands for another format than PNG and SVG.
+///
+/// # Errors
+/// Those of [`check_ending`].
+pub fn check_is_picture(path: &Path) -> anyhow::Result<()> {
+    check_ending(path, &["png", "svg"], "end the picture's name in .png or .svg")
 }
 
 /// Fails if the name of a new recording implies another format than MCAP.
@@ -336,7 +346,7 @@ mod tests {
         for name in ["maps.npy", "maps.NPY", "maps", "maps.dat", "/dev/null", "v1.0"] {
             check(name).expect(name);
         }
-        for name in ["maps.png", "maps.PNG", "maps.csv", "a/maps.safetensors"] {
+        for name in ["maps.png", "maps.PNG", "maps.csv", "maps.txt", "maps.mcap", "a/maps.safetensors"] {
             let said = check(name).expect_err(name).to_string();
             assert!(said.contains("hint: end its name in .npy"), "{said}");
         }

@@ -1,6 +1,8 @@
 //! Compares the list of `radome scene paths` with mirror images computed by hand.
 
-use radome_tests::{command, fails_with, failure, fixture, json_lines, subcommand, success, write_file};
+use radome_tests::{
+    command, fails_with, failure, fixture, json_lines, subcommand, success, write_file, wrong_use_with,
+};
 use serde_json::Value;
 
 /// Speed of light, m/s.
@@ -114,5 +116,21 @@ mod hard_cases {
         }
         fails_with(command!("scene paths", &scene, "--person 7"), &["person 7", "hint"]);
         fails_with(command!("scene paths", &scene, "--time inf"), &["--time"]);
+    }
+
+    /// Pictures named `.jpg` were PNG files.
+    #[test]
+    fn a_picture_has_the_format_that_its_name_says() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let scene = fixture("scenes/corridor.toml");
+        for command in ["scene paths", "scene preview"] {
+            let [jpg, svg] = ["jpg", "svg"].map(|ending| folder.path().join(command).with_extension(ending));
+            wrong_use_with(
+                subcommand(command).arg(&scene).arg("-o").arg(&jpg),
+                &["hint: end the picture's name in .png or .svg"],
+            );
+            success(subcommand(command).arg(&scene).arg("-o").arg(&svg));
+            assert!(!jpg.exists() && std::fs::read(&svg).is_ok_and(|bytes| bytes.starts_with(b"<svg ")));
+        }
     }
 }

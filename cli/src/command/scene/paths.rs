@@ -7,7 +7,7 @@ use glam::DVec3;
 use radome_sim::path_list::{ListedPath, PathKind, PathList, PathListOptions};
 use radome_sim::{Scene, Simulator};
 
-use crate::output_file::Overwrite;
+use crate::output_file::{Overwrite, check_is_picture};
 use crate::picture::scene::{DrawnPath, Preview, draw};
 use crate::source::DEFAULT_SEED;
 use crate::{files, output};
@@ -40,7 +40,7 @@ pub struct Arguments {
     /// 10
     #[arg(long, value_name = "DB", default_value_t = 10.0, allow_hyphen_values = true)]
     margin_db: f64,
-    /// PNG file to write: the paths of the first receiver, from above and from the side
+    /// Picture to write, of the paths of the first receiver from above and from the side: PNG, or SVG if its name ends in .svg
     #[arg(short, long, alias = "preview", value_name = "FILE.png")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -63,6 +63,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     if let Some(path) = &arguments.output {
         arguments.overwrite.check(path, &[&arguments.scene])?;
+        check_is_picture(path)?;
     }
     let scene = Scene::load(&arguments.scene)?;
     Simulator::check_people(&scene, arguments.people)?;

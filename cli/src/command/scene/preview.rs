@@ -7,7 +7,7 @@ use radome_sim::path_list::PathListOptions;
 use radome_sim::{Scene, Simulator};
 use serde_json::json;
 
-use crate::output_file::Overwrite;
+use crate::output_file::{Overwrite, check_is_picture};
 use crate::picture::scene::{self, Preview};
 use crate::source::DEFAULT_SEED;
 use crate::{files, output};
@@ -17,7 +17,7 @@ use crate::{files, output};
 pub struct Arguments {
     /// Scene file
     scene: PathBuf,
-    /// PNG file to write
+    /// Picture to write: PNG, or SVG if its name ends in .svg
     #[arg(short, long, value_name = "FILE.png")]
     output: PathBuf,
     #[command(flatten)]
@@ -42,6 +42,7 @@ pub struct Arguments {
 /// The scene is not valid, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.overwrite.check(&arguments.output, &[&arguments.scene])?;
+    check_is_picture(&arguments.output)?;
     let scene = Scene::load(&arguments.scene)?;
     draw(&scene, arguments.seed, arguments.people, arguments.frames, &arguments.output)?;
     report(&arguments.scene, arguments.seed, &arguments.output, arguments.json)

@@ -11,7 +11,7 @@ use serde_json::json;
 
 use super::preview;
 use crate::live::recorder::ended_after;
-use crate::output_file::{Overwrite, check_is_mcap};
+use crate::output_file::{Overwrite, check_is_mcap, check_is_picture};
 use crate::shard::Shard;
 use crate::source::DEFAULT_SEED;
 use crate::{kept, output};
@@ -74,6 +74,7 @@ impl Arguments {
 /// The scene cannot be read or simulated, the recording cannot be written, or the user interrupts.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
+    arguments.preview.iter().try_for_each(|path| check_is_picture(path))?;
     let (first, end) = arguments.range();
     let file = arguments.file();
     if let Some(output) = &file {
