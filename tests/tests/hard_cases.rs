@@ -39,8 +39,10 @@ fn maps(folder: &Path) -> (serde_json::Value, Vec<f32>) {
 #[test]
 fn targets_that_cannot_be_computed_are_told_in_the_words_of_the_options() {
     for (option, value, status, expected) in [
-        ("--azimuth-deg", "1e9", 1, "the azimuth is 1000000000 degrees"),
-        ("--elevation-deg", "91", 1, "the elevation is 91 degrees"),
+        ("--azimuth-deg", "1e9", 2, "the azimuth is 1000000000 degrees"),
+        ("--elevation-deg", "91", 2, "the elevation is 91 degrees"),
+        ("--range-m", "-1", 2, "the range is -1 m"),
+        ("--tolerance-db", "0", 2, "the tolerance is 0 dB"),
         ("--material", "foo", 2, "--material is \"foo\", expected one of pec, skin, concrete, "),
         ("--edge-m", "1", 2, "--edge-m does not belong to sphere"),
     ] {
@@ -48,6 +50,7 @@ fn targets_that_cannot_be_computed_are_told_in_the_words_of_the_options() {
         assert_eq!(ended, Some(status), "{said}");
         assert!(said.contains(expected) && !said.contains(" rad") && !said.contains("variant"), "{said}");
     }
+    wrong_use_with(subcommand("bench rcs plate --width-m 0"), &["the width is 0 m"]);
     wrong_use_with(subcommand("bench rcs teapot"), &["there is no target teapot", "hint: plate, "]);
 }
 

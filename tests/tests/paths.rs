@@ -115,7 +115,6 @@ mod hard_cases {
             assert!(said.contains("room for at most") && !picture.exists(), "{said}");
         }
         fails_with(command!("scene paths", &scene, "--person 7"), &["person 7", "hint"]);
-        fails_with(command!("scene paths", &scene, "--time inf"), &["--time"]);
     }
 
     /// Pictures named `.jpg` were PNG files.

@@ -59,6 +59,25 @@ fn errors_say_what_and_what_to_do() {
     fails_with(subcommand("recording maps /nonexistent -o /tmp/never.npy"), &["/nonexistent"]);
 }
 
+/// Values that an option cannot have ended with the status of a failure, or had the name of a key.
+#[test]
+fn wrong_values_of_options_are_wrong_use() {
+    let scene = "fixtures/scenes/corridor.toml";
+    for (command, expected) in [
+        (format!("scene simulate {scene} --tolerance-db 0"), "--tolerance-db is 0, expected 0.01 to 20 dB"),
+        (format!("scene paths {scene} --time -1"), "--time -1 is not within a day"),
+        (format!("scene paths {scene} --time inf"), "--time inf is not within a day"),
+        (format!("scene paths {scene} --margin-db nan"), "--margin-db NaN is no number"),
+        ("scene calibrate nowhere.mcap --part 0".to_owned(), "--part is 0, expected a number between 0 and 1"),
+        ("scene calibrate nowhere.mcap --part 1.5".to_owned(), "--part is 1.5, expected a number between 0 and 1"),
+        ("scene calibrate nowhere.mcap --copies 0".to_owned(), "--copies is 0, expected 1 to 10000"),
+        (format!("recording echoes {scene} --reflector 1,2"), "--reflector takes three numbers"),
+        (format!("recording echoes {scene} --reflector 0,0,0"), "--reflector 0,0,0: expected a range above 0"),
+    ] {
+        wrong_use_with(radome().args(command.split(' ')), &[expected]);
+    }
+}
+
 #[test]
 fn devices_answers_on_a_machine_without_usb() {
     json_lines(subcommand("board list --json"));

@@ -8,11 +8,11 @@ use radome_sim::em::image::Wall;
 use radome_sim::geometry::import::{LengthUnit, UpAxis, import};
 use radome_sim::geometry::{Mesh, Surface, weld};
 use radome_sim::material::{Material, SKIN_PERMITTIVITY};
-use radome_sim::validation::{Method, Outline, Polarisation, Problem, Setup, Target, known};
+use radome_sim::validation::{Method, Outline, Polarisation, Problem, RcsError, Setup, Target, known};
 use serde::Serialize;
 
 use super::point::least_ms;
-use crate::exit::wrong_use;
+use crate::exit::{WrongUse, wrong_use};
 use crate::one_of::one_of;
 use crate::output;
 
@@ -151,11 +151,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         How::Dense => Method::Dense,
     };
     let started = Instant::now();
-    let problem = Problem::new(&target, &setup, method, arguments.mesh_edge_m)?;
+    let problem = Problem::new(&target, &setup, method, arguments.mesh_edge_m).map_err(refused)?;
     let prepare_milliseconds = started.elapsed().as_secs_f64() * 1e3;
     let mut outcome = None;
     let milliseconds = least_ms(arguments.rounds.clamp(1, 10_000), || {
-        outcome = Some(problem.solve(arguments.tolerance_db)?);
+        outcome = Some(problem.solve(arguments.tolerance_db).map_err(refused)?);
         Ok(())
     })?;
     let Some(outcome) = outcome else { bail!("nothing was solved") };
@@ -182,6 +182,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         frequency_hz: setup.frequency_hz,
     };
     if arguments.json { output::json_line(&answer) } else { print(&answer) }
+}
+
+/// Converts an error of the solver. It is wrong use, unless it is about the content of a mesh file.
+fn refused(error: RcsError) -> anyhow::Error {
+    match error {
+        RcsError::Faces(_) | RcsError::Empty => error.into(),
+        of_options => WrongUse(of_options.into()).into(),
+    }
 }
 
 fn print(answer: &Answer) -> anyhow::Result<()> {

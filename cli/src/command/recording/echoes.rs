@@ -9,6 +9,7 @@ use radome_files::parse_toml;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use crate::exit::wrong_use;
 use crate::live::pipeline::{Item, Items};
 use crate::output_file::Overwrite;
 use crate::source::{self, SourceArgs};
@@ -144,12 +145,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Position of the reflector: range, azimuth and elevation.
 fn reflector(numbers: &[f64]) -> anyhow::Result<[f64; 3]> {
     let &[range_m, azimuth_deg, elevation_deg] = numbers else {
-        bail!("--reflector takes three numbers: RANGE_M,AZIMUTH_DEG,ELEVATION_DEG, such as 2.0,0,0");
+        wrong_use!("--reflector takes three numbers: RANGE_M,AZIMUTH_DEG,ELEVATION_DEG, such as 2.0,0,0");
     };
-    ensure!(
-        range_m > 0.0 && azimuth_deg.abs() <= 60.0 && elevation_deg.abs() <= 60.0,
-        "--reflector {range_m},{azimuth_deg},{elevation_deg}: expected a range above 0 and angles of at most 60 degrees"
-    );
+    if !(range_m > 0.0 && azimuth_deg.abs() <= 60.0 && elevation_deg.abs() <= 60.0) {
+        wrong_use!(
+            "--reflector {range_m},{azimuth_deg},{elevation_deg}: expected a range above 0 and angles of at most 60 degrees"
+        );
+    }
     Ok([range_m, azimuth_deg, elevation_deg])
 }
 

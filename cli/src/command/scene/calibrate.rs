@@ -11,13 +11,13 @@ mod report;
 mod sample;
 mod still;
 
-use anyhow::{bail, ensure};
 use radome_sim::receiver::Receiver;
 
 pub use self::arguments::Arguments;
 use self::copies::Copies;
 use self::measured::measure;
 use self::recordings::Recordings;
+use crate::exit::wrong_use;
 
 /// Fits a receiver to the first part of recordings, and compares simulations with and without it with the rest.
 ///
@@ -28,14 +28,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let inputs = arguments.recordings.iter().chain(&arguments.scene).chain(&arguments.base);
         arguments.overwrite.check(output, &inputs.map(std::path::PathBuf::as_path).collect::<Vec<_>>())?;
     }
-    ensure!(
-        arguments.people.is_none() || arguments.scene.is_some(),
-        "--people needs --scene: without one nobody is simulated\n\nhint: name the scene that the recordings show"
-    );
-    if !(arguments.part > 0.0 && arguments.part < 1.0) {
-        bail!("--part is {}, expected a number between 0 and 1", arguments.part);
+    if arguments.people.is_some() && arguments.scene.is_none() {
+        wrong_use!(
+            "--people needs --scene: without one nobody is simulated\n\nhint: name the scene that the recordings show"
+        );
     }
-    ensure!((1..=10_000).contains(&arguments.copies), "--copies is {}, expected 1 to 10000", arguments.copies);
+    if !(arguments.part > 0.0 && arguments.part < 1.0) {
+        wrong_use!("--part is {}, expected a number between 0 and 1", arguments.part);
+    }
+    if !(1..=10_000).contains(&arguments.copies) {
+        wrong_use!("--copies is {}, expected 1 to 10000", arguments.copies);
+    }
     let base = match &arguments.base {
         Some(path) => radome_sim::scene::load_receiver(path)?,
         None => Receiver::typical(),

@@ -7,6 +7,7 @@ use glam::DVec3;
 use radome_sim::path_list::{ListedPath, PathKind, PathList, PathListOptions};
 use radome_sim::{Scene, Simulator};
 
+use crate::exit::wrong_use;
 use crate::output_file::{Overwrite, check_is_picture};
 use crate::picture::scene::{DrawnPath, Preview, draw};
 use crate::source::DEFAULT_SEED;
@@ -56,10 +57,10 @@ pub struct Arguments {
 /// An argument or the scene is not valid, the person is not there, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if !(0.0..=PathListOptions::LATEST_S).contains(&arguments.time) {
-        bail!("--time {} is not within a day\n\nhint: seconds from the first frame on", arguments.time);
+        wrong_use!("--time {} is not within a day\n\nhint: seconds from the first frame on", arguments.time);
     }
     if !arguments.margin_db.is_finite() {
-        bail!("--margin-db {} is no number of decibels", arguments.margin_db);
+        wrong_use!("--margin-db {} is no number of decibels", arguments.margin_db);
     }
     if let Some(path) = &arguments.output {
         arguments.overwrite.check(path, &[&arguments.scene])?;

@@ -10,6 +10,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde_json::json;
 
 use super::preview;
+use crate::exit::wrong_use;
 use crate::live::recorder::ended_after;
 use crate::output_file::{Overwrite, check_is_mcap, check_is_picture};
 use crate::shard::Shard;
@@ -74,6 +75,9 @@ impl Arguments {
 /// The scene cannot be read or simulated, the recording cannot be written, or the user interrupts.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
+    if let Some(tolerance_db) = arguments.tolerance_db.filter(|db| Simulator::check_tolerance(*db).is_err()) {
+        wrong_use!("--tolerance-db is {tolerance_db}, expected 0.01 to 20 dB");
+    }
     arguments.preview.iter().try_for_each(|path| check_is_picture(path))?;
     let (first, end) = arguments.range();
     let file = arguments.file();
