@@ -382,14 +382,20 @@ mod hard_cases {
         let with = |tables: &str| plan_keys(&RECTANGLE, tables);
         told(&with("[[room.plan.wall]]\nindex = 4\nmaterial = \"wood\"\n"), "", &["index", "number of walls, 4"]);
         let opening = |from: &str, to: &str| with(&DOORWAY.replace(from, to));
-        told(&opening("wall = 0", "wall = 7"), "", &["opening is with wall = 7", "number of walls, 4"]);
+        told(&opening("wall = 0", "wall = 7"), "", &["opening is with wall = 7", "number of walls, 4 (opening 0)"]);
         told(&opening("wall = 0\n", ""), "", &["opening", "wall = an index"]);
         told(&opening("head_m = 2.0", "head_m = 2.0\nthickness_m = 0.1"), "", &["thickness_m", "pane's material"]);
         told(&opening("to_m = 3.9", "to_m = 5.3"), "", &["opening", "within 0 to 5.25 m"]);
         told(&opening("to_m = 3.9", "to_m = 2.9"), "", &["opening", "from_m and to_m"]);
         told(&opening("head_m = 2.0", "head_m = 3.0"), "", &["opening", "within 0 to 2.75 m"]);
         let second = DOORWAY.replace("from_m = 3.0", "from_m = 3.8").replace("to_m = 3.9", "to_m = 4.5");
-        told(&with(&format!("{DOORWAY}{second}")), "", &["opening", "beside the one from 3 to 3.9 m"]);
+        told(
+            &with(&format!("{DOORWAY}{second}")),
+            "",
+            &["opening", "beside the one from 3 to 3.9 m (opening 1, wall 0)"],
+        );
+        let window = WINDOW.replace("to_m = 2.5", "to_m = 9.0");
+        told(&with(&format!("{DOORWAY}{window}")), "", &["[1.0, 9.0]", "within 0 to 5.25 m (opening 1, wall 2)"]);
         let door = "door = { hinge = \"from\", open_deg = 200.0, material = \"wood\" }\n";
         told(&with(&format!("{DOORWAY}{door}")), "", &["open_deg", "-170 to 170"]);
         told(
@@ -399,6 +405,8 @@ mod hard_cases {
         );
         let partition = "[[room.plan.partition]]\nfrom_m = [3.0, 0.0]\nto_m = [3.0, 2.5]\nmaterial = \"glass\"\n";
         told(&with(&partition.replace("2.5]", "5.5]")), "", &["partition", "within the walls"]);
+        let hatch = "[[room.plan.partition.opening]]\nfrom_m = 1.0\nto_m = 2.6\nhead_m = 1.5\n";
+        told(&with(&format!("{partition}{hatch}")), "", &["within 0 to 2.5 m (opening 0, partition 0)"]);
         told(&with(&format!("{partition}height_m = 4.0\n")), "", &["height_m", "the room's"]);
         told(&with(&partition.replace("3.0", "0.5")), "", &["position_m", "1 cm or more"]);
         let l = plan(&L_SHAPE);

@@ -28,6 +28,11 @@ pub(super) struct Fault {
 }
 
 impl Fault {
+    /// Adds the name of the part of the scene whose value it is.
+    pub(super) fn of(self, part: &str) -> Self {
+        Fault { expected: format!("{} ({part})", self.expected), ..self }
+    }
+
     pub(super) fn at(self, path: &Path, text: &str) -> SceneError {
         SceneError::Value {
             path: path.to_owned(),

@@ -26,8 +26,8 @@ pub(super) fn fill(file: &mut SceneFile) -> Result<(), Fault> {
     }
     check_outline(plan)?;
     check_walls(file, plan)?;
-    for partition in &plan.partition {
-        check_partition(file, plan, partition)?;
+    for (number, partition) in plan.partition.iter().enumerate() {
+        check_partition(file, plan, number, partition)?;
     }
     let high = corners(plan).into_iter().fold(DVec2::ZERO, DVec2::max);
     let (size_m, walls) = ([high.x, high.y, plan.height_m], plan.walls.clone());
@@ -203,19 +203,20 @@ fn check_walls(file: &SceneFile, plan: &PlanFile) -> Result<(), Fault> {
     }
     within("opening", plan.opening.len() as f64, 0.0, MOST, "tables")?;
     within("partition", plan.partition.len() as f64, 0.0, MOST, "tables")?;
-    if let Some(opening) = plan.opening.iter().find(|opening| opening.wall.is_none_or(|wall| wall >= count)) {
+    let openings = || plan.opening.iter().enumerate();
+    if let Some((number, opening)) = openings().find(|(_, opening)| opening.wall.is_none_or(|wall| wall >= count)) {
         let found = opening.wall.map_or_else(|| "without wall".to_owned(), |wall| format!("with wall = {wall}"));
-        let expected = format!("wall = an index below the number of walls, {count}");
+        let expected = format!("wall = an index below the number of walls, {count} (opening {number})");
         return fault("opening", format_args!("{found}"), expected);
     }
     for (index, [from, to]) in walls(plan).into_iter().enumerate() {
-        let openings: Vec<&OpeningFile> = plan.opening.iter().filter(|opening| opening.wall == Some(index)).collect();
-        check_openings(file, &openings, from.distance(to), plan.height_m)?;
+        let own: Vec<(usize, &OpeningFile)> = openings().filter(|(_, opening)| opening.wall == Some(index)).collect();
+        check_openings(file, &own, &format!("wall {index}"), [from.distance(to), plan.height_m])?;
     }
     Ok(())
 }
 
-fn check_partition(file: &SceneFile, plan: &PlanFile, partition: &PartitionFile) -> Result<(), Fault> {
+fn check_partition(file: &SceneFile, plan: &PlanFile, number: usize, partition: &PartitionFile) -> Result<(), Fault> {
     let line = ends(partition);
     let place = (partition.from_m, partition.to_m);
     for at in partition.from_m.iter().chain(&partition.to_m) {
@@ -242,44 +243,54 @@ fn check_partition(file: &SceneFile, plan: &PlanFile, partition: &PartitionFile)
     if let Some(wall) = partition.opening.iter().find_map(|opening| opening.wall) {
         return fault("opening", format_args!("with wall = {wall}"), "no wall in a partition's own opening");
     }
-    check_openings(file, &partition.opening.iter().collect::<Vec<_>>(), length_m, height_m)
+    let own: Vec<(usize, &OpeningFile)> = partition.opening.iter().enumerate().collect();
+    check_openings(file, &own, &format!("partition {number}"), [length_m, height_m])
 }
 
-/// Checks the openings of one wall with the given length and height.
-fn check_openings(file: &SceneFile, all: &[&OpeningFile], length_m: f64, height_m: f64) -> Result<(), Fault> {
-    for (number, opening) in all.iter().enumerate() {
-        let [from, to, sill, head] = rectangle(opening);
-        let spans = [([from, to], length_m, "from_m and to_m"), ([sill, head], height_m, "sill_m and head_m")];
-        for ([low, high], most_m, keys) in spans {
-            if !(low >= 0.0 && high - low >= LEAST_LENGTH_M && high <= most_m + SAME_M) {
-                let expected = format!("{keys}, 5 cm apart or more, within 0 to {most_m} m");
-                return fault("opening", [low, high], expected);
-            }
+/// Checks the openings of a wall with the given name, length and height. Each opening has its number in the file.
+fn check_openings(file: &SceneFile, all: &[(usize, &OpeningFile)], wall: &str, size_m: [f64; 2]) -> Result<(), Fault> {
+    for (before, (number, opening)) in all.iter().enumerate() {
+        let before = all.iter().take(before).map(|(_, other)| *other);
+        check_opening(file, opening, before, size_m).map_err(|fault| fault.of(&format!("opening {number}, {wall}")))?;
+    }
+    Ok(())
+}
+
+/// Checks an opening in a wall with the given length and height, and with the openings `before` in it.
+fn check_opening<'a>(
+    file: &SceneFile,
+    opening: &OpeningFile,
+    mut before: impl Iterator<Item = &'a OpeningFile>,
+    [length_m, height_m]: [f64; 2],
+) -> Result<(), Fault> {
+    let [from, to, sill, head] = rectangle(opening);
+    let spans = [([from, to], length_m, "from_m and to_m"), ([sill, head], height_m, "sill_m and head_m")];
+    for ([low, high], most_m, keys) in spans {
+        if !(low >= 0.0 && high - low >= LEAST_LENGTH_M && high <= most_m + SAME_M) {
+            let expected = format!("{keys}, 5 cm apart or more, within 0 to {most_m} m");
+            return fault("opening", [low, high], expected);
         }
-        let meets = |other: &&&OpeningFile| {
-            let [other_from, other_to, other_sill, other_head] = rectangle(other);
-            from < other_to - SAME_M
-                && other_from < to - SAME_M
-                && sill < other_head - SAME_M
-                && other_sill < head - SAME_M
-        };
-        if let Some(other) = all.iter().take(number).find(meets) {
-            let expected = format!("an opening beside the one from {} to {} m", other.from_m, other.to_m);
-            return fault("opening", [from, to], expected);
-        }
-        if opening.material.is_some() && opening.door.is_some() {
-            return fault("opening", "a pane and a door", "material or door");
-        }
-        if opening.thickness_m.is_some() && opening.material.is_none() {
-            return fault("thickness_m", "given", "none without a pane's material: a door has its own");
-        }
-        within("thickness_m", opening.pane_thickness_m(), 0.0, 10.0, "m")?;
-        opening.material.iter().try_for_each(|material| check_material(file, "material", material))?;
-        if let Some(door) = &opening.door {
-            within("open_deg", door.open_deg, -170.0, 170.0, "degrees")?;
-            within("thickness_m", door.thickness_m, 0.0, 10.0, "m")?;
-            check_material(file, "material", &door.material)?;
-        }
+    }
+    let meets = |other: &&OpeningFile| {
+        let [other_from, other_to, other_sill, other_head] = rectangle(other);
+        from < other_to - SAME_M && other_from < to - SAME_M && sill < other_head - SAME_M && other_sill < head - SAME_M
+    };
+    if let Some(other) = before.find(meets) {
+        let expected = format!("an opening beside the one from {} to {} m", other.from_m, other.to_m);
+        return fault("opening", [from, to], expected);
+    }
+    if opening.material.is_some() && opening.door.is_some() {
+        return fault("opening", "a pane and a door", "material or door");
+    }
+    if opening.thickness_m.is_some() && opening.material.is_none() {
+        return fault("thickness_m", "given", "none without a pane's material: a door has its own");
+    }
+    within("thickness_m", opening.pane_thickness_m(), 0.0, 10.0, "m")?;
+    opening.material.iter().try_for_each(|material| check_material(file, "material", material))?;
+    if let Some(door) = &opening.door {
+        within("open_deg", door.open_deg, -170.0, 170.0, "degrees")?;
+        within("thickness_m", door.thickness_m, 0.0, 10.0, "m")?;
+        check_material(file, "material", &door.material)?;
     }
     Ok(())
 }
