@@ -160,7 +160,7 @@ mod hard_cases {
     #[test]
     fn programs_must_be_one_and_complete() {
         for (people, expected) in [
-            ("[people]\n", "exactly one"),
+            ("[people]\n", "[people.desk]\n\nhint: a scene has people, and --people 0 leaves them out"),
             ("[people.desk]\n[people.visits]\n", "exactly one"),
             ("[people.visits]\n", "door"),
             ("[people]\nactor = [{ step = [{ stand_s = 1.0 }] }]\n", "walk_to_m"),

@@ -361,7 +361,8 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
     let programs = programs.into_iter().filter(|&is_given| is_given).count();
     if programs != 1 {
         let expected = "exactly one of [[people.actor]], [people.visits], [people.wander], [people.desk]";
-        return fault("people", programs, expected);
+        let hint = "\n\nhint: a scene has people, and --people 0 leaves them out";
+        return fault("people", programs, format!("{expected}{}", if programs == 0 { hint } else { "" }));
     }
     within("turn_rate_deg_per_s", people.turn_rate_deg_per_s.unwrap_or(120.0), 10.0, 720.0, "degrees/s")?;
     within("keep_off_m", people.keep_off_m.unwrap_or(0.3), 0.0, 2.0, "m")?;
