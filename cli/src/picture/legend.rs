@@ -1,9 +1,11 @@
 //! Legend of the picture of a scene: symbols and their names.
 
+use std::collections::BTreeMap;
+
 use radome_sim::Scene;
 
 use super::canvas::{Canvas, Ink, Letters, Line, Pixel};
-use super::palette::{BEAM, GREY, INK, LEFT, PEOPLE, UNSAID, material_ink, ring};
+use super::palette::{BEAM, GREY, INK, LEFT, UNSAID, material_ink, person_ink, ring};
 
 /// Symbol in the legend.
 pub(super) enum Sign {
@@ -15,8 +17,8 @@ pub(super) enum Sign {
     Rest,
 }
 
-/// Symbols of a picture with their names. `people` has the colour and the height, m, of each person.
-pub(super) fn legend(scene: &Scene, people: &[(Ink, f64)]) -> Vec<(Sign, String)> {
+/// Symbols of a picture with their names. `people` has slot and height, m, of each person; visitors share slots.
+pub(super) fn legend(scene: &Scene, people: &[(usize, f64)]) -> Vec<(Sign, String)> {
     let file = scene.file();
     let room = &file.room;
     let walls = [&room.x_low, &room.x_high, &room.y_low, &room.y_high, &room.floor, &room.ceiling];
@@ -36,8 +38,15 @@ pub(super) fn legend(scene: &Scene, people: &[(Ink, f64)]) -> Vec<(Sign, String)
     if !(file.seat.is_empty() && file.bed.is_empty()) {
         all.push((Sign::Rest, "place to sit or lie".to_owned()));
     }
-    for (number, (ink, height_m)) in people.iter().enumerate().take(PEOPLE.len()) {
-        all.push((Sign::Way(*ink), format!("person {}, {height_m:.2} m tall", number + 1)));
+    let mut heights_m: BTreeMap<usize, [f64; 2]> = BTreeMap::new();
+    for &(slot, height_m) in people {
+        let [least, most] = heights_m.entry(slot).or_insert([height_m; 2]);
+        (*least, *most) = (least.min(height_m), most.max(height_m));
+    }
+    for (slot, heights_m) in heights_m {
+        let [least, most] = heights_m.map(|height_m| format!("{height_m:.2}"));
+        let tall = if least == most { most } else { format!("{least} to {most}") };
+        all.push((Sign::Way(person_ink(slot)), format!("person {slot}, {tall} m tall")));
     }
     all
 }
@@ -85,5 +94,21 @@ pub(super) fn draw_sign(canvas: &mut Canvas, [x, y]: Pixel, sign: &Sign) {
             canvas.around(&[ring([x + 6.0, y + 8.0], 4.0)], &line(INK, 1.6, false));
             canvas.line(&[[x + 6.0, y + 8.0], [x + 20.0, y + 8.0]], &line(INK, 1.6, false));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::files;
+
+    /// Numbers were those of arrival and not those of `scene paths`, and the fifth person had none.
+    #[test]
+    fn people_have_their_slots_as_numbers() {
+        let scene = Scene::load(&files::fixture("scenes/corridor.toml").expect("a fixture")).expect("a scene");
+        let people = [(5, 1.8), (2, 1.75), (0, 1.8), (1, 1.7), (0, 1.624), (3, 1.5)];
+        let names: Vec<String> = legend(&scene, &people).into_iter().map(|(_, name)| name).collect();
+        let expected = ["0, 1.62 to 1.80", "1, 1.70", "2, 1.75", "3, 1.50", "5, 1.80"];
+        assert!(names.ends_with(&expected.map(|person| format!("person {person} m tall"))), "{names:?}");
     }
 }

@@ -11,9 +11,17 @@ pub(super) const INK: Ink = Ink::solid([40, 44, 52]);
 pub(super) const GREY: Ink = Ink::solid([120, 126, 136]);
 /// Colour of the radar and its beam.
 pub(super) const BEAM: Ink = Ink::solid([240, 180, 30]);
-/// Colours of people, in turn.
-pub(super) const PEOPLE: [Ink; 4] =
-    [Ink::solid([31, 90, 180]), Ink::solid([196, 58, 58]), Ink::solid([34, 128, 84]), Ink::solid([132, 70, 160])];
+/// Colours of people, by their slots.
+const PEOPLE: [Ink; 8] = [
+    Ink::solid([31, 90, 180]),
+    Ink::solid([196, 58, 58]),
+    Ink::solid([34, 128, 84]),
+    Ink::solid([132, 70, 160]),
+    Ink::solid([0, 140, 160]),
+    Ink::solid([170, 100, 20]),
+    Ink::solid([214, 96, 160]),
+    Ink::solid([110, 125, 30]),
+];
 /// Colours of paths that people affect, and of other paths.
 pub(super) const MOVING: Ink = Ink::solid([200, 30, 90]);
 pub(super) const STATIC: Ink = Ink::solid([60, 70, 90]);
@@ -50,6 +58,11 @@ pub(super) fn material_ink(scene: &Scene, material: &str) -> Ink {
     }
     let own = scene.file().materials.keys().position(|name| name == material).unwrap_or(0);
     Ink::solid(OWN[own % OWN.len()])
+}
+
+/// Colour of the person with this slot.
+pub(super) fn person_ink(slot: usize) -> Ink {
+    PEOPLE[slot % PEOPLE.len()]
 }
 
 /// Approximates a circle by a polygon, pixels.

@@ -16,7 +16,7 @@ use radome_sim::scene_file::{BodyFile, FurnitureFile, SurfaceFile};
 
 use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
 use super::legend::{draw_sign, legend, legend_rows};
-use super::palette::{BEAM, GREY, INK, LEFT, MOVING, PEOPLE, STATIC, UNSAID, material_ink, ring};
+use super::palette::{BEAM, GREY, INK, LEFT, MOVING, STATIC, UNSAID, material_ink, person_ink, ring};
 use super::theme::Theme;
 
 /// Room below each view, above it, and to the right of it, pixels; below there are numbers and the axis's name.
@@ -111,6 +111,8 @@ impl View {
 
 /// Somebody's way while they are there.
 struct Way {
+    /// Number of the person, as in lists of paths.
+    slot: usize,
     motion: Arc<Motion>,
     ink: Ink,
     /// Times, s, and places of the hips.
@@ -127,7 +129,7 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     let scene = preview.scene;
     let views = views(scene);
     let ways = ways(preview);
-    let people: Vec<(Ink, f64)> = ways.iter().map(|way| (way.ink, way.motion.person.build.height_m)).collect();
+    let people: Vec<(usize, f64)> = ways.iter().map(|way| (way.slot, way.motion.person.build.height_m)).collect();
     let legend = legend(scene, &people);
     let [right, below] = [0, 1].map(|axis| views.iter().map(|view| view.frame()[1][axis]).fold(0.0, f64::max));
     let width = (right + RIGHT).max(900.0);
@@ -206,15 +208,15 @@ fn ways(preview: &Preview) -> Vec<Way> {
     let program = Scenario::new(preview.scene, preview.seed, preview.people);
     let mut all = program.between(0.0, preview.until_s);
     all.sort_by(|a, b| a.1.start_s.total_cmp(&b.1.start_s).then(a.0.cmp(&b.0)));
-    let one = |(number, (_, motion)): (usize, (usize, Arc<Motion>))| {
+    let one = |(slot, motion): (usize, Arc<Motion>)| {
         let (begin, end) = (motion.start_s.max(0.0), motion.end_s.min(preview.until_s));
         let steps = ((end - begin) / STEP_S).ceil().max(1.0) as usize;
         let at = |i: usize| begin + (end - begin) * i as f64 / steps as f64;
         let places: Vec<(f64, DVec3)> = (0..=steps).map(|i| (at(i), motion.body(at(i))[PELVIS].centre)).collect();
         let bodies = body_times(preview.scene, &places);
-        Way { motion, ink: PEOPLE[number % PEOPLE.len()], places, bodies }
+        Way { slot, motion, ink: person_ink(slot), places, bodies }
     };
-    all.into_iter().enumerate().map(one).collect()
+    all.into_iter().map(one).collect()
 }
 
 /// Time at which somebody is first in the room, and a few later ones at which they are elsewhere or in another posture.
