@@ -121,7 +121,7 @@ def test_paths_lie_on_their_lengths():
     for path in found:
         corners = np.array(path.points_m)
         length_m = np.linalg.norm(np.diff(corners, axis=0), axis=1).sum()
-        assert length_m == pytest.approx(path.length_m, abs=0.02)
+        assert length_m == pytest.approx(path.length_m, abs=1e-6)
         assert path.delay_s == pytest.approx(path.length_m / 299_792_458.0, rel=1e-12)
 
 

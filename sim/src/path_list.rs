@@ -225,23 +225,23 @@ impl Lister<'_> {
             for (i, &(_, cycles_per_sample, amplitude)) in path.tones.iter().enumerate() {
                 let beat_hz = cycles_per_sample * self.prepared.chirp.sample_rate_hz;
                 let Some(field) = self.field(i, amplitude, beat_hz) else { continue };
+                let polyline = path.by.map(|by| self.polyline_by(by, i)).unwrap_or_default();
+                // A wall may end between the receivers. Then the path has its names, and no corners.
+                let named = if polyline.is_empty() { &path.polyline } else { &polyline };
                 out.push(ListedPath {
                     kind: PathKind::Furniture,
-                    surfaces: self.names(&path.polyline, Some("object")),
-                    points_m: self.points_m(&path.polyline, i),
+                    surfaces: self.names(named, Some("object")),
+                    points_m: polyline.iter().map(DVec3::to_array).collect(),
                     ..self.listed(i, field * shade, beat_hz / self.prepared.chirp.slope_hz_per_s, 0.0)
                 });
             }
         }
     }
 
-    /// Corners of a path by way of a point, m. Its polyline ends at the transmitter, millimetres beside the receivers.
-    fn points_m(&self, polyline: &[DVec3], rx: usize) -> Vec<[f64; 3]> {
-        let mut points_m: Vec<[f64; 3]> = polyline.iter().map(DVec3::to_array).collect();
-        if let (Some(end), Some(receiver)) = (points_m.last_mut(), self.prepared.rx.get(rx)) {
-            *end = receiver.position.to_array();
-        }
-        points_m
+    /// Corners of the path to a receiver by way of a point and a pair of images; empty where there is none.
+    fn polyline_by(&self, (point, p, q): (DVec3, ImageIndex, ImageIndex), rx: usize) -> Vec<DVec3> {
+        let receiver = self.prepared.rx.get(rx);
+        receiver.map(|rx| self.prepared.point_polyline(point, p, q, rx.position)).unwrap_or_default()
     }
 
     /// Names of the surfaces that a path meets between its ends. On a path by way of furniture a corner may also lie on
@@ -292,7 +292,7 @@ impl Lister<'_> {
         for (path, keys) in keys.chunks(receivers).enumerate() {
             let segment = path % SEGMENTS;
             let pair = pairs.get(path / SEGMENTS).copied();
-            let polyline = pair.and_then(|pair| self.polyline(people.get(me)?, segment, pair)).unwrap_or_default();
+            let by = pair.and_then(|(p, q)| Some((self.specular_point(people.get(me)?, segment, (p, q))?, p, q)));
             let body = match pair {
                 Some(_) => format!("person {slot} {}", SEGMENT_NAMES[segment]),
                 None => format!("person {slot} at desk"),
@@ -303,23 +303,23 @@ impl Lister<'_> {
                 if key.amplitude.norm() <= self.prepared.threshold_lsb {
                     continue;
                 }
+                let polyline = by.map(|by| self.polyline_by(by, i)).unwrap_or_default();
                 out.push(ListedPath {
                     kind: PathKind::Person,
                     surfaces: self.names_by_body(&polyline, pair, &body),
                     person: Some(slot),
-                    points_m: self.points_m(&polyline, i),
+                    points_m: polyline.iter().map(DVec3::to_array).collect(),
                     ..self.listed(i, field, key.delay_s, key.delay_rate)
                 });
             }
         }
     }
 
-    /// Corners of the path by the specular point of a body segment.
-    fn polyline(&self, own: &Snapshot, segment: usize, (p, q): (ImageIndex, ImageIndex)) -> Option<Vec<DVec3>> {
+    /// Specular point of a body segment for the first receiver, which frames use for all receivers.
+    fn specular_point(&self, own: &Snapshot, segment: usize, (p, q): (ImageIndex, ImageIndex)) -> Option<DVec3> {
         let source = self.prepared.room.image_position(p, self.prepared.tx.position);
         let sink = self.prepared.room.image_position(q, self.prepared.rx.first()?.position);
-        let specular_point = own.body.get(segment)?.specular_point(source, sink, None)?;
-        Some(self.prepared.point_polyline(specular_point.point, p, q))
+        Some(own.body.get(segment)?.specular_point(source, sink, None)?.point)
     }
 
     /// Names of the walls before the body, the body, and the walls behind it.
@@ -388,6 +388,29 @@ mod tests {
                 assert!(ends[0].distance(tx.position) < 1e-9 && ends[1].distance(receiver) < 1e-9, "{path:?}");
             }
         }
+    }
+
+    /// Corners between a body or furniture and a receiver were those of the way to the transmitter.
+    #[test]
+    fn walls_reflect_listed_paths_as_mirrors() {
+        let options = PathListOptions { seed: 5, people: Some(1), time_s: 6.0, margin_db: 40.0, ..Default::default() };
+        let list = PathList::new(&corridor(), &options).expect("a list");
+        let mut checked = [0; 3];
+        for path in &list.paths {
+            for (corners, name) in path.points_m.windows(3).zip(&path.surfaces) {
+                let walls = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"];
+                let Some(wall) = walls.iter().position(|wall| wall == name) else { continue };
+                let [from, at, to] = [0, 1, 2].map(|i| DVec3::from_array(corners[i]));
+                let mut mirrored = (at - from).normalize_or_zero();
+                mirrored[wall / 2] *= -1.0;
+                // Corners on an edge of the room turn twice at once.
+                if at.distance(from).min(at.distance(to)) > 1e-3 {
+                    assert!(mirrored.distance((to - at).normalize()) < 1e-9, "{name}: {path:?}");
+                    checked[path.kind as usize] += 1;
+                }
+            }
+        }
+        assert!(checked.iter().all(|count| *count > 10), "{checked:?}");
     }
 
     #[test]

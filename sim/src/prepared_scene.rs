@@ -24,8 +24,12 @@ use crate::scene_file::FurnitureFile;
 pub struct StaticPath {
     /// For each receiver: phase at the middle of a chirp (cycles), cycles per sample, amplitude at the ADC (LSB).
     pub tones: Vec<(f64, f64, Complex64)>,
-    /// Corners of the path, radar to radar, for diffraction by people.
+    /// Corners of the path, radar to radar, for diffraction by people. A path by way of furniture ends at the transmitter: the
+    /// receivers are millimetres beside it.
     pub polyline: Vec<DVec3>,
+    /// Point of furniture and the pair of images (transmitter, receiver) by which the path meets it; `None` for a reflection
+    /// of walls alone.
+    pub by: Option<(DVec3, ImageIndex, ImageIndex)>,
     /// Phases of the path's slow drift, rad.
     pub drift: [f64; 3],
 }
@@ -186,10 +190,15 @@ impl PreparedScene {
 
     /// Keeps a path that is strong enough at the first receiver. The receivers are so close together that the first
     /// represents all. The choice and every draw are then independent of the other enabled receivers.
-    fn keep(&mut self, tones: Vec<(f64, f64, Complex64)>, polyline: impl FnOnce(&Self) -> Vec<DVec3>) {
+    fn keep(
+        &mut self,
+        tones: Vec<(f64, f64, Complex64)>,
+        by: Option<(DVec3, ImageIndex, ImageIndex)>,
+        polyline: impl FnOnce(&Self) -> Vec<DVec3>,
+    ) {
         if tones.first().is_some_and(|t| t.2.norm() > self.threshold_lsb) {
             let polyline = polyline(self);
-            self.static_paths.push(StaticPath { tones, polyline, drift: [0.0; 3] });
+            self.static_paths.push(StaticPath { tones, polyline, by, drift: [0.0; 3] });
         }
     }
 
@@ -202,7 +211,7 @@ impl PreparedScene {
             };
             let tones = self.rx.iter().enumerate().map(tone).collect();
             let end = self.rx.first().map_or(self.tx.position, |rx| rx.position);
-            self.keep(tones, |prepared| prepared.room.polyline(index, prepared.tx.position, end));
+            self.keep(tones, None, |prepared| prepared.room.polyline(index, prepared.tx.position, end));
         }
     }
 
@@ -231,10 +240,11 @@ impl PreparedScene {
             .collect()
     }
 
-    /// Corners of the path from the radar to a point and back by a pair of images, folded into the room.
-    pub(crate) fn point_polyline(&self, point: DVec3, p: ImageIndex, q: ImageIndex) -> Vec<DVec3> {
+    /// Corners of the path from the transmitter to a point and on to an end by a pair of images, folded into the room. Empty
+    /// where there is no such path.
+    pub(crate) fn point_polyline(&self, point: DVec3, p: ImageIndex, q: ImageIndex, end: DVec3) -> Vec<DVec3> {
         let mut polyline = self.room.polyline(p, self.tx.position, point);
-        let mut back = self.room.polyline(q, self.tx.position, point);
+        let mut back = self.room.polyline(q, end, point);
         if polyline.is_empty() || back.is_empty() {
             return Vec::new();
         }
@@ -247,7 +257,8 @@ impl PreparedScene {
         for (p, q) in self.pairs_near(point, 0.0).into_owned() {
             let echoes = self.point_echoes(point, cross_section_m2, phase, p, q);
             let tones = echoes.iter().enumerate().map(|(i, e)| self.static_tone(i, e.amplitude, e.length_m)).collect();
-            self.keep(tones, |prepared| prepared.point_polyline(point, p, q));
+            let by = Some((point, p, q));
+            self.keep(tones, by, |prepared| prepared.point_polyline(point, p, q, prepared.tx.position));
         }
     }
 

@@ -216,7 +216,8 @@ impl Reflector {
                 .collect();
             // The first receiver represents all, as for static paths.
             if receivers.first().is_some_and(|(.., amplitude)| amplitude.norm() > HEARD * prepared.threshold_lsb) {
-                paths.push(SwayPath { receivers, polyline: prepared.point_polyline(point, p, q) });
+                let polyline = prepared.point_polyline(point, p, q, prepared.tx.position);
+                paths.push(SwayPath { receivers, polyline });
             }
         }
         Reflector { motion, paths }

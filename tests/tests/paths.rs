@@ -83,9 +83,7 @@ fn paths_by_somebody_are_as_long_as_their_corners_are_apart() {
     for path in paths {
         assert_eq!(path["person"], 0);
         let apart: f64 = corners(path).windows(2).map(|w| distance(w[0], w[1])).sum();
-        // The corners are those of the first receiver and end at the transmitter, from which the receivers are at most
-        // 2 cm away.
-        assert!((number(&path["length_m"]) - apart).abs() < 0.03, "{path}: {apart}");
+        assert!((number(&path["length_m"]) - apart).abs() < 1e-6, "{path}: {apart}");
     }
     let direct = paths.iter().filter(|path| path["surfaces"] == serde_json::json!(["person 0 chest"]));
     let lengths: Vec<f64> = direct.map(|path| number(&path["length_m"])).collect();
