@@ -418,7 +418,7 @@ fn draw_radar(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labe
 /// Furniture without the walls of meshes, which are drawn by their outlines.
 fn furniture(scene: &Scene) -> impl Iterator<Item = &FurnitureFile> {
     let all = scene.file().furniture.iter().enumerate();
-    all.filter(|(number, _)| !scene.is_wall_of_mesh(*number)).map(|(_, furniture)| furniture)
+    all.filter(move |(number, _)| !scene.is_wall_of_mesh(*number)).map(|(_, furniture)| furniture)
 }
 
 fn draw_furniture(canvas: &mut Canvas, view: &View, scene: &Scene) {

@@ -24,7 +24,7 @@ pub struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Picture of one map to write
+    /// Picture of one map to write: PNG, or SVG if its name ends in .svg
     #[arg(long, value_name = "FILE.png")]
     png: Option<PathBuf>,
     /// Frame of the picture; the last by default
