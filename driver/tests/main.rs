@@ -15,6 +15,7 @@ mod player;
 mod recording_formats;
 mod recordings;
 mod repair;
+mod rewritten;
 mod seek;
 mod staying_alive;
 mod transcripts;

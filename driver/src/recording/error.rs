@@ -50,6 +50,12 @@ pub enum RecordingError {
     /// The content breaks the format's rules.
     #[error("{path}: at byte {offset}: {reason}")]
     Corrupt { path: PathBuf, offset: u64, reason: String },
+    /// A chunk is compressed in a way that is not supported.
+    #[error(
+        "{path}: at byte {offset}: a chunk is compressed with lz4, expected zstd or none\n\nhint: write the file again with zstd, such as \
+         with `mcap compress --compression zstd`"
+    )]
+    Compression { path: PathBuf, offset: u64 },
     /// A field of a JSON file is absent or of the wrong kind.
     #[error("{path}: field `{field}`: {reason}")]
     Field { path: PathBuf, field: String, reason: String },

@@ -9,6 +9,8 @@ use mcap::records::{ChunkIndex, MessageHeader, Statistics, op};
 /// Compression level of chunks: fast enough for the frames of a board.
 const COMPRESSION_LEVEL: i32 = 1;
 const COMPRESSION: &str = "zstd";
+/// Length of the body of a footer: two offsets and a CRC.
+pub(super) const FOOTER_BODY_BYTES: u64 = 20;
 
 /// Appends a record.
 pub(super) fn record(out: &mut Vec<u8>, opcode: u8, body: &[u8]) {
@@ -201,7 +203,7 @@ impl Chunk {
     }
 }
 
-/// Layout of a summary: positions of its records, kind by kind. It holds no record itself.
+/// Layout of a summary: positions of its records, kind by kind, and their CRC. It holds no record itself.
 pub(super) struct SummaryLayout {
     /// Offset of the first record in the file.
     start: u64,
@@ -209,23 +211,26 @@ pub(super) struct SummaryLayout {
     end: u64,
     /// Opcode, offset and length of the records of each kind.
     groups: Vec<(u8, u64, u64)>,
+    crc: Hasher,
 }
 
 impl SummaryLayout {
     /// Creates the layout of a summary whose first record has this offset in the file.
     pub fn new(start: u64) -> Self {
-        SummaryLayout { start, end: start, groups: Vec::new() }
+        SummaryLayout { start, end: start, groups: Vec::new(), crc: Hasher::new() }
     }
 
     /// Appends a record to `out`, which ends where the summary ends so far.
     pub fn record(&mut self, out: &mut Vec<u8>, opcode: u8, body: &[u8]) {
         let before = out.len();
         record(out, opcode, body);
-        self.add(opcode, (out.len() - before) as u64);
+        self.add(opcode, out.get(before..).unwrap_or(&[]));
     }
 
-    /// Counts records of a kind that the caller writes itself, `length` bytes.
-    pub fn add(&mut self, opcode: u8, length: u64) {
+    /// Counts bytes of records of a kind that the caller writes itself.
+    pub fn add(&mut self, opcode: u8, records: &[u8]) {
+        let length = records.len() as u64;
+        self.crc.update(records);
         match self.groups.last_mut().filter(|group| group.0 == opcode) {
             Some(group) => group.2 += length,
             None => self.groups.push((opcode, self.end, length)),
@@ -233,16 +238,22 @@ impl SummaryLayout {
         self.end += length;
     }
 
-    /// Appends the offsets of the kinds to `out`. Returns the end of the file: the footer, without a CRC of the
-    /// summary, and the magic.
+    /// Appends the offsets of the kinds to `out`. Returns the end of the file: the footer and the magic.
     pub fn finish(self, out: &mut Vec<u8>) -> Vec<u8> {
-        for (opcode, start, length) in self.groups {
+        let SummaryLayout { start, end, groups, mut crc } = self;
+        let before = out.len();
+        for (opcode, start, length) in groups {
             let body = [&[opcode][..], &start.to_le_bytes(), &length.to_le_bytes()].concat();
             record(out, op::SUMMARY_OFFSET, &body);
         }
-        let mut footer = Vec::new();
-        let body = [&self.start.to_le_bytes()[..], &self.end.to_le_bytes(), &[0; 4]].concat();
-        record(&mut footer, op::FOOTER, &body);
+        crc.update(out.get(before..).unwrap_or(&[]));
+        // The CRC covers the footer too, up to the CRC itself.
+        let mut footer = vec![op::FOOTER];
+        footer.extend(FOOTER_BODY_BYTES.to_le_bytes());
+        footer.extend(start.to_le_bytes());
+        footer.extend(end.to_le_bytes());
+        crc.update(&footer);
+        footer.extend(crc.finalize().to_le_bytes());
         footer.extend_from_slice(mcap::MAGIC);
         footer
     }

@@ -1,20 +1,24 @@
 //! Positions of the chunks: from the summary at the end of a finished file, else from a scan of all records.
 
-use std::collections::BTreeMap;
-
+use crc32fast::Hasher;
 use mcap::records::{Record, op};
 
+use super::encode::FOOTER_BODY_BYTES;
 use super::lengths::parse_record;
-use super::records::{Next, RECORD_HEADER, Records, Topic, read_chunk};
+use super::records::{
+    Channels, Next, RECORD_HEADER, Records, Topic, holds_messages, messages_in, readable_messages_at, topic,
+};
 use crate::recording::{Position, RecordingError, warn_once};
 
 /// Chunks at the end of a file that may not have reached the disk: seconds of frames.
 const UNSYNCED_CHUNKS: usize = 8;
 
 /// Footer record and magic: the end of every finished file.
-pub(super) const FOOTER: u64 = RECORD_HEADER + 20 + 8;
+pub(super) const FOOTER: u64 = RECORD_HEADER + FOOTER_BODY_BYTES + 8;
+/// CRC and magic: the part of a footer that the CRC does not cover.
+const BEHIND_CRC_START: u64 = 4 + 8;
 
-/// Chunk of a recording.
+/// Chunk of a recording, or a message that another program has written without a chunk.
 #[derive(Debug)]
 pub(super) struct Chunk {
     pub offset: u64,
@@ -30,6 +34,16 @@ pub(super) struct Chunk {
 impl Chunk {
     fn new(offset: u64) -> Self {
         Chunk { offset, has_labels: false, has_results: false, frames: 0, gaps: 0, first: None }
+    }
+
+    /// Counts messages of a channel.
+    fn count(&mut self, topic: Topic, messages: u64) {
+        match topic {
+            Topic::Frame => self.frames += messages,
+            Topic::Gap => self.gaps += messages,
+            Topic::Label => self.has_labels = true,
+            Topic::Result => self.has_results = true,
+        }
     }
 }
 
@@ -50,8 +64,8 @@ impl Index {
         self.chunks.binary_search_by_key(&offset, |chunk| chunk.offset).is_ok()
     }
 
-    /// Finds the chunks of a file.
-    pub fn read(records: &mut Records, channels: &BTreeMap<u16, Topic>) -> Result<Self, RecordingError> {
+    /// Finds the chunks of a file, and the channels that its first chunk does not name.
+    pub fn read(records: &mut Records, channels: &mut Channels) -> Result<Self, RecordingError> {
         let summary_start = summary_start(records)?;
         if let Some(start) = summary_start.filter(|start| *start > 0)
             && let Some(index) = from_summary(records, start, channels)?
@@ -75,17 +89,19 @@ impl Index {
 
     /// Ends an unfinished file before the first damaged one of its last chunks, which a power cut has kept from the
     /// disk.
-    fn drop_torn_end(&mut self, records: &mut Records, channels: &BTreeMap<u16, Topic>) -> Result<(), RecordingError> {
+    fn drop_torn_end(&mut self, records: &mut Records, channels: &Channels) -> Result<(), RecordingError> {
         let mut body = Vec::new();
         for position in self.chunks.len().saturating_sub(UNSYNCED_CHUNKS)..self.chunks.len() {
             let Some(offset) = self.chunks.get(position).map(|chunk| chunk.offset) else { break };
             records.go_to(offset)?;
-            let reason = match records.next(&mut body, |opcode| opcode == op::CHUNK) {
-                Ok(Next::Record(op::CHUNK, at)) => match read_chunk(records, at, &body, &mut channels.clone()) {
-                    Ok(_) => continue,
-                    Err(RecordingError::Corrupt { reason, .. }) => reason,
-                    Err(error) => return Err(error),
-                },
+            let reason = match records.next(&mut body, holds_messages) {
+                Ok(Next::Record(opcode, at)) if holds_messages(opcode) => {
+                    match messages_in(records, opcode, at, &body, &mut channels.clone()) {
+                        Ok(_) => continue,
+                        Err(RecordingError::Corrupt { reason, .. }) => reason,
+                        Err(error) => return Err(error),
+                    }
+                }
                 Ok(_) => "no chunk where there was one".into(),
                 Err(RecordingError::Corrupt { reason, .. }) => reason,
                 Err(error) => return Err(error),
@@ -111,37 +127,70 @@ pub(super) fn summary_start(records: &mut Records) -> Result<Option<u64>, Record
     Ok((ends && *opcode == op::FOOTER && number(0) == 20).then(|| number(8)))
 }
 
-/// Reads the index in the summary; `None` if it contradicts the file or itself.
-fn from_summary(
-    records: &mut Records,
-    start: u64,
-    channels: &BTreeMap<u16, Topic>,
-) -> Result<Option<Index>, RecordingError> {
-    if start >= records.length {
+/// Returns whether the summary has the CRC that the footer states. Files by earlier versions state none (0).
+pub(super) fn is_intact(records: &mut Records, start: u64) -> Result<bool, RecordingError> {
+    const BLOCK: usize = 1 << 16;
+    let end = records.length.saturating_sub(BEHIND_CRC_START);
+    let (mut stated, mut block) = ([0; 4], vec![0; BLOCK]);
+    records.peek(end, &mut stated)?;
+    let stated = u32::from_le_bytes(stated);
+    if stated == 0 {
+        return Ok(true);
+    }
+    let (mut at, mut crc) = (start, Hasher::new());
+    while at < end {
+        let wanted = block.get_mut(..BLOCK.min((end - at) as usize)).unwrap_or_default();
+        let filled = records.peek(at, wanted)?;
+        if filled == 0 {
+            return Ok(false);
+        }
+        crc.update(block.get(..filled).unwrap_or_default());
+        at += filled as u64;
+    }
+    Ok(crc.finalize() == stated)
+}
+
+/// Reads the index in the summary; `None` if it is damaged, contradicts the file or itself, or does not name all
+/// channels.
+fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> Result<Option<Index>, RecordingError> {
+    if start >= records.length || !is_intact(records, start)? {
         return Ok(None);
     }
     records.go_to(start)?;
     let (mut body, mut chunks, mut statistics) = (Vec::new(), Vec::new(), None);
+    let mut known = channels.clone();
     let mut end = 0;
     loop {
-        match records.next(&mut body, |opcode| matches!(opcode, op::CHUNK_INDEX | op::STATISTICS)) {
-            Ok(Next::Record(opcode @ (op::CHUNK_INDEX | op::STATISTICS), _)) => match parse_record(opcode, &body) {
-                Ok(Record::ChunkIndex(chunk)) => {
-                    // The chunks must be in order and must not overlap.
-                    if chunk.chunk_start_offset < end.max(8) || chunk.chunk_start_offset >= start {
-                        return Ok(None);
+        match records.next(&mut body, |opcode| matches!(opcode, op::CHANNEL | op::CHUNK_INDEX | op::STATISTICS)) {
+            Ok(Next::Record(opcode @ (op::CHANNEL | op::CHUNK_INDEX | op::STATISTICS), _)) => {
+                match parse_record(opcode, &body) {
+                    Ok(Record::Channel(channel)) => {
+                        let topic = topic(&channel.topic);
+                        if known.insert(channel.id, topic).is_some_and(|before| before != topic) {
+                            return Ok(None);
+                        }
                     }
-                    end = chunk.chunk_start_offset.saturating_add(chunk.chunk_length);
-                    let has = |wanted: Topic| {
-                        let mut topics = chunk.message_index_offsets.keys().filter_map(|id| channels.get(id));
-                        topics.any(|topic| *topic == wanted)
-                    };
-                    let (has_labels, has_results) = (has(Topic::Label), has(Topic::Result));
-                    chunks.push(Chunk { has_labels, has_results, ..Chunk::new(chunk.chunk_start_offset) });
+                    Ok(Record::ChunkIndex(index)) => {
+                        // The chunks must be in order and must not overlap.
+                        if index.chunk_start_offset < end.max(8) || index.chunk_start_offset >= start {
+                            return Ok(None);
+                        }
+                        end = index.chunk_start_offset.saturating_add(index.chunk_length);
+                        let mut chunk = Chunk::new(index.chunk_start_offset);
+                        for id in index.message_index_offsets.keys() {
+                            match known.get(id) {
+                                Some(Some(Topic::Label)) => chunk.has_labels = true,
+                                Some(Some(Topic::Result)) => chunk.has_results = true,
+                                Some(_) => {}
+                                None => return Ok(None),
+                            }
+                        }
+                        chunks.push(chunk);
+                    }
+                    Ok(Record::Statistics(found)) => statistics = Some(found),
+                    _ => return Ok(None),
                 }
-                Ok(Record::Statistics(found)) => statistics = Some(found),
-                _ => return Ok(None),
-            },
+            }
             Ok(Next::Record(..)) => {}
             Ok(Next::End) => break,
             Ok(Next::CutShort) | Err(RecordingError::Corrupt { .. }) => return Ok(None),
@@ -149,41 +198,92 @@ fn from_summary(
         }
     }
     let Some(statistics) = statistics.filter(|s| s.chunk_count as usize == chunks.len()) else { return Ok(None) };
-    let count = |topic: Topic| {
-        let counts = statistics.channel_message_counts.iter().filter(|(id, _)| channels.get(id) == Some(&topic));
+    let counts = &statistics.channel_message_counts;
+    let count = |wanted: Option<Topic>| {
+        let counts = counts.iter().filter(|(id, _)| known.get(id).copied().flatten() == wanted);
         counts.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count))
     };
-    let (frames, gaps) = (count(Topic::Frame), count(Topic::Gap));
+    let [frames, gaps, labels, results] =
+        [Topic::Frame, Topic::Gap, Topic::Label, Topic::Result].map(|topic| count(Some(topic)));
+    let all = [gaps, labels, results, count(None)].into_iter().fold(frames, u64::saturating_add);
+    // Messages outside of chunks, or chunks without an index of their messages, show here.
+    let agrees = counts.keys().all(|id| known.contains_key(id))
+        && all == statistics.message_count
+        && (all == 0 || !chunks.is_empty())
+        && (labels > 0) == chunks.iter().any(|chunk| chunk.has_labels)
+        && (results > 0) == chunks.iter().any(|chunk| chunk.has_results);
+    if !agrees {
+        return Ok(None);
+    }
+    *channels = known;
     Ok(Some(Index { chunks, frames, gaps, complete: true, end: None }))
 }
 
-/// Scans the records of the file; the contents of chunks are skipped.
-fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>) -> Result<Index, RecordingError> {
+/// Source of the counts of a chunk.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Counted {
+    Not,
+    ByIndexes,
+    ByContent,
+}
+
+/// Scans the records of the file. The content of a chunk is skipped where the indexes of its messages tell enough.
+fn scan(records: &mut Records, has_footer: bool, channels: &mut Channels) -> Result<Index, RecordingError> {
     records.go_to(8)?;
     let (mut body, mut index) =
         (Vec::new(), Index { chunks: Vec::new(), frames: 0, gaps: 0, complete: false, end: None });
+    // How the last chunk was counted; there is none yet.
+    let mut counted = Counted::ByContent;
     loop {
         let at = records.offset;
-        let next = match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX) {
+        let wanted = |opcode: u8| matches!(opcode, op::MESSAGE_INDEX | op::CHANNEL | op::MESSAGE);
+        let next = match records.next(&mut body, wanted) {
             // The remains of the last second after a power cut need not be a record.
             Err(RecordingError::Corrupt { reason, .. }) if !has_footer => {
                 warn_of_end(records, at, &reason);
                 index.end = Some(at);
-                return Ok(index);
+                Next::CutShort
             }
             next => next?,
         };
+        // A chunk without an index is over.
+        if counted == Counted::Not
+            && !matches!(next, Next::Record(op::MESSAGE_INDEX, _))
+            && let Some(chunk) = index.chunks.last_mut()
+        {
+            count_content(records, chunk, channels)?;
+            counted = Counted::ByContent;
+        }
         match next {
-            Next::Record(op::CHUNK, offset) => index.chunks.push(Chunk::new(offset)),
-            Next::Record(op::MESSAGE_INDEX, _) => {
+            Next::Record(op::CHUNK, offset) => {
+                index.chunks.push(Chunk::new(offset));
+                counted = Counted::Not;
+            }
+            Next::Record(op::MESSAGE_INDEX, _) if counted != Counted::ByContent => {
                 let Ok(Record::MessageIndex(messages)) = parse_record(op::MESSAGE_INDEX, &body) else { continue };
                 let Some(chunk) = index.chunks.last_mut() else { continue };
-                match channels.get(&messages.channel_id) {
-                    Some(Topic::Frame) => chunk.frames += messages.records.len() as u64,
-                    Some(Topic::Label) => chunk.has_labels = true,
-                    Some(Topic::Result) => chunk.has_results = true,
-                    Some(Topic::Gap) => chunk.gaps += messages.records.len() as u64,
-                    None => {}
+                match channels.get(&messages.channel_id).copied() {
+                    Some(topic) => {
+                        if let Some(topic) = topic {
+                            chunk.count(topic, messages.records.len() as u64);
+                        }
+                        counted = Counted::ByIndexes;
+                    }
+                    // The chunk itself names the channel, or the index is damaged.
+                    None => {
+                        count_content(records, chunk, channels)?;
+                        counted = Counted::ByContent;
+                    }
+                }
+            }
+            Next::Record(opcode @ (op::CHANNEL | op::MESSAGE), offset) => {
+                // A damaged message is an error where it is read.
+                let Ok(messages) = messages_in(records, opcode, offset, &body, channels) else { continue };
+                for (topic, _) in messages {
+                    let mut message = Chunk::new(offset);
+                    message.count(topic, 1);
+                    index.chunks.push(message);
+                    counted = Counted::ByContent;
                 }
             }
             Next::Record(..) => {}
@@ -194,6 +294,16 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
             Next::CutShort => return Ok(index),
         }
     }
+}
+
+/// Counts the messages of a chunk by its content, which also names their channels. A damaged chunk has none.
+fn count_content(records: &mut Records, chunk: &mut Chunk, channels: &mut Channels) -> Result<(), RecordingError> {
+    let next = records.offset;
+    *chunk = Chunk::new(chunk.offset);
+    for (topic, _) in readable_messages_at(records, chunk.offset, channels)? {
+        chunk.count(topic, 1);
+    }
+    records.go_to(next)
 }
 
 fn warn_of_end(records: &Records, offset: u64, reason: &str) {

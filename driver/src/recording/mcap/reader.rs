@@ -1,13 +1,15 @@
 //! Reader of native recordings.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::path::Path;
 
 use mcap::records::op;
 use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent, Waveform};
 
 use super::index::Index;
-use super::records::{Next, Records, Topic, read_chunk, read_head};
+use super::records::{
+    Channels, Next, Records, Topic, holds_messages, messages_at, messages_in, read_head, readable_messages_at,
+};
 use super::{
     FrameResult, LabelSpan, RESULTS_VERSION, RecordingHeader, decode_frame, frame_position, staged, take_labels,
 };
@@ -21,7 +23,7 @@ pub struct McapReader {
     staged: Result<Option<Vec<LabelSpan>>, RecordingError>,
     header: RecordingHeader,
     index: Index,
-    channels: BTreeMap<u16, Topic>,
+    channels: Channels,
     body: Vec<u8>,
     /// Messages of the current chunk and the offset of that chunk.
     pending: VecDeque<(Topic, Vec<u8>)>,
@@ -65,8 +67,8 @@ impl McapReader {
         // Read before the index: the labels may be moved into the recording meanwhile.
         let staged = staged_labels(path);
         let mut records = Records::open(path)?;
-        let (header, channels) = read_head(&mut records)?;
-        let index = Index::read(&mut records, &channels)?;
+        let (header, mut channels) = read_head(&mut records)?;
+        let index = Index::read(&mut records, &mut channels)?;
         if let Some(end) = index.end {
             records.length = end;
         }
@@ -120,7 +122,7 @@ impl McapReader {
         let mut records = Records::open(&self.records.path)?;
         let mut labels = Vec::new();
         for chunk in self.index.chunks.iter().filter(|chunk| chunk.has_labels) {
-            for (topic, data) in read_messages(&mut records, chunk.offset, &mut self.channels.clone())? {
+            for (topic, data) in messages_at(&mut records, chunk.offset, &mut self.channels.clone())? {
                 if topic == Topic::Label {
                     take_labels(&data, &mut labels)
                         .map_err(|e| records.corrupt(chunk.offset, format!("a label is malformed: {e}")))?;
@@ -177,7 +179,7 @@ impl McapReader {
         let first = (0..count).find_map(|chunk| self.first_position(chunk).transpose()).transpose()?;
         let mut last = None;
         for chunk in self.index.chunks.iter().rev() {
-            let messages = readable_messages(&mut self.records, chunk.offset, &mut self.channels)?;
+            let messages = readable_messages_at(&mut self.records, chunk.offset, &mut self.channels)?;
             let mut frames = messages.iter().rev().filter(|(topic, _)| *topic == Topic::Frame);
             last = frames.find_map(|(_, data)| frame_position(data));
             if last.is_some() {
@@ -243,7 +245,7 @@ impl McapReader {
         if let Some(known) = chunk.first {
             return Ok(known);
         }
-        let messages = readable_messages(&mut self.records, chunk.offset, &mut self.channels)?;
+        let messages = readable_messages_at(&mut self.records, chunk.offset, &mut self.channels)?;
         let first =
             messages.iter().find(|(topic, _)| *topic == Topic::Frame).and_then(|(_, data)| frame_position(data));
         chunk.first = Some(first);
@@ -254,17 +256,16 @@ impl McapReader {
     fn fill_pending(&mut self) -> Result<(), RecordingError> {
         while !self.ended && self.pending.is_empty() {
             let end = self.records.offset;
-            match self.records.next(&mut self.body, |opcode| opcode == op::CHUNK)? {
-                Next::Record(op::CHUNK, at) => {
+            match self.records.next(&mut self.body, holds_messages)? {
+                Next::Record(opcode, at) => {
                     self.chunk_offset = at;
-                    self.pending = read_chunk(&self.records, at, &self.body, &mut self.channels)?.into();
+                    self.pending = messages_in(&self.records, opcode, at, &self.body, &mut self.channels)?.into();
+                    // A chunk whose opcode is damaged would be skipped silently.
+                    if opcode != op::CHUNK && self.pending.is_empty() && self.index.is_chunk(at) {
+                        let reason = "the index says that a chunk starts here, but none does";
+                        return Err(self.records.corrupt(at, reason.into()));
+                    }
                 }
-                // A chunk whose opcode is damaged would be skipped silently.
-                Next::Record(_, at) if self.index.is_chunk(at) => {
-                    let reason = "the index says that a chunk starts here, but none does";
-                    return Err(self.records.corrupt(at, reason.into()));
-                }
-                Next::Record(..) => {}
                 Next::End => self.ended = true,
                 Next::CutShort => {
                     self.ended = true;
@@ -313,32 +314,6 @@ fn staged_labels(path: &Path) -> Result<Option<Vec<LabelSpan>>, RecordingError> 
     Ok(staged::read(path)?.map(|staged| staged.labels))
 }
 
-/// Reads the messages of a chunk that the index names.
-fn read_messages(
-    records: &mut Records,
-    offset: u64,
-    channels: &mut BTreeMap<u16, Topic>,
-) -> Result<Vec<(Topic, Vec<u8>)>, RecordingError> {
-    let mut body = Vec::new();
-    records.go_to(offset)?;
-    match records.next(&mut body, |opcode| opcode == op::CHUNK)? {
-        Next::Record(op::CHUNK, at) => read_chunk(records, at, &body, channels),
-        _ => Err(records.corrupt(offset, "the index says that a chunk starts here, but none does".into())),
-    }
-}
-
-/// Reads the messages of a chunk that the index names; none if it is damaged.
-fn readable_messages(
-    records: &mut Records,
-    offset: u64,
-    channels: &mut BTreeMap<u16, Topic>,
-) -> Result<Vec<(Topic, Vec<u8>)>, RecordingError> {
-    match read_messages(records, offset, channels) {
-        Err(RecordingError::Corrupt { .. }) => Ok(Vec::new()),
-        read => read,
-    }
-}
-
 impl FrameSource for McapReader {
     fn waveform(&self) -> &Waveform {
         &self.header.waveform
@@ -357,7 +332,7 @@ impl FrameSource for McapReader {
 #[derive(Debug)]
 pub struct Results {
     records: Records,
-    channels: BTreeMap<u16, Topic>,
+    channels: Channels,
     /// Offsets of the chunks that are still to be read.
     chunks: VecDeque<u64>,
     pending: VecDeque<(Topic, Vec<u8>)>,
@@ -374,7 +349,7 @@ impl Results {
             }
             let Some(offset) = self.chunks.pop_front() else { return Ok(None) };
             self.chunk_offset = offset;
-            self.pending = read_messages(&mut self.records, offset, &mut self.channels)?.into();
+            self.pending = messages_at(&mut self.records, offset, &mut self.channels)?.into();
         }
     }
 }

@@ -19,6 +19,11 @@ pub(super) const MAX_RECORD: u64 = 1 << 28;
 /// Bytes of opcode and length.
 pub(super) const RECORD_HEADER: u64 = 9;
 
+/// Place of the compression in the body of a chunk.
+const COMPRESSION_AT: usize = 28;
+/// Compression of MCAP that is not supported, with its length.
+const LZ4_MARK: &[u8] = b"\x03\0\0\0lz4";
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Topic {
     Frame,
@@ -26,6 +31,9 @@ pub(super) enum Topic {
     Label,
     Result,
 }
+
+/// Channels of a file by their numbers; `None` for a channel of another program.
+pub(super) type Channels = BTreeMap<u16, Option<Topic>>;
 
 pub(super) fn topic(name: &str) -> Option<Topic> {
     let topics = [(FRAMES, Topic::Frame), (GAPS, Topic::Gap), (LABELS, Topic::Label), (RESULTS, Topic::Result)];
@@ -131,13 +139,16 @@ impl Records {
     }
 }
 
-/// Reads the header of the recording and its channels: everything up to the end of the first chunk.
-pub(super) fn read_head(records: &mut Records) -> Result<(RecordingHeader, BTreeMap<u16, Topic>), RecordingError> {
-    let (mut body, mut header, mut channels) = (Vec::new(), None, BTreeMap::new());
-    while header.is_none() || channels.is_empty() {
-        match records.next(&mut body, |opcode| matches!(opcode, op::METADATA | op::CHUNK))? {
+/// Reads the header of the recording and its first channels: everything up to the first chunk that names one. Later
+/// chunks may name more.
+pub(super) fn read_head(records: &mut Records) -> Result<(RecordingHeader, Channels), RecordingError> {
+    let (mut body, mut header, mut channels) = (Vec::new(), None, Channels::new());
+    while header.is_none() || !channels.values().any(Option::is_some) {
+        match records.next(&mut body, |opcode| opcode == op::METADATA || holds_messages(opcode))? {
             Next::Record(op::METADATA, at) => header = header_in(records, at, &body)?.or(header),
-            Next::Record(op::CHUNK, at) => drop(read_chunk(records, at, &body, &mut channels)?),
+            Next::Record(opcode, at) if holds_messages(opcode) => {
+                drop(messages_in(records, opcode, at, &body, &mut channels)?);
+            }
             Next::Record(..) => {}
             Next::End => break,
             Next::CutShort => {
@@ -173,14 +184,68 @@ fn header_in(records: &Records, at: u64, body: &[u8]) -> Result<Option<Recording
     }
 }
 
+/// Returns whether records of this kind hold messages, or channels that messages need: chunks, and what other programs
+/// write without chunks.
+pub(super) fn holds_messages(opcode: u8) -> bool {
+    matches!(opcode, op::CHUNK | op::CHANNEL | op::MESSAGE)
+}
+
+/// Reads the messages of a record: of a chunk, or a single message without a chunk. Other records have none.
+pub(super) fn messages_in(
+    records: &Records,
+    opcode: u8,
+    at: u64,
+    body: &[u8],
+    channels: &mut Channels,
+) -> Result<Vec<(Topic, Vec<u8>)>, RecordingError> {
+    if opcode == op::CHUNK {
+        return read_chunk(records, at, body, channels);
+    }
+    let mut messages = Vec::new();
+    if holds_messages(opcode) {
+        take_record(opcode, body, channels, &mut messages)
+            .map_err(|error| records.corrupt(at, format!("a record outside of chunks is damaged: {error}")))?;
+    }
+    Ok(messages)
+}
+
+/// Reads the messages of a chunk, or of a message without a chunk, that the index names.
+pub(super) fn messages_at(
+    records: &mut Records,
+    offset: u64,
+    channels: &mut Channels,
+) -> Result<Vec<(Topic, Vec<u8>)>, RecordingError> {
+    let mut body = Vec::new();
+    records.go_to(offset)?;
+    match records.next(&mut body, holds_messages)? {
+        Next::Record(opcode @ (op::CHUNK | op::MESSAGE), at) => messages_in(records, opcode, at, &body, channels),
+        _ => Err(records.corrupt(offset, "the index says that a chunk starts here, but none does".into())),
+    }
+}
+
+/// The same, without messages where the chunk is damaged.
+pub(super) fn readable_messages_at(
+    records: &mut Records,
+    offset: u64,
+    channels: &mut Channels,
+) -> Result<Vec<(Topic, Vec<u8>)>, RecordingError> {
+    match messages_at(records, offset, channels) {
+        Err(RecordingError::Corrupt { .. }) => Ok(Vec::new()),
+        read => read,
+    }
+}
+
 /// Reads the messages of a chunk. The whole chunk is decompressed and its CRC checked first, because its lengths may be
 /// wrong.
-pub(super) fn read_chunk(
+fn read_chunk(
     records: &Records,
     at: u64,
     body: &[u8],
-    channels: &mut BTreeMap<u16, Topic>,
+    channels: &mut Channels,
 ) -> Result<Vec<(Topic, Vec<u8>)>, RecordingError> {
+    if body.get(COMPRESSION_AT..).is_some_and(|rest| rest.starts_with(LZ4_MARK)) {
+        return Err(RecordingError::Compression { path: records.path.clone(), offset: at });
+    }
     let damaged = |reason: String| records.corrupt(at, format!("a chunk is damaged: {reason}"));
     let content = chunk_content(body).map_err(damaged)?;
     let mut rest = content.as_slice();
@@ -195,21 +260,30 @@ pub(super) fn read_chunk(
             op::SCHEMA | 0x80.. => continue,
             _ => return Err(damaged(format!("it holds a record {opcode:#04x}"))),
         }
-        match parse_record(opcode, record).map_err(|e| damaged(e.to_string()))? {
-            Record::Channel(channel) => {
-                if let Some(topic) = topic(&channel.topic) {
-                    channels.insert(channel.id, topic);
-                }
-            }
-            Record::Message { header, data } => {
-                if let Some(topic) = channels.get(&header.channel_id) {
-                    messages.push((*topic, data.into_owned()));
-                }
-            }
-            _ => {}
-        }
+        take_record(opcode, record, channels, &mut messages).map_err(|e| damaged(e.to_string()))?;
     }
     if rest.is_empty() { Ok(messages) } else { Err(damaged(format!("{} bytes behind its last record", rest.len()))) }
+}
+
+/// Takes a channel or a message from its record. Messages of other programs' channels are left out.
+fn take_record(
+    opcode: u8,
+    body: &[u8],
+    channels: &mut Channels,
+    messages: &mut Vec<(Topic, Vec<u8>)>,
+) -> mcap::McapResult<()> {
+    match parse_record(opcode, body)? {
+        Record::Channel(channel) => {
+            channels.insert(channel.id, topic(&channel.topic));
+        }
+        Record::Message { header, data } => {
+            if let Some(Some(topic)) = channels.get(&header.channel_id) {
+                messages.push((*topic, data.into_owned()));
+            }
+        }
+        _ => {}
+    }
+    Ok(())
 }
 
 /// Decompresses a chunk and checks its length and CRC. Memory grows with the actual data, not with the length in the

@@ -1,6 +1,5 @@
 //! Repair of cut or damaged files: the readable part as a complete file, and a report of the rest.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use mcap::records::{Record, op};
@@ -8,7 +7,7 @@ use radome_dsp::{Frame, Gap, GapReason};
 
 use super::lengths::{CHUNK_MARK, content_length, is_filled, parse_record};
 use super::reader::parse_result;
-use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, read_chunk, read_header_alone};
+use super::records::{Channels, MAX_RECORD, Next, RECORD_HEADER, Records, Topic, messages_in, read_header_alone};
 use super::{LabelSpan, McapWriter, RecordingHeader, decode_frame, staged, take_labels};
 use crate::recording::{Existing, RecordingError};
 
@@ -115,13 +114,20 @@ struct Repair {
 impl Repair {
     fn copy(&mut self, records: &mut Records) -> Result<(), RecordingError> {
         // Numbers that the recorder uses; the first chunk states them, if it can be read.
-        let mut channels = BTreeMap::from([(1, Topic::Frame), (2, Topic::Gap), (3, Topic::Label), (4, Topic::Result)]);
+        let channels = [Topic::Frame, Topic::Gap, Topic::Label, Topic::Result].map(Some);
+        let mut channels: Channels = (1..).zip(channels).collect();
         let mut body = Vec::new();
         records.go_to(8)?;
         loop {
             let at = records.offset;
             let reason = match records.next(&mut body, |opcode| opcode < 0x80) {
-                Ok(Next::Record(op::CHUNK, _)) => match read_chunk(records, at, &body, &mut channels) {
+                // Records of other programs look like damaged ones.
+                Ok(Next::Record(opcode, _)) if opcode >= 0x80 => format!("{opcode:#04x} is no record of a recording"),
+                // A damaged length may reach over chunks that are intact.
+                Ok(Next::Record(opcode, _)) if opcode != op::CHUNK && !is_whole(records, opcode, &body)? => {
+                    "the length of a record is not that of its content".to_owned()
+                }
+                Ok(Next::Record(opcode, _)) => match messages_in(records, opcode, at, &body, &mut channels) {
                     Ok(messages) => {
                         for (topic, data) in messages {
                             self.message(at, topic, &data)?;
@@ -131,13 +137,6 @@ impl Repair {
                     Err(RecordingError::Corrupt { reason, .. }) => reason,
                     Err(error) => return Err(error),
                 },
-                // A damaged length may reach over chunks that are intact.
-                Ok(Next::Record(opcode, _)) if opcode < 0x80 => match is_whole(records, opcode, &body)? {
-                    true => continue,
-                    false => "the length of a record is not that of its content".to_owned(),
-                },
-                // Records of other programs look like damaged ones.
-                Ok(Next::Record(opcode, _)) => format!("{opcode:#04x} is no record of a recording"),
                 Ok(Next::End) => {
                     self.report.was_finished = true;
                     break;
@@ -166,7 +165,7 @@ impl Repair {
         records: &mut Records,
         at: u64,
         reason: String,
-        channels: &BTreeMap<u16, Topic>,
+        channels: &Channels,
     ) -> Result<bool, RecordingError> {
         let mut head = [0u8; CHUNK_HEAD];
         records.peek(at, &mut head)?;
@@ -262,11 +261,7 @@ impl Repair {
 }
 
 /// Number of frames of a chunk, by the message indexes that follow it.
-fn frames_by_index(
-    records: &mut Records,
-    at: u64,
-    channels: &BTreeMap<u16, Topic>,
-) -> Result<Option<u64>, RecordingError> {
+fn frames_by_index(records: &mut Records, at: u64, channels: &Channels) -> Result<Option<u64>, RecordingError> {
     records.go_to(at)?;
     let (mut body, mut frames) = (Vec::new(), None);
     let mut is_first = true;
@@ -274,7 +269,7 @@ fn frames_by_index(
         match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX) {
             Ok(Next::Record(op::MESSAGE_INDEX, _)) => match parse_record(op::MESSAGE_INDEX, &body) {
                 Ok(Record::MessageIndex(index)) => {
-                    let is_frames = channels.get(&index.channel_id) == Some(&Topic::Frame);
+                    let is_frames = channels.get(&index.channel_id) == Some(&Some(Topic::Frame));
                     frames = Some(frames.unwrap_or(0) + if is_frames { index.records.len() as u64 } else { 0 });
                 }
                 _ => return Ok(None),

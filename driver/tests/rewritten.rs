@@ -1,0 +1,132 @@
+//! Recordings that another program has written again: valid MCAP files whose layout is not the recorder's.
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::Path;
+
+use mcap::WriteOptions;
+use mcap::records::MessageHeader;
+use radome_driver::recording::Existing;
+use radome_driver::recording::mcap::repair;
+use radome_driver::{LabelSpan, McapReader, RecordingError};
+use radome_dsp::{Frame, FrameSource, SourceEvent};
+
+use crate::common::{Pattern, chunks, in_folder, read, record, waveform};
+
+const FRAMES: u64 = 25;
+
+fn pattern() -> Pattern {
+    Pattern::new(waveform(&[1], 4, 32, 0.1), FRAMES)
+}
+
+fn label() -> LabelSpan {
+    LabelSpan::new(0.0, 2.0, "one")
+}
+
+/// Bytes of a recording of 25 frames and a label.
+fn recorded() -> Vec<u8> {
+    let (_folder, path) = in_folder("a.mcap");
+    record(pattern(), &label(), &path);
+    std::fs::read(&path).expect("reads")
+}
+
+/// The same messages, each in a chunk of its own if there are chunks. A channel is named where it is first used, as by
+/// MCAP's library for Python.
+fn rewritten(options: WriteOptions) -> Vec<u8> {
+    let bytes = recorded();
+    let summary = mcap::Summary::read(&bytes).expect("reads").expect("a summary");
+    let mut writer = options.create(Cursor::new(Vec::new())).expect("starts");
+    let metadata = mcap::read::metadata(&bytes, &summary.metadata_indexes[0]).expect("metadata");
+    writer.write_metadata(&metadata).expect("writes");
+    for message in mcap::MessageStream::new(&bytes).expect("opens") {
+        let message = message.expect("reads");
+        let (topic, encoding) = (&message.channel.topic, &message.channel.message_encoding);
+        let channel_id = writer.add_channel(0, topic, encoding, &BTreeMap::new()).expect("writes");
+        let (log_time, publish_time) = (message.log_time, message.publish_time);
+        let header = MessageHeader { channel_id, sequence: message.sequence, log_time, publish_time };
+        writer.write_to_known_channel(&header, &message.data).expect("writes");
+        writer.flush().expect("writes");
+    }
+    writer.finish().expect("finishes");
+    writer.into_inner().into_inner()
+}
+
+/// Asserts that a file holds all frames and the label, for the reader, for a seek and for the repair.
+fn assert_is_whole(bytes: &[u8], name: &str) {
+    let (folder, path) = in_folder("a.mcap");
+    std::fs::write(&path, bytes).expect("writes");
+    let mut reader = McapReader::open(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
+    assert_eq!((reader.whole_frames(), reader.labels().expect("labels")), (FRAMES, vec![label()]), "{name}");
+    let (frames, _, error) = read(&mut reader);
+    assert!(error.is_none() && frames.iter().map(|frame| frame.sequence).eq(0..FRAMES), "{name}: {error:?}");
+    reader.seek_frame(13).expect("seeks");
+    let mut frame = Frame::zeroed(reader.waveform().shape());
+    assert_eq!((reader.next_frame(&mut frame).expect("reads"), frame.sequence), (SourceEvent::Frame, 13), "{name}");
+    let report = repair(&path, &folder.path().join("b.mcap"), Existing::Refuse).expect("repairs");
+    assert_eq!((report.frames, report.labels, report.damage.len()), (FRAMES, 1, 0), "{name}: {report:?}");
+}
+
+/// The labels of the first two files were not found, the others were read as recordings without frames or labels.
+#[test]
+fn files_of_another_layout_hold_the_same() {
+    let layouts = [
+        ("channels named late", WriteOptions::new()),
+        ("no channels in the summary", WriteOptions::new().repeat_channels(false)),
+        ("no index of messages", WriteOptions::new().emit_message_indexes(false)),
+        ("no chunks", WriteOptions::new().use_chunks(false)),
+        ("no chunks and no summary", WriteOptions::new().use_chunks(false).emit_summary_records(false)),
+    ];
+    for (name, options) in layouts {
+        let bytes = rewritten(options);
+        assert_is_whole(&bytes, name);
+        assert_is_whole(&bytes[..bytes.len() - 37], &format!("{name}, unfinished"));
+    }
+}
+
+/// A wrong bit in the index of chunks hid labels and answers.
+#[test]
+fn damage_of_the_summary_hides_nothing() {
+    let whole = recorded();
+    let (_folder, path) = in_folder("a.mcap");
+    let content = |bytes: &[u8]| {
+        std::fs::write(&path, bytes).expect("writes");
+        let reader = McapReader::open(&path).expect("opens");
+        (reader.whole_frames(), reader.labels().expect("labels"))
+    };
+    let summary_start = mcap::read::footer(&whole).expect("a footer").summary_start as usize;
+    for at in summary_start..whole.len() {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1 << (at % 8);
+        assert_eq!(content(&bytes), (FRAMES, vec![label()]), "byte {at}");
+    }
+    // Files by earlier versions state no CRC.
+    let summary = mcap::Summary::read(&whole).expect("reads").expect("a summary");
+    let index = summary.chunk_indexes.iter().max_by_key(|index| index.chunk_start_offset).expect("chunks");
+    let entry = [&3u16.to_le_bytes()[..], &index.message_index_offsets[&3].to_le_bytes()].concat();
+    let at = whole.windows(entry.len()).rposition(|bytes| bytes == entry).expect("the entry of the labels");
+    for channel in [2, 5] {
+        let mut bytes = whole.clone();
+        bytes[at] = channel;
+        let crc = bytes.len() - 12..bytes.len() - 8;
+        bytes[crc].fill(0);
+        assert_eq!(content(&bytes), (FRAMES, vec![label()]), "channel {channel}");
+    }
+}
+
+/// A file with LZ4 was called damaged, and the repair that was advised saved nothing.
+#[test]
+fn another_compression_is_named_and_is_no_damage() {
+    let whole = recorded();
+    let (start, _) = chunks(&whole)[0];
+    let body = start + 9;
+    let length = u64::from_le_bytes(*whole[start + 1..].first_chunk().expect("a length")) - 1;
+    let length = length.to_le_bytes();
+    let lz4 = [&whole[..start + 1], &length, &whole[body..body + 28], b"\x03\0\0\0lz4", &whole[body + 36..]].concat();
+    let (folder, path) = in_folder("a.mcap");
+    std::fs::write(&path, lz4).expect("writes");
+    let output: &Path = &folder.path().join("b.mcap");
+    for error in [McapReader::open(&path).err(), repair(&path, output, Existing::Refuse).err()] {
+        assert!(matches!(error, Some(RecordingError::Compression { .. })), "{error:?}");
+    }
+    assert!(!output.exists());
+}
