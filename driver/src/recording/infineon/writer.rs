@@ -36,8 +36,8 @@ fn npy_header(descr: &str, shape: &str) -> Vec<u8> {
 /// Writer of a session's folder with one radar. The folder appears under its name when [`InfineonWriter::finish`] has
 /// completed it, and not at all otherwise.
 ///
-/// The format holds codes, times (of one clock: the host's if all frames have it and nobody set it, else the board's) and
-/// temperatures.
+/// The format holds codes, times and temperatures. The times are the board's. They begin at the host's time of the first frame,
+/// if all frames have the host's time and nobody set that clock.
 /// The numbers of frames do not include gaps, and the format holds neither labels nor truth.
 #[derive(Debug)]
 pub(in crate::recording) struct InfineonWriter {
@@ -141,11 +141,20 @@ impl InfineonWriter {
         let host: Vec<u64> = self.times_ns.iter().map(|t| t.1).collect();
         let has_host = host.iter().any(|t| *t > 0);
         if has_host && host.iter().all(|t| *t >= FIRST_UNIX_NS) && host.is_sorted() && !self.was_host_clock_set() {
-            let first = host.first().copied().unwrap_or(0);
-            if host.iter().zip(&board).any(|(host, board)| host - first != *board) {
-                omitted.push("times by the board's clock (the host's are kept)".into());
+            if !board.is_sorted() {
+                omitted.push("times by the board's clock, which go backwards (the host's are kept)".into());
+                return Some(host);
             }
-            return Some(host);
+            // The host's times give the date. They do not give the intervals: frames wait before the host takes them, and an
+            // emulated board may send them faster than they were measured.
+            let (first, start) = self.times_ns.first().map_or((0, 0), |(board, host)| (*host, *board));
+            let dated: Vec<u64> = board.iter().map(|time| first.saturating_add(time - start)).collect();
+            if dated != host {
+                omitted.push(
+                    "times by the host's clock, except that of the first frame (intervals are the board's)".into(),
+                );
+            }
+            return Some(dated);
         }
         if has_host {
             omitted.push("times by the host's clock, absent from some frames or set while they were taken".into());
