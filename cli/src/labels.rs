@@ -166,7 +166,7 @@ pub fn check(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
     for LabelSpan { start_s, end_s, label, .. } in spans {
         let mut classes = Occupancy::ALL.into_iter().map(Occupancy::name);
         if label.is_empty() {
-            message!("the label from {start_s} to {end_s} s is empty");
+            message!("the label from {start_s} to {end_s} s has no text: its frames count as not labelled");
         } else if let Some(class) = classes.find(|class| class != label && class.eq_ignore_ascii_case(label)) {
             let label = on_one_line(label);
             message!("the label '{label}' is kept as free text; the class is written '{class}'");

@@ -331,6 +331,8 @@ mod hard_cases {
         let text = replace("[1, 3]", "[1, 2, 3]");
         assert_contains(&text, &["2 rx", "3 rx"]);
         assert_contains(&replace("[1, 3]", "[1, 1]"), &["rx_antennas", "[1, 1]"]);
+        assert_contains(&replace("[1, 3]", "[1, 2.5]"), &["rx_antennas", "list of antenna numbers"]);
+        assert_contains(&replace("\"tx_power_level\": 31", "\"tx_power_level\": \"nan\""), &["tx_power_level", "nan"]);
         assert_contains(&replace("\"if_gain_dB\": 23", "\"gain\": 23"), &["`if_gain_dB`", "is absent"]);
         assert_contains(&replace("60.5e9", "\"many\""), &["lower_frequency_Hz", "many"]);
         assert_contains(&replace("61.5e9", "90e9"), &["config.json", "impossible"]);

@@ -83,6 +83,27 @@ fn a_recording_cut_in_two_is_repaired() {
     assert!(std::fs::read(&cut).expect("reads") == bytes[..bytes.len() / 2]);
 }
 
+/// Only the first radar of a session was converted, and data behind its frames were left out, without a word.
+#[test]
+fn what_is_left_out_of_a_session_is_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    for radar in ["session/RadarIfxAvian_00", "session/RadarIfxAvian_01"] {
+        std::fs::create_dir_all(at(radar)).expect("creates");
+        for file in std::fs::read_dir(fixture("formats/infineon/RadarIfxAvian_00")).expect("lists") {
+            let file = file.expect("an entry");
+            std::fs::copy(file.path(), at(radar).join(file.file_name())).expect("copies");
+        }
+    }
+    let (_, said) = success(command!("recording convert", at("session"), at("a.mcap")));
+    assert!(said.contains("2 radars; only RadarIfxAvian_00 is read"), "{said}");
+    let second = at("session/RadarIfxAvian_01");
+    let data = std::fs::read(second.join("radar.npy")).expect("reads");
+    std::fs::write(second.join("radar.npy"), [data.as_slice(), &[0; 7]].concat()).expect("writes");
+    let (_, said) = success(command!("recording convert", &second, at("b.mcap")));
+    assert!(said.contains("7 bytes behind the 8 frames") && !said.contains("radars"), "{said}");
+}
+
 /// Kills a recorder at a random moment; returns the numbers of frames that it was given and that can be read.
 ///
 /// The recorder says on stderr which frames it has, so that no clock is needed to know what must be there.

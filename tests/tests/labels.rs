@@ -8,7 +8,7 @@ use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
 use radome_tests::{
     command, convert, failure, fixture, json_lines, json_lines_of, labels_of, maps_of, radome, simulate, subcommand,
-    success, wrong_use,
+    success, write_file, wrong_use,
 };
 use serde_json::Value;
 use tungstenite::Message;
@@ -49,7 +49,7 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     assert!(said.contains("out of range") && !path("labels.txt").exists(), "{said}");
     let (_, said) = success(label("run.mcap", &["--span", "0:1=Empty", "--span", "1:2="]));
     assert!(said.contains("'Empty' is kept as free text; the class is written 'empty'"), "{said}");
-    assert!(said.contains("the label from 1 to 2 s is empty"), "{said}");
+    assert!(said.contains("the label from 1 to 2 s has no text: its frames count as not labelled"), "{said}");
     assert!(!said.contains("no class"), "a word for each label is enough: {said}");
     let (_, said) = success(label("run.mcap", &["--span", "2:3=three"]));
     assert!(said.contains("no class, such as 'three'"), "{said}");
@@ -95,6 +95,17 @@ fn labels_are_replaced_and_erased_where_it_is_asked_for() {
     assert_eq!(found(), ["0.0-0.5 two", "1.5-2.0 a knock", "1.5-2.0 one", "2.0-3.0 two"]);
     let said = wrong_use(label(&["--span", "0.7:0.7=one"]));
     assert!(said.contains("no duration"), "{said}");
+
+    // Each of these was answered by "labels erased".
+    let before = found();
+    let (_, said) = success(label(&["--erase", "0.6:1.4", "--erase", "50:60"]));
+    assert!(said.contains("no label is there to be erased"), "{said}");
+    let empty = write_file(folder.path(), "empty.txt", "");
+    let (_, said) = success(command!("recording label", &recording, "--from", empty));
+    assert!(said.contains("no label was given"), "{said}");
+    assert_eq!(found(), before);
+    let (_, said) = success(label(&["--erase", "0.4:1.6"]));
+    assert!(said.contains("3 labels cut or removed"), "{said}");
 }
 
 /// Regression test: labels of a text recording were those of every other whose name was the same up to its last dot. The vendor's SDK

@@ -70,8 +70,15 @@ impl InfineonReader {
     /// [`RecordingError`] if a file is absent or cannot be read, if the configuration does not state a waveform, or if
     /// it contradicts the data.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let first = radar_folders(path)?.into_iter().next();
-        let folder = first.ok_or_else(|| RecordingError::Unknown { path: path.to_owned() })?;
+        let mut radars = radar_folders(path)?.into_iter();
+        let folder = radars.next().ok_or_else(|| RecordingError::Unknown { path: path.to_owned() })?;
+        if radars.len() > 0 {
+            let (path, count) = (path.display(), radars.len() + 1);
+            let first = folder.file_name().unwrap_or_default().to_string_lossy();
+            warn_once(format!(
+                "{path}: {count} radars; only {first} is read; name the folder of another one to read that"
+            ));
+        }
         check_version(&folder.join(VERSION))?;
         let config = folder.join(CONFIG);
         let data = folder.join(DATA);
@@ -94,6 +101,14 @@ impl InfineonReader {
         if of_data != shape {
             return Err(RecordingError::Shape { data, got: of_data.to_string(), config, expected: shape.to_string() });
         }
+        let available = length.saturating_sub(header.data_offset);
+        let surplus = available.saturating_sub(frames.saturating_mul(2 * shape.codes() as u64));
+        if surplus > 0 {
+            let data = data.display();
+            warn_once(format!(
+                "{data}: {surplus} bytes behind the {frames} frames that its header states; they are left out"
+            ));
+        }
         let mut left_out = Vec::new();
         let timestamps_ns = read_timestamps(&folder.join(TIMES), Some(frames), &mut left_out)?;
         for reason in &left_out {
@@ -109,7 +124,7 @@ impl InfineonReader {
             temperatures,
             left_out,
             bytes: vec![0; shape.codes() * 2],
-            available: length.saturating_sub(header.data_offset),
+            available,
             data_offset: header.data_offset,
             folder,
             data,

@@ -64,7 +64,8 @@ pub fn to_deepcraft(spans: &[LabelSpan]) -> String {
 /// Parses a DEEPCRAFT `.label` file.
 ///
 /// # Errors
-/// [`LabelTextError`] for another header, a row of other than five fields, an invalid number, or a negative length.
+/// [`LabelTextError`] for another header, a row of other than five fields, an invalid number, a negative length, or a confidence
+/// beyond 0 to 1.
 pub fn from_deepcraft(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
     let fault = |line: usize, what: String| LabelTextError { line, what };
     let mut rows = rows(text.strip_prefix('\u{feff}').unwrap_or(text))?.into_iter();
@@ -80,7 +81,11 @@ pub fn from_deepcraft(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
         let length_s = seconds(index, "length", Some(length))?;
         let mut span = span(index, start_s, start_s + length_s, label)?;
         if !confidence.trim().is_empty() {
-            span.confidence = Some(seconds(index, "confidence", Some(confidence))?);
+            let number = seconds(index, "confidence", Some(confidence))?;
+            if !(0.0..=1.0).contains(&number) {
+                return Err(fault(index + 1, format!("confidence is {number}, expected 0 to 1")));
+            }
+            span.confidence = Some(number);
         }
         span.note = (!note.is_empty()).then(|| note.clone());
         Ok(span)
@@ -227,6 +232,7 @@ mod tests {
                 ("1,2,a\n", 2, "3 fields"),
                 ("0,1,a,1,\n0,-1,a,1,\n", 3, "before its start"),
                 ("0,1,\"a,1,\n", 2, "quote"),
+                ("0,1,a,2,\n", 2, "confidence is 2"),
             ] {
                 let error = from_deepcraft(&format!("{DEEPCRAFT_HEADER}\n{rows}")).expect_err("wrong");
                 assert!(error.line == line && error.what.contains(what), "{error}");

@@ -22,9 +22,9 @@ impl Fields<'_> {
         match self.object.get(field) {
             None | Some(Value::Null) => Ok(None),
             // Some recorders write numbers as text.
-            Some(Value::String(text)) => match text.trim().parse() {
-                Ok(number) => Ok(Some(number)),
-                Err(_) => Err(self.error(field, format!("is \"{text}\", expected a number"))),
+            Some(Value::String(text)) => match text.trim().parse::<f64>() {
+                Ok(number) if number.is_finite() => Ok(Some(number)),
+                _ => Err(self.error(field, format!("is \"{text}\", expected a number"))),
             },
             Some(value) => match value.as_f64() {
                 Some(number) => Ok(Some(number)),
@@ -56,7 +56,9 @@ impl Fields<'_> {
         let field = "rx_antennas";
         let wrong = |this: &Self| this.error(field, "expected a list of antenna numbers such as [1, 2, 3]");
         let list = self.object.get(field).and_then(Value::as_array).ok_or_else(|| wrong(self))?;
-        let antennas: Option<Vec<u8>> = list.iter().map(|v| v.as_f64().map(|a| a as u8)).collect();
+        let number =
+            |value: &Value| value.as_f64().filter(|antenna| antenna.fract() == 0.0).map(|antenna| antenna as u8);
+        let antennas: Option<Vec<u8>> = list.iter().map(number).collect();
         let antennas = antennas.ok_or_else(|| wrong(self))?;
         RxMask::from_antennas(&antennas).map_err(|e| self.error(field, e.to_string()))
     }

@@ -123,6 +123,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             Proposer::Detector => detector::propose(&arguments.recording)?,
         });
     }
+    if spans.is_empty() && arguments.erase.is_empty() && arguments.output.is_none() {
+        message!("no label was given; nothing has been written");
+        return print(&spans, arguments.json);
+    }
+    let mut erased = 0;
     let place = match &arguments.output {
         Some(file) => {
             labels::check(&arguments.recording, &spans)?;
@@ -130,6 +135,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             file.clone()
         }
         None => labels::add(&arguments.recording, &spans, |there| {
+            let is_erased = |label: &&LabelSpan| {
+                arguments.erase.iter().any(|(start_s, end_s)| label.end_s > *start_s && label.start_s < *end_s)
+            };
+            erased = there.iter().filter(is_erased).count();
             let there =
                 arguments.erase.iter().fold(there, |there, interval| labels::cut_out(there, *interval, |_| true));
             let classes = spans.iter().filter(|span| arguments.replace && span.occupancy().is_some());
@@ -138,10 +147,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             })
         })?,
     };
-    let word = if spans.len() == 1 { "label" } else { "labels" };
-    match spans.len() {
-        0 => message!("labels erased in {}", place.display()),
-        count => message!("{count} {word} written to {}", place.display()),
+    let place = place.display();
+    let counted = |count: usize| format!("{count} label{}", if count == 1 { "" } else { "s" });
+    match (arguments.erase.is_empty(), erased) {
+        (true, _) => {}
+        (false, 0) => message!("no label is there to be erased in {place}"),
+        (false, erased) => message!("{} cut or removed in {place}", counted(erased)),
+    }
+    if !spans.is_empty() || arguments.erase.is_empty() {
+        message!("{} written to {place}", counted(spans.len()));
     }
     print(&spans, arguments.json)
 }
