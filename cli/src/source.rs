@@ -224,6 +224,11 @@ pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
 }
 
 fn open_unguarded(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
+    for (prefix, rest) in [("emulated:", "SOURCE"), ("serial:", "PORT"), ("deepcraft:", "PORT")] {
+        if spec == prefix {
+            wrong_use!("{spec} names nothing; expected {prefix}{rest}\n\nhint: radome board list lists the boards");
+        }
+    }
     if let Some(inner) = spec.strip_prefix("emulated:") {
         return emulated(inner, options);
     }

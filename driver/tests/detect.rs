@@ -1,6 +1,6 @@
 //! Tests of board detection on a serial port by listening and asking.
 
-use radome_driver::{BoardError, Detected, Fault, Kind};
+use radome_driver::{Address, BoardError, Detected, Fault, Kind};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 
 use crate::common::{Pattern, board, waveform};
@@ -51,7 +51,17 @@ fn a_board_that_prints_is_heard_from_its_first_frame_on() {
 }
 
 mod hard_cases {
+    use std::error::Error;
+    use std::path::Path;
+
     use super::*;
+
+    /// The system's own words for it were "Not a typewriter".
+    #[test]
+    fn a_device_that_is_no_serial_port_is_said_to_be_none() {
+        let error = Detected::open(&Address::Serial(Path::new("/dev/null").into()), None).err().expect("refused");
+        assert!(error.source().is_some_and(|source| source.to_string() == "it is not a serial port"), "{error:?}");
+    }
 
     /// Asserts that a printing board can be opened again: opening the port resets it, and the client reads from its
     /// start.

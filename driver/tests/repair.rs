@@ -4,7 +4,7 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use radome_driver::recording::Existing;
-use radome_driver::recording::mcap::{RESULTS_VERSION, RepairReport, repair, set_labels};
+use radome_driver::recording::mcap::{RESULTS_VERSION, RepairReport, repair, repair_unless, set_labels};
 use radome_driver::{FrameResult, Judge, LabelSpan, McapReader, Recorder, RecordingError, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
@@ -208,6 +208,33 @@ mod hard_cases {
         assert!(after[..last] == damaged[..last]);
         let labels = McapReader::open(&path).expect("opens").labels().expect("labels");
         assert_eq!(labels, both);
+        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
+    }
+
+    /// Such a file was refused, although none of its frames is damaged.
+    #[test]
+    fn damaged_registers_cost_no_frame() {
+        let whole = whole();
+        let key = b"registers\x02\0\0\0[";
+        let at = whole.windows(key.len()).position(|bytes| bytes == key).expect("the registers") + key.len() - 1;
+        // The second byte makes the text no UTF-8, too.
+        for (byte, reasons) in [(b'x', 1), (0xFF, 2)] {
+            let mut bytes = whole.clone();
+            bytes[at] = byte;
+            let (report, numbers, _) = repaired(&bytes).expect("repairs");
+            assert_eq!((numbers.len(), report.labels, report.damage.len()), (47, 1, reasons), "{report:?}");
+            assert!(report.damage.iter().any(|damage| damage.reason.contains("`registers` is malformed")));
+            assert_eq!(report.frames_lost(), 0);
+        }
+    }
+
+    /// The unfinished output stayed in the folder under its hidden name.
+    #[test]
+    fn a_repair_that_is_interrupted_leaves_no_file() {
+        let (folder, path) = in_folder("a.mcap");
+        record(&path);
+        let repaired = repair_unless(&path, &folder.path().join("b.mcap"), Existing::Refuse, || true);
+        assert!(matches!(repaired, Err(RecordingError::Interrupted { .. })), "{repaired:?}");
         assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
     }
 

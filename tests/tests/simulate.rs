@@ -95,6 +95,16 @@ mod hard_cases {
         }
     }
 
+    /// The error was ": cannot be opened".
+    #[test]
+    fn a_source_that_names_nothing_is_wrong_use() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for source in ["serial:", "emulated:", "deepcraft:"] {
+            let output = folder.path().join("x.mcap");
+            wrong_use_with(command!("record", source, "--waveform paper -o", output), &[source, "names nothing"]);
+        }
+    }
+
     #[test]
     fn a_wrong_key_in_a_scene_names_file_line_and_key() {
         let folder = tempfile::tempdir().expect("a folder");

@@ -83,6 +83,9 @@ pub enum RecordingError {
     /// The waveform is impossible.
     #[error("{path}: the waveform is impossible")]
     Waveform { path: PathBuf, source: WaveformError },
+    /// The work was stopped.
+    #[error("{path}: interrupted; nothing has been written")]
+    Interrupted { path: PathBuf },
     /// A frame has another shape than the recording.
     #[error("{path}: frame {sequence} is {got}, the recording holds {expected}")]
     FrameShape { path: PathBuf, sequence: u64, got: String, expected: String },

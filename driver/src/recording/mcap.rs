@@ -43,7 +43,7 @@ mod writer;
 pub use label_list::{LabelEditor, set_labels, stage_labels};
 pub use reader::{McapReader, Results};
 pub use recorder::{Recorder, RecorderOptions};
-pub use repair::{Damage, RepairReport, repair};
+pub use repair::{Damage, RepairReport, repair, repair_unless};
 pub use results::{FrameResult, Judge, RESULTS_VERSION};
 pub use syncer::SyncOptions;
 pub(super) use writer::McapWriter;

@@ -1,11 +1,14 @@
 //! Serial ports.
 
-use std::io::{ErrorKind, Read};
+use std::fs::File;
+use std::io::{ErrorKind, IsTerminal, Read};
 use std::os::fd::{AsRawFd, BorrowedFd};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::OFlags;
 use serialport::TTYPort;
 
 use super::trace;
@@ -27,9 +30,18 @@ pub(crate) fn open_port(path: &Path) -> Result<TTYPort, OpenError> {
         match source.kind() {
             _ if is_held => OpenError::Busy,
             ErrorKind::PermissionDenied => OpenError::PermissionDenied,
+            _ if is_no_port(path) => {
+                OpenError::Other(std::io::Error::new(ErrorKind::InvalidInput, "it is not a serial port"))
+            }
             _ => OpenError::Other(source),
         }
     })
+}
+
+/// Returns whether something else than a serial port has this name.
+fn is_no_port(path: &Path) -> bool {
+    let flags = (OFlags::NONBLOCK | OFlags::NOCTTY).bits() as i32;
+    File::options().read(true).custom_flags(flags).open(path).is_ok_and(|file| !file.is_terminal())
 }
 
 /// Reads bytes, waiting at most `timeout`, and a millisecond at least; returns 0 if none came. A plain read of the port

@@ -42,9 +42,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "{named} holds no answers\n\nhint: radome live SOURCE --model M -o FILE.mcap records them with the frames"
         );
     };
+    // Classifiers without a file have the program's version in place of a hash.
+    let is_hash = judge.model_hash.len() == 64 && judge.model_hash.bytes().all(|byte| byte.is_ascii_hexdigit());
     message!(
-        "judged by {} (SHA-256 {}), on after {} s, off after {} s",
+        "judged by {} ({}{}), on after {} s, off after {} s",
         judge.model,
+        if is_hash { "SHA-256 " } else { "" },
         judge.model_hash,
         judge.on_delay_s,
         judge.off_delay_s

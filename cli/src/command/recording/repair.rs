@@ -33,8 +33,10 @@ pub struct Arguments {
 /// # Errors
 /// The file is no MCAP recording, nothing of it can be read, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
+    output::catch_interrupts()?;
     arguments.overwrite.check(&arguments.output, &[&arguments.file])?;
-    let report = mcap::repair(&arguments.file, &arguments.output, arguments.overwrite.existing())?;
+    let (file, output) = (&arguments.file, &arguments.output);
+    let report = mcap::repair_unless(file, output, arguments.overwrite.existing(), output::interrupted)?;
     if !report.was_finished {
         message!("the recording was never finished; what came after its last chunk is lost");
     }

@@ -53,6 +53,25 @@ pub(super) fn content_length(opcode: u8, body: &[u8]) -> Option<usize> {
     behind.map(|rest| body.len() - rest.0.len())
 }
 
+/// Copy of the body of metadata in which each byte of a text that is not ASCII is a question mark; `None` if a text does not end
+/// within it.
+pub(super) fn ascii_metadata(body: &[u8]) -> Option<Vec<u8>> {
+    let number = |at: usize| Some(u32::from_le_bytes(*body.get(at..)?.first_chunk()?) as usize);
+    let mut copy = body.to_vec();
+    let mut clean = |at: usize| {
+        let end = (at + 4).checked_add(number(at)?)?;
+        copy.get_mut(at + 4..end)?.iter_mut().filter(|byte| !byte.is_ascii()).for_each(|byte| *byte = b'?');
+        Some(end)
+    };
+    // The name; the length of the map, and its keys and values.
+    let map = clean(0)?;
+    let (mut at, end) = (map + 4, (map + 4).checked_add(number(map)?)?);
+    while at < end {
+        at = clean(at)?;
+    }
+    Some(copy)
+}
+
 struct Rest<'a>(&'a [u8]);
 
 impl Rest<'_> {

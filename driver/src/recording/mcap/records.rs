@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{Record, op};
 use radome_dsp::Waveform;
+use serde::de::DeserializeOwned;
 
-use super::lengths::{parse_record, strings_fit};
+use super::lengths::{ascii_metadata, parse_record, strings_fit};
 use super::{FORMAT_VERSION, FRAMES, GAPS, LABELS, METADATA_NAME, RESULTS, RecordingHeader};
 use crate::recording::RecordingError;
 use crate::recording::input::open_file;
@@ -145,7 +146,14 @@ pub(super) fn read_head(records: &mut Records) -> Result<(RecordingHeader, Chann
     let (mut body, mut header, mut channels) = (Vec::new(), None, Channels::new());
     while header.is_none() || !channels.values().any(Option::is_some) {
         match records.next(&mut body, |opcode| opcode == op::METADATA || holds_messages(opcode))? {
-            Next::Record(op::METADATA, at) => header = header_in(records, at, &body)?.or(header),
+            Next::Record(op::METADATA, at) => {
+                if let Some((found, flaws)) = header_in(records, at, &body)? {
+                    if let Some(Flaw { reason, .. }) = flaws.into_iter().next() {
+                        return Err(records.corrupt(at, reason));
+                    }
+                    header = Some(found);
+                }
+            }
             Next::Record(opcode, at) if holds_messages(opcode) => {
                 drop(messages_in(records, opcode, at, &body, &mut channels)?);
             }
@@ -160,14 +168,22 @@ pub(super) fn read_head(records: &mut Records) -> Result<(RecordingHeader, Chann
     Ok((header, channels))
 }
 
-/// Reads the header of the recording, even if the rest is damaged.
-pub(super) fn read_header_alone(records: &mut Records) -> Result<RecordingHeader, RecordingError> {
+/// Damage of the metadata that leaves the frames readable.
+pub(super) struct Flaw {
+    pub reason: String,
+    /// Length of the damaged field, bytes.
+    pub bytes: u64,
+}
+
+/// Reads the header of the recording, even if the rest is damaged, and the offset and the flaws of its metadata. Damaged fields
+/// that frames can do without are empty.
+pub(super) fn read_header_alone(records: &mut Records) -> Result<(RecordingHeader, u64, Vec<Flaw>), RecordingError> {
     let mut body = Vec::new();
     while let Next::Record(opcode, at) = records.next(&mut body, |opcode| opcode == op::METADATA)? {
         if opcode == op::METADATA
-            && let Some(header) = header_in(records, at, &body)?
+            && let Some((header, flaws)) = header_in(records, at, &body)?
         {
-            return Ok(header);
+            return Ok((header, at, flaws));
         }
     }
     let reason = "no metadata `radome`: not one of our recordings, or cut before its start".into();
@@ -175,10 +191,17 @@ pub(super) fn read_header_alone(records: &mut Records) -> Result<RecordingHeader
 }
 
 /// Parses the header of the recording from the body of a metadata record; `None` if that is another program's.
-fn header_in(records: &Records, at: u64, body: &[u8]) -> Result<Option<RecordingHeader>, RecordingError> {
-    match parse_record(op::METADATA, body) {
+fn header_in(records: &Records, at: u64, body: &[u8]) -> Result<Option<(RecordingHeader, Vec<Flaw>)>, RecordingError> {
+    let (mut flaws, ascii) = (Vec::new(), ascii_metadata(body));
+    let mut parsed = parse_record(op::METADATA, body);
+    if let Some(ascii) = ascii.as_deref().filter(|_| parsed.is_err()) {
+        flaws.push(Flaw { reason: "the metadata are not UTF-8".into(), bytes: 0 });
+        parsed = parse_record(op::METADATA, ascii);
+    }
+    match parsed {
         Ok(Record::Metadata(metadata)) if metadata.name == METADATA_NAME => {
-            parse_header(records, at, &metadata.metadata).map(Some)
+            let header = parse_header(records, at, &metadata.metadata, &mut flaws)?;
+            Ok(Some((header, flaws)))
         }
         _ => Ok(None),
     }
@@ -333,6 +356,7 @@ fn parse_header(
     records: &Records,
     at: u64,
     metadata: &BTreeMap<String, String>,
+    flaws: &mut Vec<Flaw>,
 ) -> Result<RecordingHeader, RecordingError> {
     let field = |name: &str| {
         metadata.get(name).ok_or_else(|| records.corrupt(at, format!("the metadata lack the field `{name}`")))
@@ -345,8 +369,8 @@ fn parse_header(
             return Err(RecordingError::Newer { path: records.path.clone(), got: version.clone(), supported: "1" });
         }
     }
-    let wrong = |name: &'static str| move |e| records.corrupt(at, format!("metadata `{name}` is malformed: {e}"));
-    let stored: Waveform = serde_json::from_str(field("waveform")?).map_err(wrong("waveform"))?;
+    let stored: Waveform =
+        serde_json::from_str(field("waveform")?).map_err(|e| records.corrupt(at, malformed("waveform", &e)))?;
     // A stored waveform counts only as far as the chip could produce it.
     let mut waveform = Waveform::realise(stored.request.clone())
         .map_err(|source| RecordingError::Waveform { path: records.path.clone(), source })?;
@@ -355,8 +379,29 @@ fn parse_header(
     }
     Ok(RecordingHeader {
         waveform,
-        board: serde_json::from_str(field("board")?).map_err(wrong("board"))?,
-        registers: serde_json::from_str(field("registers")?).map_err(wrong("registers"))?,
-        judge: metadata.get("judge").map(|judge| serde_json::from_str(judge).map_err(wrong("judge"))).transpose()?,
+        board: parsed_or_empty(metadata, "board", flaws),
+        registers: parsed_or_empty(metadata, "registers", flaws),
+        judge: metadata.get("judge").and_then(|_| parsed_or_empty(metadata, "judge", flaws)),
     })
+}
+
+fn malformed(name: &str, error: &serde_json::Error) -> String {
+    format!("metadata `{name}` is malformed: {error}")
+}
+
+/// Parses a field that frames can do without. It is empty if it is damaged.
+fn parsed_or_empty<T: DeserializeOwned + Default>(
+    metadata: &BTreeMap<String, String>,
+    name: &str,
+    flaws: &mut Vec<Flaw>,
+) -> T {
+    let flaw = match metadata.get(name) {
+        Some(text) => match serde_json::from_str(text) {
+            Ok(value) => return value,
+            Err(error) => Flaw { reason: malformed(name, &error), bytes: text.len() as u64 },
+        },
+        None => Flaw { reason: format!("the metadata lack the field `{name}`"), bytes: 0 },
+    };
+    flaws.push(flaw);
+    T::default()
 }

@@ -7,7 +7,7 @@ use radome_dsp::{Frame, Gap, GapReason};
 
 use super::lengths::{CHUNK_MARK, content_length, is_filled, parse_record};
 use super::reader::parse_result;
-use super::records::{Channels, MAX_RECORD, Next, RECORD_HEADER, Records, Topic, messages_in, read_header_alone};
+use super::records::{Channels, Flaw, MAX_RECORD, Next, RECORD_HEADER, Records, Topic, messages_in, read_header_alone};
 use super::{LabelSpan, McapWriter, RecordingHeader, decode_frame, staged, take_labels};
 use crate::recording::{Existing, RecordingError};
 
@@ -63,26 +63,45 @@ impl RepairReport {
 }
 
 /// Writes the readable part of `input`, which stays as it is, to `output`: all frames of chunks whose check sum is
-/// right. Unreadable parts become gaps. The file's header must be intact. Labels that are staged beside the input are
-/// taken in place of those in it. `existing` decides whether a file at `output` is replaced.
+/// right. Unreadable parts become gaps. Format version and waveform in the file's header must be intact. Labels that are
+/// staged beside the input are taken in place of those in it. `existing` decides whether a file at `output` is replaced.
 ///
 /// # Errors
-/// [`RecordingError`] if the header of the input is damaged, both are the same file, the output exists and must not be
-/// replaced or has another writer, and [`RecordingError::Io`].
+/// [`RecordingError`] if format version or waveform of the input are damaged, both are the same file, the output exists and
+/// must not be replaced or has another writer, and [`RecordingError::Io`].
 pub fn repair(input: &Path, output: &Path, existing: Existing) -> Result<RepairReport, RecordingError> {
+    repair_unless(input, output, existing, || false)
+}
+
+/// Repairs a file as [`repair`] does, unless `is_interrupted` returns true before the end: nothing is written then.
+///
+/// # Errors
+/// Those of [`repair`], and [`RecordingError::Interrupted`].
+pub fn repair_unless(
+    input: &Path,
+    output: &Path,
+    existing: Existing,
+    is_interrupted: impl Fn() -> bool,
+) -> Result<RepairReport, RecordingError> {
     let is_same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
     if is_same(input, output) {
         return Err(RecordingError::Occupied { path: output.to_owned() });
     }
     let mut records = Records::open(input)?;
-    let header = read_header_alone(&mut records)?;
+    let (header, header_at, flaws) = read_header_alone(&mut records)?;
     let writer = McapWriter::create(output, &header, existing)?;
     let frame = Frame::zeroed(header.waveform.shape());
-    let report = RepairReport::default();
+    let damage =
+        flaws.into_iter().map(|Flaw { reason, bytes }| Damage { offset: header_at, bytes, frames: Some(0), reason });
+    let report = RepairReport { damage: damage.collect(), ..RepairReport::default() };
     let mut repair =
         Repair { writer, header, frame, report, expected: None, unread: None, labels: Vec::new(), staged: None };
     repair.staged = staged::read(input)?.map(|staged| staged.labels);
-    repair.copy(&mut records)?;
+    let check = || match is_interrupted() {
+        true => Err(RecordingError::Interrupted { path: output.to_owned() }),
+        false => Ok(()),
+    };
+    repair.copy(&mut records, &check)?;
     repair.writer.finish()?;
     Ok(repair.report)
 }
@@ -112,13 +131,19 @@ struct Repair {
 }
 
 impl Repair {
-    fn copy(&mut self, records: &mut Records) -> Result<(), RecordingError> {
+    /// Copies all messages; `check` is asked before each record.
+    fn copy(
+        &mut self,
+        records: &mut Records,
+        check: &dyn Fn() -> Result<(), RecordingError>,
+    ) -> Result<(), RecordingError> {
         // Numbers that the recorder uses; the first chunk states them, if it can be read.
         let channels = [Topic::Frame, Topic::Gap, Topic::Label, Topic::Result].map(Some);
         let mut channels: Channels = (1..).zip(channels).collect();
         let mut body = Vec::new();
         records.go_to(8)?;
         loop {
+            check()?;
             let at = records.offset;
             let reason = match records.next(&mut body, |opcode| opcode < 0x80) {
                 // Records of other programs look like damaged ones.
@@ -226,7 +251,11 @@ impl Repair {
             }
             Topic::Result => match parse_result(data) {
                 Ok(_) if self.header.judge.is_none() => {
-                    self.report.damage.push(malformed("a result, but the header names no judge".into()));
+                    let damage = malformed("results, but the header names no judge".into());
+                    match self.report.damage.last_mut().filter(|last| last.reason == damage.reason) {
+                        Some(last) => last.bytes += damage.bytes,
+                        None => self.report.damage.push(damage),
+                    }
                 }
                 Ok(result) => {
                     self.writer.recorder.result(&result)?;
