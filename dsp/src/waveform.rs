@@ -23,6 +23,8 @@ pub const CHIRP_INTERVAL_STEP_S: f64 = 8.0 / REFERENCE_CLOCK_HZ;
 pub const CHIRP_OVERHEAD_S: f64 = 8.0e-6;
 /// Lowest and highest frequency of the synthesiser, Hz (datasheet: RF band).
 pub const RF_BAND_HZ: (f64, f64) = (57.4e9, 63.6e9);
+/// Narrowest band of a waveform, Hz.
+const LEAST_BAND_HZ: f64 = 1e6;
 /// Samples that the chip's FIFO holds.
 pub const FIFO_SAMPLES: usize = 16_384;
 
@@ -235,8 +237,9 @@ impl Waveform {
     /// - [`WaveformError::DoesNotFit`] if the samples do not fit into the chirp interval, or the chirps into the frame interval.
     pub fn realise(request: WaveformRequest) -> Result<Self, WaveformError> {
         let r = &request;
-        within("start_frequency_hz", r.start_frequency_hz, RF_BAND_HZ, "Hz")?;
-        within("end_frequency_hz", r.end_frequency_hz, (r.start_frequency_hz + 1e6, RF_BAND_HZ.1), "Hz")?;
+        within("start_frequency_hz", r.start_frequency_hz, (RF_BAND_HZ.0, RF_BAND_HZ.1 - LEAST_BAND_HZ), "Hz")?;
+        let ends = (r.start_frequency_hz + LEAST_BAND_HZ, RF_BAND_HZ.1);
+        within("end_frequency_hz", r.end_frequency_hz, ends, "Hz")?;
         within("samples_per_chirp", r.samples_per_chirp as f64, (8.0, 4095.0), "samples")?;
         within("chirps_per_frame", r.chirps_per_frame as f64, (1.0, 4095.0), "chirps")?;
         let (divider_min, divider_max) = ADC_DIVIDER_RANGE;
@@ -252,7 +255,8 @@ impl Waveform {
         let sample_rate_hz = REFERENCE_CLOCK_HZ / (REFERENCE_CLOCK_HZ / r.sample_rate_hz).round();
         let sampling_s = r.samples_per_chirp as f64 / sample_rate_hz;
         let wanted_slope = (r.end_frequency_hz - r.start_frequency_hz) / (sampling_s + ADC_START_DELAY_S);
-        within("slope", wanted_slope, (SLOPE_STEP_HZ_PER_S, 400e12), "Hz/s")?;
+        let slopes = (SLOPE_STEP_HZ_PER_S, 400e12);
+        within("the slope by end_frequency_hz, samples_per_chirp and sample_rate_hz", wanted_slope, slopes, "Hz/s")?;
         let slope_hz_per_s = (wanted_slope / SLOPE_STEP_HZ_PER_S).round() * SLOPE_STEP_HZ_PER_S;
         let chirp_interval_s = (r.chirp_interval_s / CHIRP_INTERVAL_STEP_S).round() * CHIRP_INTERVAL_STEP_S;
 
@@ -442,6 +446,15 @@ mod tests {
             let request = WaveformRequest { chirp_interval_s: 200e-6, ..WaveformRequest::paper() };
             let message = Waveform::realise(request).expect_err("too short").to_string();
             assert!(message.contains("chirp_interval_s"), "{message}");
+            // The end would have had to be above 63.601 and below 63.6 GHz.
+            let request =
+                WaveformRequest { start_frequency_hz: 63.6e9, end_frequency_hz: 63.6e9, ..WaveformRequest::paper() };
+            let message = Waveform::realise(request).expect_err("no band").to_string();
+            assert!(message.contains("start_frequency_hz") && message.contains("to 63599000000 Hz"), "{message}");
+            let request = WaveformRequest { samples_per_chirp: 8, sample_rate_hz: 4e6, ..WaveformRequest::paper() };
+            let request = WaveformRequest { end_frequency_hz: 63e9, ..request };
+            let message = Waveform::realise(request).expect_err("too steep").to_string();
+            assert!(message.contains("end_frequency_hz") && message.contains("samples_per_chirp"), "{message}");
         }
 
         #[test]

@@ -48,6 +48,11 @@ fn config_names_what_it_cannot_use() {
                 sample_rate_hz = 2e6\nchirp_interval_s = 400e-6\nframe_interval_s = 0.1\n";
     let file = write_file(folder.path(), "far.toml", keys);
     fails_with(command!("board config", &file), &["far.toml", "start_frequency_hz"]);
+    // The registers alone cannot hold this one.
+    let keys = "start_frequency_hz = 60.5e9\nend_frequency_hz = 61.5e9\nsamples_per_chirp = 2048\nchirps_per_frame = 4\n\
+                sample_rate_hz = 1e6\nchirp_interval_s = 4e-3\nframe_interval_s = 0.1\n";
+    let file = write_file(folder.path(), "long.toml", keys);
+    fails_with(command!("board config", &file), &["long.toml is no waveform of this chip", "chip: the ramp"]);
     let said = failure(command!("board config", folder.path()));
     assert!(said.contains("not a recording") && !said.contains("write its content"), "{said}");
 }

@@ -32,7 +32,8 @@
 //! - The anti-alias filter is not programmed: the list has no field for it.
 
 use radome_dsp::{
-    ADC_START_DELAY_S, FIFO_SAMPLES, REFERENCE_CLOCK_HZ, RxMask, SLOPE_STEP_HZ_PER_S, Waveform, WaveformRequest,
+    ADC_START_DELAY_S, FIFO_SAMPLES, REFERENCE_CLOCK_HZ, RF_BAND_HZ, RxMask, SLOPE_STEP_HZ_PER_S, Waveform,
+    WaveformRequest,
 };
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -418,7 +419,8 @@ impl ChipConfiguration {
         active_cycles(rtu) as f64 / REFERENCE_CLOCK_HZ
     }
 
-    /// Returns the waveform that the registers realise: on their grids the nearest to the requested one.
+    /// Returns the waveform that the registers realise: the requested one on their grids, rounded by the vendor's rules. The gain
+    /// need not be the nearest that exists.
     ///
     /// # Errors
     /// Those of [`ChipConfiguration::compile`].
@@ -464,9 +466,14 @@ impl ChipConfiguration {
         let [_, _, vga, high_pass] = RECEIVERS[usize::from(first)].map(|field| registers.field(field));
         let high_pass_db = if registers.field(CS1_U_2::HP_GAIN) >> u32::from(first) & 1 == 1 { 18.0 } else { 30.0 };
         let seconds = |cycles: u64| cycles as f64 / REFERENCE_CLOCK_HZ;
+        let ramp_s = samples as f64 / sample_rate_hz + ADC_START_DELAY_S;
+        let end_frequency_hz = start_frequency_hz + slope * ramp_s;
+        // A ramp that was asked to end at the edge of the band may end half a step of slope behind it.
+        let beyond_hz = end_frequency_hz - RF_BAND_HZ.1;
+        let is_rounded = (0.0..=0.5 * SLOPE_STEP_HZ_PER_S * ramp_s + FREQUENCY_STEP_HZ).contains(&beyond_hz);
         let request = WaveformRequest {
             start_frequency_hz,
-            end_frequency_hz: start_frequency_hz + slope * (samples as f64 / sample_rate_hz + ADC_START_DELAY_S),
+            end_frequency_hz: if is_rounded { RF_BAND_HZ.1 } else { end_frequency_hz },
             samples_per_chirp: samples,
             chirps_per_frame: chirps,
             sample_rate_hz,
@@ -544,6 +551,19 @@ mod tests {
             assert!((a.request.if_gain_db - b.request.if_gain_db).abs() <= 2.5);
             assert_eq!(a.request.high_pass_cutoff_hz, b.request.high_pass_cutoff_hz);
             assert_eq!(a.request.rx_antennas, b.request.rx_antennas);
+        }
+    }
+
+    /// Registers whose rounded ramp ends behind the band were refused, although its request is within the band.
+    #[test]
+    fn a_ramp_to_the_edge_of_the_band_is_realised() {
+        for megahertz in 0..=12 {
+            let end_frequency_hz = RF_BAND_HZ.1 - 1e6 * f64::from(megahertz);
+            let request = WaveformRequest { end_frequency_hz, ..WaveformRequest::paper() };
+            let waveform = Waveform::realise(request).expect("valid");
+            let slope_hz_per_s = waveform.slope_hz_per_s;
+            let realised = ChipConfiguration { waveform, slice_samples: 8192 }.realised().expect("a waveform");
+            assert_eq!(realised.slope_hz_per_s, slope_hz_per_s, "{end_frequency_hz}");
         }
     }
 

@@ -1,3 +1,4 @@
+use anyhow::Context;
 use radome_driver::chip::{ChipConfiguration, RegisterValue};
 use radome_driver::protocol::mcu7::SliceLayout;
 use radome_dsp::{Waveform, WaveformRequest};
@@ -146,8 +147,8 @@ impl<'a> Derived<'a> {
     }
 }
 
-/// Quantities whose nearest realisable value differs from the requested one by more than a millionth. The end of the
-/// band follows from slope and time.
+/// Quantities whose realised value differs from the requested one by more than a millionth. The end of the band follows from
+/// slope and time.
 fn nearest(requested: &WaveformRequest, realised: &WaveformRequest) -> Vec<Nearest> {
     let pairs = [
         ("start frequency", "GHz", 1e-9, requested.start_frequency_hz, realised.start_frequency_hz),
@@ -177,7 +178,8 @@ fn nearest(requested: &WaveformRequest, realised: &WaveformRequest) -> Vec<Neare
 /// The waveform cannot be read, or the chip cannot produce it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let waveform = source::waveform(&arguments.waveform)?;
-    let derived = Derived::new(&waveform, arguments.registers)?;
+    let derived = Derived::new(&waveform, arguments.registers)
+        .with_context(|| format!("{} is no waveform of this chip", arguments.waveform))?;
     if arguments.json {
         return output::json_line(&derived);
     }
@@ -185,7 +187,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         output::text_line(&format!("{name:20} {value}"))?;
     }
     if !derived.nearest.is_empty() {
-        output::text_line("nearest that the registers hold:")?;
+        output::text_line("the registers hold other values than requested:")?;
     }
     for Nearest { name, unit, requested, realised } in &derived.nearest {
         output::text_line(&format!("  {name:18} {realised:.4} {unit}, requested {requested:.4}"))?;
