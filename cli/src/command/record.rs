@@ -1,5 +1,5 @@
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use crossbeam::channel::RecvTimeoutError;
@@ -69,7 +69,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
     let inlet = pipeline.consumer("recorder", 64, policy);
     let reader = pipeline.start(source.frames, arguments.source.frames);
-    let (tally, end) = capture(&inlet, recorder, &source.outage, &bar);
+    let backlog = source.is_live.then(Backlog::default);
+    let (tally, end) = capture(&inlet, recorder, &source.outage, &bar, backlog);
     reader.stop();
     bar.finish_and_clear();
     let Tally { frames, dropped, gaps, unknown } = tally;
@@ -114,7 +115,27 @@ struct Tally {
     unknown: u64,
 }
 
-/// Records until the source ends or fails, the disk fails, or the user stops it.
+/// Time for which the output has kept the reader of a board waiting. Meanwhile the chip's FIFO overflows, and the gap that follows
+/// names the FIFO alone.
+#[derive(Default)]
+struct Backlog {
+    waited: Duration,
+    has_told: bool,
+}
+
+impl Backlog {
+    /// Time from which on a wait is told.
+    const LONG: Duration = Duration::from_millis(500);
+
+    /// Counts a write that has taken this long; `is_full` says whether the reader has to wait for the next one. Returns whether the
+    /// wait is long, for the first time.
+    fn is_long(&mut self, took: Duration, is_full: bool) -> bool {
+        self.waited = if is_full { self.waited + took } else { Duration::ZERO };
+        self.waited > Self::LONG && !std::mem::replace(&mut self.has_told, true)
+    }
+}
+
+/// Records until the source ends or fails, the disk fails, or the user stops it. `backlog` is that of a source that does not wait.
 ///
 /// The file is finished unless the disk has failed or the source has panicked: then it stays marked unfinished. A board
 /// that is lost for good, or away when the user stops, leaves a gap of unknown length at the end.
@@ -123,8 +144,9 @@ fn capture(
     recorder: Recorder,
     outage: &Outage,
     bar: &indicatif::ProgressBar,
+    backlog: Option<Backlog>,
 ) -> (Tally, anyhow::Result<()>) {
-    let mut writer = Writer { recorder, tally: Tally::default(), next_sequence: 0 };
+    let mut writer = Writer { recorder, tally: Tally::default(), next_sequence: 0, backlog };
     let written = writer.write_all(inlet, outage, bar);
     let Writer { mut recorder, mut tally, .. } = writer;
     // Frames that the disk has not taken are none of the file's.
@@ -155,6 +177,7 @@ struct Writer {
     tally: Tally,
     /// Number of the frame that should come next: behind the last frame or gap.
     next_sequence: u64,
+    backlog: Option<Backlog>,
 }
 
 impl Writer {
@@ -169,8 +192,16 @@ impl Writer {
         while !output::interrupted() {
             match inlet.receiver.recv_timeout(Duration::from_millis(200)) {
                 Ok(delivery) => {
+                    let start = Instant::now();
                     if let Some(end) = self.write(delivery.item)? {
                         return Ok(end.err());
+                    }
+                    let backlog = self.backlog.as_mut();
+                    if backlog.is_some_and(|it| it.is_long(start.elapsed(), inlet.receiver.is_full())) {
+                        message!(
+                            "warning: the output takes frames more slowly than they come; the board may lose some meanwhile \
+                             (fifo_overflow)\n\nhint: write to a faster disk"
+                        );
                     }
                     bar.set_position(self.tally.frames);
                     is_unflushed = true;
@@ -246,7 +277,7 @@ mod tests {
         let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         let _reader = source.map(|source| pipeline.start(source, None));
-        let (tally, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden());
+        let (tally, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden(), None);
         let is_finished = McapReader::open(&path).expect("a file that opens").is_complete();
         (tally, end.err().map(|error| output::chain(&error)), is_finished)
     }
@@ -283,9 +314,20 @@ mod tests {
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         inlet.queue.end.set(Ok(())).expect("no end yet");
         drop(pipeline);
-        let (_, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden());
+        let (_, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden(), None);
         end.expect("an end");
         assert!(McapReader::open(&path).expect("a file that opens").is_complete());
+    }
+
+    /// A slow output made the chip's FIFO overflow, and only the FIFO was named.
+    #[test]
+    fn an_output_that_keeps_the_board_waiting_is_told_of_once() {
+        let mut backlog = Backlog::default();
+        let seconds = Duration::from_secs_f64;
+        assert!(!backlog.is_long(seconds(2.0), false), "nobody waits");
+        assert!(!backlog.is_long(seconds(0.3), true));
+        assert!(!backlog.is_long(seconds(0.0), false), "the queue was taken up");
+        assert_eq!([true; 4].map(|is_full| backlog.is_long(seconds(0.3), is_full)), [false, true, false, false]);
     }
 
     #[test]
