@@ -184,6 +184,9 @@ mod hard_cases {
             let at = bytes.windows(8).rposition(|w| w == start.to_le_bytes()).expect("in the index");
             let mut bytes = bytes.clone();
             bytes[at..at + 8].copy_from_slice(&wrong);
+            // Without a CRC the index is believed.
+            let crc = bytes.len() - 12..bytes.len() - 8;
+            bytes[crc].fill(0);
             std::fs::write(&path, bytes).expect("writes");
             let mut source = Recording::open(&path).expect("opens");
             for sequence in 0..90 {

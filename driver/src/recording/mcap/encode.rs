@@ -203,6 +203,15 @@ impl Chunk {
     }
 }
 
+/// Returns whether the footer states this CRC of the summary's records, completed by the footer's own part. Files by earlier
+/// versions state none (0).
+pub(super) fn is_intact(mut crc: Hasher, footer: &[u8]) -> bool {
+    // Opcode, length and two offsets stand before the CRC.
+    let (covered, rest) = footer.split_at(footer.len().min(25));
+    crc.update(covered);
+    rest.first_chunk::<4>().is_some_and(|stated| *stated == [0; 4] || *stated == crc.finalize().to_le_bytes())
+}
+
 /// Layout of a summary: positions of its records, kind by kind, and their CRC. It holds no record itself.
 pub(super) struct SummaryLayout {
     /// Offset of the first record in the file.

@@ -3,7 +3,7 @@
 use crc32fast::Hasher;
 use mcap::records::{Record, op};
 
-use super::encode::FOOTER_BODY_BYTES;
+use super::encode::{FOOTER_BODY_BYTES, is_intact};
 use super::lengths::parse_record;
 use super::records::{
     Channels, Next, RECORD_HEADER, Records, Topic, holds_messages, messages_in, readable_messages_at, topic,
@@ -15,8 +15,6 @@ const UNSYNCED_CHUNKS: usize = 8;
 
 /// Footer record and magic: the end of every finished file.
 pub(super) const FOOTER: u64 = RECORD_HEADER + FOOTER_BODY_BYTES + 8;
-/// CRC and magic: the part of a footer that the CRC does not cover.
-const BEHIND_CRC_START: u64 = 4 + 8;
 
 /// Chunk of a recording, or a message that another program has written without a chunk.
 #[derive(Debug)]
@@ -127,41 +125,24 @@ pub(super) fn summary_start(records: &mut Records) -> Result<Option<u64>, Record
     Ok((ends && *opcode == op::FOOTER && number(0) == 20).then(|| number(8)))
 }
 
-/// Returns whether the summary has the CRC that the footer states. Files by earlier versions state none (0).
-pub(super) fn is_intact(records: &mut Records, start: u64) -> Result<bool, RecordingError> {
-    const BLOCK: usize = 1 << 16;
-    let end = records.length.saturating_sub(BEHIND_CRC_START);
-    let (mut stated, mut block) = ([0; 4], vec![0; BLOCK]);
-    records.peek(end, &mut stated)?;
-    let stated = u32::from_le_bytes(stated);
-    if stated == 0 {
-        return Ok(true);
-    }
-    let (mut at, mut crc) = (start, Hasher::new());
-    while at < end {
-        let wanted = block.get_mut(..BLOCK.min((end - at) as usize)).unwrap_or_default();
-        let filled = records.peek(at, wanted)?;
-        if filled == 0 {
-            return Ok(false);
-        }
-        crc.update(block.get(..filled).unwrap_or_default());
-        at += filled as u64;
-    }
-    Ok(crc.finalize() == stated)
-}
-
 /// Reads the index in the summary; `None` if it is damaged, contradicts the file or itself, or does not name all
 /// channels.
 fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> Result<Option<Index>, RecordingError> {
-    if start >= records.length || !is_intact(records, start)? {
+    if start >= records.length {
         return Ok(None);
     }
     records.go_to(start)?;
     let (mut body, mut chunks, mut statistics) = (Vec::new(), Vec::new(), None);
-    let mut known = channels.clone();
+    let (mut known, mut crc) = (channels.clone(), Hasher::new());
     let mut end = 0;
     loop {
-        match records.next(&mut body, |opcode| matches!(opcode, op::CHANNEL | op::CHUNK_INDEX | op::STATISTICS)) {
+        let next = records.next(&mut body, |_| true);
+        if let Ok(Next::Record(opcode, _)) = next {
+            crc.update(&[opcode]);
+            crc.update(&(body.len() as u64).to_le_bytes());
+            crc.update(&body);
+        }
+        match next {
             Ok(Next::Record(opcode @ (op::CHANNEL | op::CHUNK_INDEX | op::STATISTICS), _)) => {
                 match parse_record(opcode, &body) {
                     Ok(Record::Channel(channel)) => {
@@ -196,6 +177,11 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
             Ok(Next::CutShort) | Err(RecordingError::Corrupt { .. }) => return Ok(None),
             Err(error) => return Err(error),
         }
+    }
+    let mut footer = [0; FOOTER as usize];
+    records.peek(records.length.saturating_sub(FOOTER), &mut footer)?;
+    if !is_intact(crc, &footer) {
+        return Ok(None);
     }
     let Some(statistics) = statistics.filter(|s| s.chunk_count as usize == chunks.len()) else { return Ok(None) };
     let counts = &statistics.channel_message_counts;

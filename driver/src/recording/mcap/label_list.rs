@@ -5,10 +5,11 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
+use crc32fast::Hasher;
 use mcap::records::{MessageHeader, Record, Statistics, op};
 
-use super::encode::{Chunk, SummaryLayout, chunk_index_body, record, statistics_body};
-use super::index::{FOOTER, is_intact, summary_start};
+use super::encode::{Chunk, SummaryLayout, chunk_index_body, is_intact, record, statistics_body};
+use super::index::{FOOTER, summary_start};
 use super::lengths::parse_record;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, topic};
 use super::staged::{self, End};
@@ -137,16 +138,18 @@ fn new_end(records: &mut Records, labels: &[LabelSpan]) -> Result<End, Recording
         let reason = format!("a summary of {} bytes, expected at most {MAX_RECORD} where labels change", length - end);
         return Err(records.corrupt(end, reason));
     }
+    let mut bytes = vec![0; usize::try_from(length - end).unwrap_or(0)];
+    records.peek(end, &mut bytes)?;
+    let (before_footer, footer) = bytes.split_at(bytes.len().saturating_sub(FOOTER as usize));
+    let summary = before_footer.get(DATA_END_BYTES as usize..).unwrap_or(&[]);
     let summary_start = end + DATA_END_BYTES;
-    if !is_intact(records, summary_start)? {
+    let mut crc = Hasher::new();
+    crc.update(summary);
+    if !is_intact(crc, footer) {
         let reason =
             "the summary is damaged, so that labels cannot be written; radome recording repair makes a new one";
         return Err(records.corrupt(summary_start, reason.into()));
     }
-    let mut bytes = vec![0; usize::try_from(length - end).unwrap_or(0)];
-    records.peek(end, &mut bytes)?;
-    let summary = bytes.len().checked_sub(FOOTER as usize);
-    let summary = summary.and_then(|summary_end| bytes.get(DATA_END_BYTES as usize..summary_end)).unwrap_or(&[]);
     let mut summary = Summary::parse(summary).map_err(|reason| records.corrupt(summary_start, reason))?;
     let at = summary.drop_label_chunks(records, end)?;
     let json = serde_json::to_vec(labels).map_err(|e| RecordingError::cannot_write(&records.path)(e.into()))?;
