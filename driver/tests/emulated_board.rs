@@ -81,18 +81,6 @@ fn frames_of_any_shape_arrive_bit_exact() {
     }
 }
 
-/// Frames with an odd number of codes share slices; the last ones, which filled no slice, were missing without a gap.
-#[test]
-fn last_frames_that_fill_no_slice_are_a_gap() {
-    for (chirps, samples, frames) in [(7, 85, 11), (3, 33, 61), (17, 255, 3)] {
-        let (sequences, gaps, _) = stream(&waveform(&[1], chirps, samples, 0.1), frames, &[]);
-        let sent = sequences.len() as u64;
-        let lost = Gap { first_sequence: sent, frames: frames - sent, reason: GapReason::Disconnected };
-        assert!(sent < frames && sequences.into_iter().eq(0..sent));
-        assert_eq!(gaps, [lost], "{chirps} x {samples}");
-    }
-}
-
 #[test]
 fn the_identity_is_read_as_from_the_real_board() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);

@@ -136,12 +136,6 @@ impl EmulatedBoard {
         self.shared.finished.load(Ordering::Acquire)
     }
 
-    /// Number of frames at the end of the source that fill no slice of the FIFO, which the board therefore keeps. Known once it
-    /// has [`finished`](Self::finished).
-    pub(super) fn unsent_frames(&self) -> u64 {
-        self.shared.unsent.load(Ordering::Relaxed)
-    }
-
     /// Reason why the board sends no frames for its client's last request, if it sends none.
     pub fn refusal(&self) -> Option<String> {
         self.shared.refusal()

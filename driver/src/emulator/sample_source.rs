@@ -386,12 +386,6 @@ impl SampleSource {
         }
     }
 
-    /// Number of frames from the source that have not been taken out to their end.
-    pub fn unsent_frames(&self) -> u64 {
-        let frames = |codes: u64| codes / self.codes_per_frame.max(1);
-        frames(self.put).saturating_sub(frames(self.taken))
-    }
-
     /// Returns whether the codes taken so far are whole frames, so that slices end where frames do.
     pub fn at_frame_boundary(&self) -> bool {
         self.taken.is_multiple_of(self.codes_per_frame.max(1))

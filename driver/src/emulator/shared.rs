@@ -25,8 +25,6 @@ pub(super) struct Shared {
     pub(super) packets: AtomicU64,
     pub(super) overflows: AtomicU64,
     pub(super) frames: AtomicU64,
-    /// Frames at the end of the source that fill no slice.
-    pub(super) unsent: AtomicU64,
     pub(super) departures: AtomicU64,
     pub(super) refusal: Mutex<Option<String>>,
     pub(super) failure: Mutex<Option<String>>,

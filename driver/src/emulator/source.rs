@@ -4,13 +4,12 @@ use std::cmp::Ordering;
 use std::time::Duration;
 
 use crossbeam::channel::{Receiver, Sender, unbounded};
-use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, Truth, Waveform};
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
 
 use super::{EmulatedBoard, EmulatorError, EmulatorOptions};
 use crate::board::{BoardError, BoardIdentity, Mcu7Board, Mcu7Stream};
 
-/// Emulated board with a client attached. It ends with its source. Last frames that fill no slice of the chip's FIFO stay in
-/// it, and are a gap at the end. The ground truth of the source's frames, which the
+/// Emulated board with a client attached. It ends with its source. The ground truth of the source's frames, which the
 /// protocol cannot carry, bypasses the board and is put back by sequence number.
 pub struct EmulatedSource {
     // Fields are dropped in this order: the client stops the board before the board is dropped.
@@ -20,9 +19,6 @@ pub struct EmulatedSource {
     truths: Receiver<(u64, Truth)>,
     /// Ground truth received last, if it belongs to a later frame.
     ahead: Option<(u64, Truth)>,
-    /// Number of the frame that should come next.
-    next_sequence: u64,
-    has_ended: bool,
 }
 
 /// Source that sends the ground truth of each frame to a channel.
@@ -68,8 +64,7 @@ impl EmulatedSource {
         let board = EmulatedBoard::spawn(Box::new(Tap { source, truths: sender }), options)?;
         let client = Mcu7Board::open(board.address())?;
         let identity = client.identity().clone();
-        let stream = client.start(&waveform)?;
-        Ok(EmulatedSource { stream, identity, board, truths, ahead: None, next_sequence: 0, has_ended: false })
+        Ok(EmulatedSource { stream: client.start(&waveform)?, identity, board, truths, ahead: None })
     }
 
     fn truth(&mut self, sequence: u64) -> Option<Truth> {
@@ -123,20 +118,8 @@ impl FrameSource for EmulatedSource {
                 return Err(format!("the emulated board sends no more frames: {reason}").into());
             }
             let event = polled?.unwrap_or(SourceEvent::End);
-            match event {
-                SourceEvent::Frame => {
-                    frame.truth = self.truth(frame.sequence);
-                    self.next_sequence = frame.sequence.saturating_add(1);
-                }
-                SourceEvent::Gap(gap) => self.next_sequence = gap.first_sequence.saturating_add(gap.frames),
-                SourceEvent::End if !std::mem::replace(&mut self.has_ended, true) => {
-                    let (first_sequence, frames) = (self.next_sequence, self.board.unsent_frames());
-                    if frames > 0 {
-                        let reason = GapReason::Disconnected;
-                        return Ok(SourceEvent::Gap(Gap { first_sequence, frames, reason }));
-                    }
-                }
-                SourceEvent::End => {}
+            if event == SourceEvent::Frame {
+                frame.truth = self.truth(frame.sequence);
             }
             return Ok(event);
         }

@@ -107,7 +107,6 @@ impl Mcu7 {
                 Slice::Wait => break,
                 Slice::End => {
                     if self.buffer.is_empty() {
-                        self.shared.unsent.store(self.requests.chip.source.unsent_frames(), Ordering::Relaxed);
                         self.shared.finished.store(true, Ordering::Release);
                     }
                     break;
