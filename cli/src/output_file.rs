@@ -171,7 +171,7 @@ fn reserve(path: &Path) -> Result<Partial, RecordingError> {
 }
 
 /// Endings of recordings, models, arrays, tables, pictures and texts, each of which stands for one format.
-const ENDINGS: [&str; 18] = [
+const ENDINGS: [&str; 17] = [
     "csv",
     "gif",
     "h5",
@@ -180,7 +180,6 @@ const ENDINGS: [&str; 18] = [
     "jpg",
     "json",
     "mat",
-    "mcap",
     "npy",
     "npz",
     "onnx",
