@@ -46,7 +46,8 @@ pub struct Answer {
     /// Probabilities by the model without the filter.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_probabilities: Option<Probabilities>,
-    /// Whether the room counts as occupied, after delays that suppress flicker. A frame without a label keeps the value.
+    /// Whether the room counts as occupied, after delays that suppress flicker. A frame without a label keeps the value, until the
+    /// last frame with a signal is too old.
     pub occupied: bool,
     /// Number of people in the room, after the same delays.
     pub people: usize,

@@ -36,9 +36,11 @@ pub struct FrameClassifier {
     map_s: f64,
     /// Time over which the model averages the evidence of frames, s.
     model_memory_s: f64,
-    /// Time without frames after which it begins anew, s.
+    /// Time without frames, or without a signal in them, after which it begins anew, s.
     forgets_after_s: f64,
     last_time_s: Option<f64>,
+    /// Time of the last frame with a signal since it began anew, s.
+    last_signal_s: Option<f64>,
     pub health: Health,
     transition_frames: u64,
     all: Confusion,
@@ -70,6 +72,7 @@ impl FrameClassifier {
                 .max(3.0 * waveform.frame_interval_s())
                 .max(delays.off_s),
             last_time_s: None,
+            last_signal_s: None,
             health: Health::new(started),
             transition_frames: 0,
             all: Confusion::default(),
@@ -112,11 +115,18 @@ impl FrameClassifier {
     /// The frame is of another shape than the waveform says, or the model fails.
     pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
         let time_s = frame.time_s();
-        if self.last_time_s.is_some_and(|last_s| time_s < last_s || time_s - last_s > self.forgets_after_s) {
-            // The state is of another time, after a seek in a recording or a long gap: people may have come or gone.
+        let is_long_after = |last_s: f64| time_s - last_s > self.forgets_after_s;
+        let is_other_time = self.last_time_s.is_some_and(|last_s| time_s < last_s || is_long_after(last_s));
+        let is_outdated = self.last_signal_s.is_some_and(is_long_after);
+        if is_other_time {
+            self.judge.reset();
+        }
+        if is_other_time || is_outdated {
+            // The state is of another time, after a seek in a recording, a long gap or long without a signal: people may have
+            // come or gone.
+            self.last_signal_s = None;
             self.filter.reset();
             self.people = PeopleCount::new(self.delays.on_s, self.delays.off_s);
-            self.judge.reset();
         }
         self.last_time_s = Some(time_s);
         let prediction = self.judge.frame(frame)?;
@@ -152,7 +162,11 @@ impl FrameClassifier {
                 self.health.first_label.get_or_insert_with(|| self.health.started.elapsed());
             }
         }
-        // Frames without a label contain no information about people, so that the previous state persists.
+        if !answer.no_signal {
+            self.last_signal_s = Some(time_s);
+        }
+        // Frames without a label contain no information about people, so that the previous state persists: while a window of
+        // frames fills, and for a while without a signal.
         answer.people = self.people.people();
         answer.occupied = answer.people > 0;
         answer.is_settled = self.people.is_settled();

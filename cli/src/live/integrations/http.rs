@@ -87,7 +87,8 @@ async fn show_health(State(served): State<Served>) -> impl IntoResponse {
         Some(_) => (StatusCode::OK, "frames are labelled\n"),
         None => (
             StatusCode::SERVICE_UNAVAILABLE,
-            "there is no answer: no frames come, or those since the start or the last outage are too few\n",
+            "there is no answer: no frames come, their receivers give no signal, or those since the start or the last outage are too \
+             few\n",
         ),
     }
 }

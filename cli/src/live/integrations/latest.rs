@@ -145,32 +145,66 @@ mod tests {
     use crate::judge::{Delays, Model};
     use crate::live::classify::FrameClassifier;
 
+    /// Classifier of frames of an empty room, whose answers are told.
+    struct Room {
+        waveform: Waveform,
+        judge: FrameClassifier,
+        sink: LatestSink,
+        noise: u32,
+    }
+
+    impl Room {
+        fn new() -> Self {
+            let waveform = Waveform::realise(WaveformRequest::paper()).expect("a valid waveform");
+            let started = Instant::now();
+            let judge = FrameClassifier::new(Model::Cfar, &waveform, Delays::default(), started).expect("a judge");
+            Room { waveform, judge, sink: LatestSink(Latest::new(started, Duration::from_secs(600))), noise: 1 }
+        }
+
+        /// Tells the answer to a frame, with or without a signal; returns whether there is a settled one.
+        fn is_known_at(&mut self, time_s: f64, has_signal: bool) -> bool {
+            let mut frame = Frame::zeroed(self.waveform.shape());
+            (frame.sequence, frame.time_ns) = ((time_s * 10.0).round() as u64, (time_s * 1e9) as u64);
+            for code in frame.codes.iter_mut().filter(|_| has_signal) {
+                self.noise = self.noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                *code = 2000 + (self.noise >> 26) as u16;
+            }
+            let frame = Arc::new(frame);
+            let answer = self.judge.frame(&frame, Instant::now()).expect("an answer");
+            assert_eq!(answer.no_signal, !has_signal);
+            let moment = Moment { answer: &answer, frame: &frame, map: self.judge.map(), health: &self.judge.health };
+            self.sink.answer(&moment).expect("told");
+            self.sink.0.said().is_some()
+        }
+
+        /// Tells the answers to 3.5 s of frames with a signal; returns whether there is a settled one after each.
+        fn known_from(&mut self, first_s: f64) -> Vec<bool> {
+            (0..=35).map(|tenth| self.is_known_at(first_s + 0.1 * f64::from(tenth), true)).collect()
+        }
+    }
+
     /// Regression test: when a board came back, the count from before its outage was told until the delays were over.
     #[test]
     fn after_a_long_gap_the_count_is_unknown_until_it_is_settled_again() {
-        let waveform = Waveform::realise(WaveformRequest::paper()).expect("a valid waveform");
-        let started = Instant::now();
-        let mut judge = FrameClassifier::new(Model::Cfar, &waveform, Delays::default(), started).expect("a judge");
-        let latest = Latest::new(started, Duration::from_secs(600));
-        let mut sink = LatestSink(latest.clone());
-        let mut noise = 1u32;
-        let mut is_known_at = |time_s: f64| {
-            let mut frame = Frame::zeroed(waveform.shape());
-            (frame.sequence, frame.time_ns) = ((time_s * 10.0).round() as u64, (time_s * 1e9) as u64);
-            for code in &mut frame.codes {
-                noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                *code = 2000 + (noise >> 26) as u16;
-            }
-            let frame = Arc::new(frame);
-            let answer = judge.frame(&frame, Instant::now()).expect("an answer");
-            let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: &judge.health };
-            sink.answer(&moment).expect("told");
-            latest.said().is_some()
-        };
+        let mut room = Room::new();
         for first_s in [0.0, 12.5] {
-            let known: Vec<bool> = (0..=35).map(|tenth| is_known_at(first_s + 0.1 * f64::from(tenth))).collect();
+            let known = room.known_from(first_s);
             assert!(!known[0] && known[35], "from {first_s} s on: {known:?}");
-            assert!(is_known_at(first_s + 4.5), "a second without frames changes nothing");
+            assert!(room.is_known_at(first_s + 4.5, true), "a second without frames changes nothing");
         }
+    }
+
+    /// Regression test: after minutes of frames without a signal, the count from before was told as that of now.
+    #[test]
+    fn after_long_without_a_signal_the_count_is_unknown_until_it_is_settled_again() {
+        let mut room = Room::new();
+        assert!(room.known_from(0.0)[35]);
+        room.is_known_at(4.0, false);
+        assert!(room.is_known_at(4.1, true), "half a second without a signal changes nothing");
+        for tenth in 42..=120 {
+            room.is_known_at(0.1 * f64::from(tenth), false);
+        }
+        let known = room.known_from(12.1);
+        assert!(!known[0] && known[35], "{known:?}");
     }
 }
