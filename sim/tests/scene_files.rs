@@ -150,6 +150,13 @@ mod hard_cases {
         assert!(refusal(&hall(&random)).contains("between`"), "{}", refusal(&hall(&random)));
     }
 
+    /// The message named no limits, but a schema that has none.
+    #[test]
+    fn constants_of_a_receiver_are_refused_with_their_range() {
+        let message = refusal(&hall(NOBODY).replace("noise_figure_db = 0.0", "noise_figure_db = 61.5"));
+        assert!(message.contains("noise_figure_db is 61.5, expected 0 to 60"), "{message}");
+    }
+
     #[test]
     fn programs_must_be_one_and_complete() {
         for (people, expected) in [

@@ -416,14 +416,14 @@ impl Receiver {
     }
 
     /// Returns the first constant that is not valid, as (key, value, expected value).
-    pub fn first_fault(&self) -> Option<(&'static str, String, &'static str)> {
-        let fault = |key, value: String, expected| Some((key, value, expected));
+    pub fn first_fault(&self) -> Option<(&'static str, String, String)> {
+        let fault = |key, value: String, expected: &str| Some((key, value, expected.to_owned()));
         if self.format != RECEIVER_FORMAT {
             return fault("format", self.format.to_string(), "format = 1, the only version that this program reads");
         }
         for (key, value, min, max) in self.ranged() {
             if !(value >= min && value <= max) {
-                return fault(key, value.to_string(), "a finite number within physical bounds (see the schema)");
+                return fault(key, value.to_string(), &format!("{min} to {max}"));
             }
         }
         if let Some(PhaseNoise { level_dbc_per_hz, offset_hz }) = self.phase_noise {

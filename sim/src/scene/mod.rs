@@ -460,7 +460,7 @@ fn check_receiver(receiver: &Receiver, path: &Path, text: &str) -> Result<(), Sc
             line: line_of_value(text, key, &value),
             key: key.to_owned(),
             value,
-            expected: expected.to_owned(),
+            expected,
         }),
     }
 }
