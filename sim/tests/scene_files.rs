@@ -154,7 +154,7 @@ mod hard_cases {
     #[test]
     fn constants_of_a_receiver_are_refused_with_their_range() {
         let message = refusal(&hall(NOBODY).replace("noise_figure_db = 0.0", "noise_figure_db = 61.5"));
-        assert!(message.contains("noise_figure_db is 61.5, expected 0 to 60"), "{message}");
+        assert!(message.contains("noise_figure_db is 61.5, expected a physical value, 0 to 60"), "{message}");
     }
 
     #[test]

@@ -423,7 +423,7 @@ impl Receiver {
         }
         for (key, value, min, max) in self.ranged() {
             if !(value >= min && value <= max) {
-                return fault(key, value.to_string(), &format!("{min} to {max}"));
+                return fault(key, value.to_string(), &format!("a physical value, {min} to {max}"));
             }
         }
         if let Some(PhaseNoise { level_dbc_per_hz, offset_hz }) = self.phase_noise {
