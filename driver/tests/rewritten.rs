@@ -7,7 +7,7 @@ use std::path::Path;
 use mcap::WriteOptions;
 use mcap::records::MessageHeader;
 use radome_driver::recording::Existing;
-use radome_driver::recording::mcap::repair;
+use radome_driver::recording::mcap::{repair, set_labels};
 use radome_driver::{LabelSpan, McapReader, RecordingError};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 
@@ -81,6 +81,37 @@ fn files_of_another_layout_hold_the_same() {
         assert_is_whole(&bytes, name);
         assert_is_whole(&bytes[..bytes.len() - 37], &format!("{name}, unfinished"));
     }
+}
+
+/// A new label is a chunk, which was taken for the only one of the file.
+#[test]
+fn a_label_beside_messages_without_chunks_hides_none() {
+    let (_folder, path) = in_folder("a.mcap");
+    std::fs::write(&path, rewritten(WriteOptions::new().use_chunks(false))).expect("writes");
+    set_labels(&path, &[label()]).expect("labels");
+    assert_is_whole(&std::fs::read(&path).expect("reads"), "a label beside messages");
+}
+
+/// Damage among messages without chunks cost all later frames without a gap.
+#[test]
+fn damage_among_messages_without_chunks_is_a_gap() {
+    let mut bytes = rewritten(WriteOptions::new().use_chunks(false));
+    let mut at = mcap::MAGIC.len();
+    let mut messages = Vec::new();
+    while at < bytes.len() - mcap::MAGIC.len() {
+        if bytes[at] == mcap::records::op::MESSAGE {
+            messages.push(at);
+        }
+        at += 9 + u64::from_le_bytes(*bytes[at + 1..].first_chunk().expect("a length")) as usize;
+    }
+    bytes[messages[12]] = 0x7F;
+    let (folder, path) = in_folder("a.mcap");
+    std::fs::write(&path, &bytes).expect("writes");
+    let repaired = folder.path().join("b.mcap");
+    let report = repair(&path, &repaired, Existing::Refuse).expect("repairs");
+    assert!(report.frames < FRAMES && !report.damage.is_empty(), "{report:?}");
+    let (frames, gaps, _) = read(&mut McapReader::open(&repaired).expect("opens"));
+    assert_eq!((frames.len() as u64, gaps.len()), (report.frames, 1), "{gaps:?}");
 }
 
 /// A wrong bit in the index of chunks hid labels and answers.

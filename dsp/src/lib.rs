@@ -81,7 +81,7 @@ pub use rdm::{MapFlags, MapStatus, Rdm, RdmProcessor, RdmShape, RdmSpec};
 pub use source::{FrameSource, Gap, GapReason, SourceError, SourceEvent, source_from_fn};
 pub use statistics::noise_floor_db;
 pub use waveform::{
-    ADC_START_DELAY_S, FIFO_SAMPLES, REFERENCE_CLOCK_HZ, RF_BAND_HZ, RxMask, SLOPE_STEP_HZ_PER_S,
+    ADC_START_DELAY_S, FIFO_SAMPLES, LEAST_BAND_HZ, REFERENCE_CLOCK_HZ, RF_BAND_HZ, RxMask, SLOPE_STEP_HZ_PER_S,
     SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError, WaveformMismatch, WaveformRequest,
 };
 pub use window::Window;

@@ -24,7 +24,7 @@ pub const CHIRP_OVERHEAD_S: f64 = 8.0e-6;
 /// Lowest and highest frequency of the synthesiser, Hz (datasheet: RF band).
 pub const RF_BAND_HZ: (f64, f64) = (57.4e9, 63.6e9);
 /// Narrowest band of a waveform, Hz.
-const LEAST_BAND_HZ: f64 = 1e6;
+pub const LEAST_BAND_HZ: f64 = 1e6;
 /// Samples that the chip's FIFO holds.
 pub const FIFO_SAMPLES: usize = 16_384;
 

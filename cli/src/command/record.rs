@@ -124,18 +124,19 @@ struct Backlog {
 }
 
 impl Backlog {
-    /// Time from which on a wait is told.
+    /// Longest wait that is not reported.
     const LONG: Duration = Duration::from_millis(500);
 
-    /// Counts a write that has taken this long; `is_full` says whether the reader has to wait for the next one. Returns whether the
-    /// wait is long, for the first time.
+    /// Adds the time of a write. `is_full` says whether the queue is full behind it, so that the reader waits. Returns true once, when
+    /// the wait exceeds [`Self::LONG`].
     fn is_long(&mut self, took: Duration, is_full: bool) -> bool {
         self.waited = if is_full { self.waited + took } else { Duration::ZERO };
         self.waited > Self::LONG && !std::mem::replace(&mut self.has_told, true)
     }
 }
 
-/// Records until the source ends or fails, the disk fails, or the user stops it. `backlog` is that of a source that does not wait.
+/// Records until the source ends or fails, the disk fails, or the user stops it. `backlog` is given for a board, which does
+/// not wait for the output.
 ///
 /// The file is finished unless the disk has failed or the source has panicked: then it stays marked unfinished. A board
 /// that is lost for good, or away when the user stops, leaves a gap of unknown length at the end.

@@ -32,8 +32,8 @@
 //! - The anti-alias filter is not programmed: the list has no field for it.
 
 use radome_dsp::{
-    ADC_START_DELAY_S, FIFO_SAMPLES, REFERENCE_CLOCK_HZ, RF_BAND_HZ, RxMask, SLOPE_STEP_HZ_PER_S, Waveform,
-    WaveformRequest,
+    ADC_START_DELAY_S, FIFO_SAMPLES, LEAST_BAND_HZ, REFERENCE_CLOCK_HZ, RF_BAND_HZ, RxMask, SLOPE_STEP_HZ_PER_S,
+    Waveform, WaveformRequest,
 };
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -423,7 +423,7 @@ impl ChipConfiguration {
     /// need not be the nearest that exists.
     ///
     /// # Errors
-    /// Those of [`ChipConfiguration::compile`].
+    /// Those of [`ChipConfiguration::compile`] and [`ChipConfiguration::decode`].
     pub fn realised(&self) -> Result<Waveform, ChipError> {
         Ok(ChipConfiguration::decode(&self.programmed()?)?.waveform)
     }
@@ -467,13 +467,19 @@ impl ChipConfiguration {
         let high_pass_db = if registers.field(CS1_U_2::HP_GAIN) >> u32::from(first) & 1 == 1 { 18.0 } else { 30.0 };
         let seconds = |cycles: u64| cycles as f64 / REFERENCE_CLOCK_HZ;
         let ramp_s = samples as f64 / sample_rate_hz + ADC_START_DELAY_S;
+        // Rounding to the grids may lead out of the limits of a request, at most by half a step of slope and a step of frequency.
+        let inside = |value: f64, [low, high]: [f64; 2], most: f64| {
+            let near = value.max(low).min(high);
+            if (near - value).abs() <= most { near } else { value }
+        };
         let end_frequency_hz = start_frequency_hz + slope * ramp_s;
-        // A ramp that was asked to end at the edge of the band may end half a step of slope behind it.
-        let beyond_hz = end_frequency_hz - RF_BAND_HZ.1;
-        let is_rounded = (0.0..=0.5 * SLOPE_STEP_HZ_PER_S * ramp_s + FREQUENCY_STEP_HZ).contains(&beyond_hz);
+        let start_frequency_hz =
+            inside(start_frequency_hz, [RF_BAND_HZ.0, RF_BAND_HZ.1 - LEAST_BAND_HZ], FREQUENCY_STEP_HZ);
+        let most_hz = 0.5 * SLOPE_STEP_HZ_PER_S * ramp_s + FREQUENCY_STEP_HZ;
+        let end_frequency_hz = inside(end_frequency_hz, [start_frequency_hz + LEAST_BAND_HZ, RF_BAND_HZ.1], most_hz);
         let request = WaveformRequest {
             start_frequency_hz,
-            end_frequency_hz: if is_rounded { RF_BAND_HZ.1 } else { end_frequency_hz },
+            end_frequency_hz,
             samples_per_chirp: samples,
             chirps_per_frame: chirps,
             sample_rate_hz,
@@ -564,6 +570,17 @@ mod tests {
             let slope_hz_per_s = waveform.slope_hz_per_s;
             let realised = ChipConfiguration { waveform, slice_samples: 8192 }.realised().expect("a waveform");
             assert_eq!(realised.slope_hz_per_s, slope_hz_per_s, "{end_frequency_hz}");
+        }
+        // The narrowest bands, whose slope is rounded down below them, and at the end of the chip's band.
+        let narrow = [(60e9, 11), (60e9, 12), (60e9, 14), (RF_BAND_HZ.1 - 1e6, 8)];
+        for (start_frequency_hz, samples_per_chirp) in narrow {
+            let end_frequency_hz = start_frequency_hz + 1e6;
+            let (sample_rate_hz, paper) = (2e6, WaveformRequest::paper());
+            let request =
+                WaveformRequest { start_frequency_hz, end_frequency_hz, samples_per_chirp, sample_rate_hz, ..paper };
+            let waveform = Waveform::realise(request).expect("valid");
+            let realised = ChipConfiguration { waveform, slice_samples: 8192 }.realised();
+            assert!(realised.is_ok(), "{samples_per_chirp}: {realised:?}");
         }
     }
 

@@ -124,7 +124,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         });
     }
     if spans.is_empty() && arguments.erase.is_empty() && arguments.output.is_none() {
-        message!("no label was given; nothing has been written");
+        Recording::open(&arguments.recording)?;
+        message!("no label was given or found; nothing has been written");
         return print(&spans, arguments.json);
     }
     let mut erased = 0;

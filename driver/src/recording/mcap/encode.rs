@@ -203,8 +203,8 @@ impl Chunk {
     }
 }
 
-/// Returns whether the footer states this CRC of the summary's records, completed by the footer's own part. Files by earlier
-/// versions state none (0).
+/// Returns whether the CRC in `footer` is that of the summary, or 0, which stands for none. `crc` is that of the summary's
+/// records; the start of the footer is added here. Files by earlier versions have none.
 pub(super) fn is_intact(mut crc: Hasher, footer: &[u8]) -> bool {
     // Opcode, length and two offsets stand before the CRC.
     let (covered, rest) = footer.split_at(footer.len().min(25));

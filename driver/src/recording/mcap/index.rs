@@ -22,7 +22,7 @@ pub(super) struct Chunk {
     pub offset: u64,
     pub has_labels: bool,
     pub has_results: bool,
-    /// Numbers of frames and gaps, where the message indexes were read.
+    /// Numbers of frames and gaps, where the file was scanned.
     frames: u64,
     gaps: u64,
     /// First frame of the chunk, `None` until it has been looked up; `Some(None)` if no frame of the chunk can be read.
@@ -134,7 +134,7 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
     records.go_to(start)?;
     let (mut body, mut chunks, mut statistics) = (Vec::new(), Vec::new(), None);
     let (mut known, mut crc) = (channels.clone(), Hasher::new());
-    let mut end = 0;
+    let (mut end, mut first_ns) = (0, None::<u64>);
     loop {
         let next = records.next(&mut body, |_| true);
         if let Ok(Next::Record(opcode, _)) = next {
@@ -157,6 +157,11 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
                             return Ok(None);
                         }
                         end = index.chunk_start_offset.saturating_add(index.chunk_length);
+                        // The recorder's first chunk holds channels alone, and has no time.
+                        if !index.message_index_offsets.is_empty() {
+                            let start_ns = index.message_start_time;
+                            first_ns = Some(first_ns.map_or(start_ns, |first| first.min(start_ns)));
+                        }
                         let mut chunk = Chunk::new(index.chunk_start_offset);
                         for id in index.message_index_offsets.keys() {
                             match known.get(id) {
@@ -196,6 +201,7 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
     let agrees = counts.keys().all(|id| known.contains_key(id))
         && all == statistics.message_count
         && (all == 0 || !chunks.is_empty())
+        && first_ns.is_none_or(|first| first == statistics.message_start_time)
         && (labels > 0) == chunks.iter().any(|chunk| chunk.has_labels)
         && (results > 0) == chunks.iter().any(|chunk| chunk.has_results);
     if !agrees {

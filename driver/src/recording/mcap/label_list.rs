@@ -189,7 +189,11 @@ impl<'a> Summary<'a> {
             records.push((opcode, body));
         }
         let statistics = statistics.ok_or("the summary has no statistics")?;
-        let channel = channel.ok_or_else(|| format!("the summary has no channel {LABELS}"))?;
+        let channel = channel.ok_or_else(|| {
+            format!(
+                "the summary has no channel {LABELS}, so that labels cannot be written; radome recording repair makes a file that has it"
+            )
+        })?;
         Ok(Summary { records, statistics, channel })
     }
 

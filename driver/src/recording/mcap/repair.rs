@@ -94,8 +94,17 @@ pub fn repair_unless(
     let damage =
         flaws.into_iter().map(|Flaw { reason, bytes }| Damage { offset: header_at, bytes, frames: Some(0), reason });
     let report = RepairReport { damage: damage.collect(), ..RepairReport::default() };
-    let mut repair =
-        Repair { writer, header, frame, report, expected: None, unread: None, labels: Vec::new(), staged: None };
+    let mut repair = Repair {
+        writer,
+        header,
+        frame,
+        report,
+        expected: None,
+        unread: None,
+        labels: Vec::new(),
+        staged: None,
+        has_loose_messages: false,
+    };
     repair.staged = staged::read(input)?.map(|staged| staged.labels);
     let check = || match is_interrupted() {
         true => Err(RecordingError::Interrupted { path: output.to_owned() }),
@@ -128,6 +137,8 @@ struct Repair {
     labels: Vec<LabelSpan>,
     /// Labels beside the input, in place of all in it.
     staged: Option<Vec<LabelSpan>>,
+    /// Whether messages outside of chunks were read.
+    has_loose_messages: bool,
 }
 
 impl Repair {
@@ -154,6 +165,7 @@ impl Repair {
                 }
                 Ok(Next::Record(opcode, _)) => match messages_in(records, opcode, at, &body, &mut channels) {
                     Ok(messages) => {
+                        self.has_loose_messages |= opcode == op::MESSAGE;
                         for (topic, data) in messages {
                             self.message(at, topic, &data)?;
                         }
@@ -204,9 +216,9 @@ impl Repair {
         let behind = behind.filter(|behind| chunk.is_none_or(|chunk| *behind <= chunk));
         let next = behind.or(chunk);
         let damage = Damage { offset: at, bytes: next.unwrap_or(records.length) - at, frames, reason };
-        match behind.is_none() && (is_chunk || chunk.is_some()) {
+        match behind.is_none() && (is_chunk || chunk.is_some() || self.has_loose_messages) {
             true => self.damaged(damage),
-            // No chunk is lost: behind the last one there are no frames.
+            // Behind the last chunk there are no frames.
             false => self.report.damage.push(damage),
         }
         if let Some(next) = next {
