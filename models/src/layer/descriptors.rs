@@ -6,9 +6,9 @@
 //! range and the velocity of the strongest cell. In real rooms this separates one from two; in simulated rooms counts did as well.
 //!
 //! Cells of zero velocity are treated separately: they hold the change from frame to frame
-//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), which shows people who stand, sit or breathe. One descriptor uses them:
-//! whether there is change while nothing moves. The distribution of change over ranges differs between simulated and real rooms,
-//! where people shadow more, and says little about the number of walking people.
+//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), which shows people who stand, sit or breathe. Two descriptors use them:
+//! whether there is change while nothing moves, and whether there is change nearer than what moves. Farther than a walking person,
+//! shadows change the echoes of the room, and the distribution of change over ranges differs between simulated and real rooms.
 //!
 //! The resolution of a waveform decides how wide an echo is, and on fixed axes it shows in the noise: where it is coarser than a bin,
 //! neighbouring cells of noise are alike. Four descriptors say how much.
@@ -22,9 +22,10 @@ use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::spin_pool::for_each_chunk;
 
 /// Number of descriptors of a map.
-pub const DESCRIPTORS: usize = 47;
-/// Number of descriptors that models had before there were correlations of the noise: the first ones of a map.
-pub(crate) const FIRST_DESCRIPTORS: usize = 43;
+pub const DESCRIPTORS: usize = 48;
+/// Numbers of descriptors that models had before: the first ones of a map, without the correlations of the noise, and without the
+/// change nearer than what moves.
+pub(crate) const EARLIER_DESCRIPTORS: [usize; 2] = [43, 47];
 
 /// Level above which a cell is an echo, dB. One of 8,192 cells of noise exceeds it.
 const STANDS_OUT_DB: f32 = 10.0;
@@ -36,6 +37,9 @@ const VELOCITY_KNOWN_DB: f32 = 15.0;
 const MOST_DB: f32 = 350.0;
 /// Range bins to either side of the strongest cell that count as its range.
 const SAME_RANGE_BINS: i64 = 2;
+/// Range bins by which change must be nearer than the strongest cell to be that of another person. Limbs and the window of the
+/// range transform reach less far.
+const OTHER_PERSON_BINS: usize = 6;
 /// Velocity bins to either side of the strongest cell that count as its velocity: limbs move that much faster and slower.
 const SAME_VELOCITY_BINS: i64 = 4;
 /// Velocity bins to either side of zero that are slow. A room at rest reaches them.
@@ -62,6 +66,7 @@ enum RelativeRange {
 }
 
 /// Cell above the noise.
+#[derive(Clone, Copy)]
 struct Cell {
     row: usize,
     /// Velocity bins from zero, not 0.
@@ -96,8 +101,9 @@ struct Cell {
 /// | 42 | person without motion: strongest cell of zero velocity, 0 up to 20 dB and 1 from 35 dB on, times 1 where no other cell is above the noise, and 0 where the strongest one has 25 dB | 1 |
 /// | 43, 44 | correlation of the levels of noise one and two velocity bins apart | 1 |
 /// | 45, 46 | the same one and two range bins apart | 1 |
+/// | 47 | person without motion nearer than one with motion: strongest cell of zero velocity more than six bins nearer than the strongest cell, 0 up to 20 dB and 1 from 35 dB on, times 0 where the strongest cell has 10 dB, and 1 where it has 25 dB | 1 |
 ///
-/// Cells of zero velocity are in 42 only. Cells of noise are those above 0 dB and up to 10 dB that are not slow, in range bins whose
+/// Cells of zero velocity are in 42 and 47 only. Cells of noise are those above 0 dB and up to 10 dB that are not slow, in range bins whose
 /// cells are not all equal, which hold no noise. Without two pairs of cells that differ, a correlation is 0.
 ///
 /// The same range is within two bins of the strongest cell, the same velocity within four, and slow is one bin from zero. The
@@ -139,13 +145,17 @@ pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, veloci
             }
         })
         .collect();
-    let change = map_db.iter().skip(columns / 2).step_by(columns).take(rows);
-    let change = share_of(CHANGE_DB, change.copied().fold(f32::MIN, f32::max));
-    let motion = share_of(MOTION_DB, strongest_db(&cells));
+    let peak = strongest(&cells, rows);
+    let change_before = |row: usize| {
+        let levels = map_db.iter().skip(columns / 2).step_by(columns).take(row);
+        share_of(CHANGE_DB, levels.copied().fold(f32::MIN, f32::max))
+    };
+    let motion = share_of(MOTION_DB, peak.level_db);
     let mut values = moments(&cells, rows, range_step, velocity_step);
-    values.extend(beside_the_strongest(&cells, rows, range_step, velocity_step));
-    values.push(change * (1.0 - motion));
+    values.extend(beside_the_strongest(&cells, &peak, range_step, velocity_step));
+    values.push(change_before(rows) * (1.0 - motion));
     values.extend(noise_correlations(&map_db[..rows * columns], columns));
+    values.push(change_before(peak.row.saturating_sub(OTHER_PERSON_BINS)) * motion);
     std::array::from_fn(|k| values.get(k).map_or(f32::NAN, |&value| value as f32))
 }
 
@@ -171,10 +181,14 @@ fn moments(cells: &[Cell], rows: usize, range_step: f64, velocity_step: f64) -> 
     ]
 }
 
-/// Descriptors 6 to 41.
-fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_step: f64) -> Vec<f64> {
+/// Strongest cell, or one of the threshold's level in the middle of the range axis.
+fn strongest(cells: &[Cell], rows: usize) -> Cell {
     let middle = Cell { row: rows.saturating_sub(1) / 2, speed: 0, level_db: STANDS_OUT_DB, excess: 0.0 };
-    let peak = cells.iter().fold(&middle, |best, cell| if cell.level_db > best.level_db { cell } else { best });
+    *cells.iter().fold(&middle, |best, cell| if cell.level_db > best.level_db { cell } else { best })
+}
+
+/// Descriptors 6 to 41, `peak` being the strongest cell.
+fn beside_the_strongest(cells: &[Cell], peak: &Cell, range_step: f64, velocity_step: f64) -> Vec<f64> {
     let toward = if peak.speed < 0 { -1 } else { 1 };
     let place = |cell: &Cell| match cell.row as i64 - peak.row as i64 {
         bins if bins < -SAME_RANGE_BINS => RelativeRange::Nearer,
@@ -309,7 +323,7 @@ fn logarithm_of(count: usize) -> f64 {
     (count as f64).ln_1p()
 }
 
-/// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][47]`, ranges and velocities in bins.
+/// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][48]`, ranges and velocities in bins.
 ///
 /// The input has no gradient: the backward pass fails if it needs one.
 ///
@@ -335,7 +349,7 @@ fn run([_, rows, columns]: [usize; 3], maps: &[f32], output: &mut [f32]) {
 }
 
 impl Feature {
-    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][47]`.
+    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][48]`.
     ///
     /// # Errors
     /// Maps have more than one channel or no cells.
@@ -380,6 +394,7 @@ mod tests {
     const COUNTS: usize = 32;
     const CHANGE: usize = 42;
     const NOISE: usize = 43;
+    const CHANGE_BEFORE: usize = 47;
 
     fn describe(map: &[f32], columns: usize) -> [f32; DESCRIPTORS] {
         descriptors(map, columns, RANGE_STEP_M, VELOCITY_STEP_M_PER_S)
@@ -442,6 +457,19 @@ mod tests {
                 near("change beside who walks", walks[CHANGE], f64::from(change) * still, 1e-6);
             }
         }
+    }
+
+    /// A sitting person nearer than a walking one, at the same range and farther.
+    #[test]
+    fn change_nearer_than_what_moves_is_another_person() {
+        for (row, walker_db, expected) in
+            [(5, 40.0, 0.5), (13, 40.0, 0.5), (14, 40.0, 0.0), (20, 40.0, 0.0), (30, 40.0, 0.0), (5, 17.5, 0.25)]
+        {
+            let found = describe(&echoes(&[(row, 32, 27.5), (20, 40, walker_db)]), 64);
+            near("change nearer than who walks", found[CHANGE_BEFORE], expected, 1e-6);
+        }
+        assert_eq!(describe(&echoes(&[(5, 32, 60.0)]), 64)[CHANGE_BEFORE], 0.0);
+        assert_eq!(describe(&echoes(&[(5, 40, 60.0), (2, 32, 60.0)]), 64)[CHANGE_BEFORE], 0.0);
     }
 
     #[test]

@@ -65,7 +65,7 @@ pub use conv_relu_pool::conv_relu_pool;
 pub use conv2d::{ConvGeometry, conv2d};
 pub use cross_entropy::cross_entropy;
 pub(crate) use cross_entropy::softmax;
-pub(crate) use descriptors::FIRST_DESCRIPTORS;
+pub(crate) use descriptors::EARLIER_DESCRIPTORS;
 pub use descriptors::{DESCRIPTORS, descriptors, map_descriptors};
 pub use dropout::{drop_samples, dropout};
 pub use feature::{Affine, Feature};

@@ -9,7 +9,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use super::card::{CARD_KEY, ModelCard, ModelError};
 use crate::array_hash::{self, Damaged};
 use crate::kernel::KernelLevel;
-use crate::layer::{DESCRIPTORS, FIRST_DESCRIPTORS};
+use crate::layer::{DESCRIPTORS, EARLIER_DESCRIPTORS};
 use crate::network::Network;
 use crate::whole_file;
 
@@ -91,15 +91,18 @@ impl Model {
                 found,
             };
             let view = tensors.tensor(&name).map_err(|e| inconsistent(e.to_string()))?;
-            let is_older = matches!(*shape, [rows, DESCRIPTORS] if view.shape() == [rows, FIRST_DESCRIPTORS]);
-            if view.dtype() != Dtype::F32 || (view.shape() != shape && !is_older) {
+            let earlier = match *shape {
+                [rows, DESCRIPTORS] => EARLIER_DESCRIPTORS.into_iter().find(|&count| view.shape() == [rows, count]),
+                _ => None,
+            };
+            if view.dtype() != Dtype::F32 || (view.shape() != shape && earlier.is_none()) {
                 return Err(inconsistent(format!("{:?} {:?}", view.dtype(), view.shape())));
             }
             let mut numbers: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-            if is_older {
+            if let Some(count) = earlier {
                 // Descriptors that were added later have no weight.
-                let row = |row: &[f32]| [row, &[0.0; DESCRIPTORS - FIRST_DESCRIPTORS]].concat();
-                numbers = numbers.chunks(FIRST_DESCRIPTORS).flat_map(row).collect();
+                let row = |row: &[f32]| [row, &[0.0; DESCRIPTORS][count..]].concat();
+                numbers = numbers.chunks(count).flat_map(row).collect();
             }
             let bad = numbers.iter().filter(|v| !v.is_finite()).count();
             if bad > 0 {
@@ -143,24 +146,26 @@ fn not_safetensors(path: &Path, length: usize, error: impl std::fmt::Display) ->
 mod tests {
     use super::*;
 
-    /// A file of 43 descriptors is the model of 47 whose last four have no weight.
+    /// A file of fewer descriptors is the model whose later ones have no weight.
     #[test]
     fn files_with_fewer_descriptors_are_read() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/room-linear.safetensors");
         let Model { card, network } = Model::load(&path).expect("a shipped model");
         let values = network.values().expect("numbers");
-        let rows = || values["head.weight"].chunks(DESCRIPTORS).map(|row| &row[..FIRST_DESCRIPTORS]);
         let bytes = |numbers: Vec<f32>| -> Vec<u8> { numbers.iter().flat_map(|v| v.to_le_bytes()).collect() };
-        let (weight, bias) = (bytes(rows().flatten().copied().collect()), bytes(values["head.bias"].clone()));
-        let view = |shape: &[usize], data| TensorView::new(Dtype::F32, shape.to_vec(), data).expect("a tensor");
-        let views = [("head.weight", view(&[3, FIRST_DESCRIPTORS], &weight)), ("head.bias", view(&[3], &bias))];
-        // The card of a file of that time has no hash of the arrays.
-        let metadata = HashMap::from([(CARD_KEY.to_owned(), serde_json::to_string(&card).expect("a card"))]);
-        let file = safetensors::serialize(views, Some(metadata)).expect("a file");
-        let read = Model::from_bytes(Path::new("older.safetensors"), &file).expect("read");
-        let expected: Vec<f32> =
-            rows().flat_map(|row| [row, &[0.0; DESCRIPTORS - FIRST_DESCRIPTORS]].concat()).collect();
-        let found = read.network.values().expect("numbers");
-        assert_eq!((&found["head.weight"], &found["head.bias"]), (&expected, &values["head.bias"]));
+        let bias = bytes(values["head.bias"].clone());
+        for count in EARLIER_DESCRIPTORS {
+            let rows = || values["head.weight"].chunks(DESCRIPTORS).map(|row| &row[..count]);
+            let weight = bytes(rows().flatten().copied().collect());
+            let view = |shape: &[usize], data| TensorView::new(Dtype::F32, shape.to_vec(), data).expect("a tensor");
+            let views = [("head.weight", view(&[3, count], &weight)), ("head.bias", view(&[3], &bias))];
+            // The card of a file of that time has no hash of the arrays.
+            let metadata = HashMap::from([(CARD_KEY.to_owned(), serde_json::to_string(&card).expect("a card"))]);
+            let file = safetensors::serialize(views, Some(metadata)).expect("a file");
+            let read = Model::from_bytes(Path::new("older.safetensors"), &file).expect("read");
+            let expected: Vec<f32> = rows().flat_map(|row| [row, &[0.0; DESCRIPTORS][count..]].concat()).collect();
+            let found = read.network.values().expect("numbers");
+            assert_eq!((&found["head.weight"], &found["head.bias"]), (&expected, &values["head.bias"]));
+        }
     }
 }
