@@ -18,7 +18,7 @@ use crate::train::parameter_vector::ParameterVector;
 
 /// Largest strength of the penalty on biases, s of labelled frames for a squared deviation. Half a minute of labels determines a
 /// few biases; weights would overfit to the few people in it.
-const BIAS_STRENGTH: f64 = 100.0;
+pub(super) const BIAS_STRENGTH: f64 = 100.0;
 /// Strength of the penalty on the shift of the logits of the classes that are shown, where others are not, as a share of the
 /// labelled seconds. A longer recording of the empty room must not make the model miss people. It is stronger where people are
 /// shown: a recording shows a few of all people, but the whole empty room.
@@ -240,10 +240,7 @@ impl<'a> Tail<'a> {
     }
 
     /// Fits parameters to recordings and simulated maps, for each strength of the penalty towards `before`; each fit starts from
-    /// the one before it.
-    ///
-    /// The fit tells apart the [`groups`] of classes that samples show. Then the logits of the classes that are shown are shifted
-    /// against the others, all by the same.
+    /// the one before it. Where samples do not show all classes, logits are shifted only, whatever the strength.
     pub(super) fn fit(
         &self,
         recordings: &[&AdaptRecording],
@@ -251,10 +248,8 @@ impl<'a> Tail<'a> {
         strengths: &[f64],
         before: &[f64],
     ) -> Result<Vec<Vec<f64>>, AdaptError> {
-        let mut samples = samples(recordings, simulated);
+        let samples = samples(recordings, simulated);
         let total: f64 = samples.iter().map(|sample| sample.weight).sum();
-        let shown: [bool; CLASSES] = std::array::from_fn(|class| samples.iter().any(|sample| sample.label == class));
-        let groups = groups(shown);
         let normalisation = normalisation(&samples, self.inputs);
         let standardise = |sample: &Sample| -> Vec<f32> {
             let of = |(x, (mean, sigma)): (&f32, &(f64, f64))| ((f64::from(*x) - mean) / sigma) as f32;
@@ -263,9 +258,10 @@ impl<'a> Tail<'a> {
         let features: Vec<f32> = samples.iter().flat_map(standardise).collect();
         let features = Tensor::from_vec(features, (samples.len(), self.inputs), &Device::Cpu)?;
         let origin = self.standardised(before, &normalisation);
-        self.set(&origin)?;
-        for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(&features)?) {
-            sample.targets = within_group(groups, sample.label, &probabilities);
+        let shown: [bool; CLASSES] = std::array::from_fn(|class| samples.iter().any(|sample| sample.label == class));
+        if shown.contains(&false) {
+            let by = self.shifts(&origin, &features, samples, shown, shift_strength(recordings))?;
+            return Ok(vec![self.shifted(before, by); strengths.len()]);
         }
         let most = |p: &Parameter| if p.name.ends_with(".bias") { BIAS_STRENGTH } else { f64::INFINITY };
         let most = self.parameters.by_parameter(most);
@@ -283,56 +279,72 @@ impl<'a> Tail<'a> {
             found.ok_or(AdaptError::NonFinite)
         };
         let back: Vec<(f64, f64)> = normalisation.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
-        let shift_strength = shift_strength(recordings);
         let (mut numbers, mut fits) = (origin.clone(), Vec::with_capacity(strengths.len()));
         for strength in strengths {
-            let mut shifted = before.to_vec();
-            if groups != [0; CLASSES] {
-                numbers = minimum(numbers, *strength)?;
-                shifted = self.standardised(&numbers, &back);
-            }
-            if shown.contains(&false) {
-                let by = self.shift(&numbers, &features, &samples, shown, shift_strength)?;
-                self.shift_logits(&mut shifted, shown, by);
-            }
-            fits.push(shifted);
+            numbers = minimum(numbers, *strength)?;
+            fits.push(self.standardised(&numbers, &back));
         }
         Ok(fits)
     }
 
-    /// Raises the logits of these classes.
-    fn shift_logits(&self, numbers: &mut [f64], shown: [bool; CLASSES], by: f64) {
-        let biases = numbers.iter_mut().skip(self.logits).zip(shown);
-        biases.filter(|(_, shown)| *shown).for_each(|(bias, _)| *bias += by);
+    /// Finds shifts of the logits for samples that do not show all classes: one between the two [`groups`] that they show, and then
+    /// a common one of the classes that are shown. For the second, frames are weighted by the probability of other classes, so
+    /// that a model that is right about these frames stays as it is.
+    fn shifts(
+        &self,
+        numbers: &[f64],
+        features: &Tensor,
+        mut samples: Vec<Sample>,
+        shown: [bool; CLASSES],
+        strength: f64,
+    ) -> Result<[f64; CLASSES], AdaptError> {
+        let groups = groups(shown);
+        let raised = |classes: [bool; CLASSES], by: f64| classes.map(|is_raised| if is_raised { by } else { 0.0 });
+        let mut between = [0.0; CLASSES];
+        if groups != [0; CLASSES] {
+            self.set(numbers)?;
+            for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(features)?) {
+                sample.targets = within_group(groups, sample.label, &probabilities);
+            }
+            let first = groups.map(|group| group == groups[0]);
+            between = raised(first, self.shift(numbers, features, &samples, first, BIAS_STRENGTH)?);
+        }
+        let numbers = self.shifted(numbers, between);
+        self.set(&numbers)?;
+        for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(features)?) {
+            sample.targets = certain(sample.label);
+            sample.weight *= probabilities.iter().zip(shown).filter(|(_, shown)| !shown).map(|(p, _)| p).sum::<f64>();
+        }
+        let common = raised(shown, self.shift(&numbers, features, &samples, shown, strength)?);
+        Ok(std::array::from_fn(|class| between[class] + common[class]))
     }
 
-    /// Finds the common shift of the logits of the classes that are shown. Frames are weighted by the probability of other
-    /// classes, so that a model that is right about these frames stays as it is.
+    /// Finds the shift of the logits of these classes that has the least loss, with a penalty of this strength.
     fn shift(
         &self,
         numbers: &[f64],
         features: &Tensor,
         samples: &[Sample],
-        shown: [bool; CLASSES],
+        classes: [bool; CLASSES],
         strength: f64,
     ) -> Result<f64, AdaptError> {
-        self.set(numbers)?;
-        let mut samples = samples.to_vec();
-        for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(features)?) {
-            sample.targets = certain(sample.label);
-            sample.weight *= probabilities.iter().zip(shown).filter(|(_, shown)| !shown).map(|(p, _)| p).sum::<f64>();
-        }
         let total: f64 = samples.iter().map(|sample| sample.weight).sum::<f64>().max(f64::MIN_POSITIVE);
         let found = minimise(vec![0.0], MOST_STEPS, LEAST_GAIN, |by| {
             let by = by.first().copied().unwrap_or(0.0);
-            let mut shifted = numbers.to_vec();
-            self.shift_logits(&mut shifted, shown, by);
-            let (value, gradient) = self.loss(&shifted, features, &samples)?;
-            let slope: f64 =
-                gradient.iter().skip(self.logits).zip(shown).filter(|(_, shown)| *shown).map(|(g, _)| g).sum();
+            let shifted = self.shifted(numbers, classes.map(|is_raised| if is_raised { by } else { 0.0 }));
+            let (value, gradient) = self.loss(&shifted, features, samples)?;
+            let slopes = gradient.iter().skip(self.logits).zip(classes);
+            let slope: f64 = slopes.filter(|(_, is_raised)| *is_raised).map(|(g, _)| g).sum();
             Ok::<_, AdaptError>(((value + 0.5 * strength * by * by) / total, vec![(slope + strength * by) / total]))
         })?;
         found.and_then(|by| by.first().copied()).ok_or(AdaptError::NonFinite)
+    }
+
+    /// Parameters with raised logits.
+    fn shifted(&self, numbers: &[f64], by: [f64; CLASSES]) -> Vec<f64> {
+        let mut numbers = numbers.to_vec();
+        numbers.iter_mut().skip(self.logits).zip(by).for_each(|(bias, by)| *bias += by);
+        numbers
     }
 
     /// Weighted cross-entropy of samples with these parameters for standardised features, and its gradient.
