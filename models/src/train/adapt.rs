@@ -15,12 +15,12 @@
 //! The strength is chosen by cross-validation over recordings. With less labelled time fewer weak strengths are tried: all
 //! recordings of a minute show the same people, so held-out recordings do not show the loss on other people.
 //!
-//! Weights that are fitted without one of the classes move the frames of this class too: a network of two qubits that told the empty room
-//! from two people better called one person two. So where a class is not shown, the logits are shifted only. The class is in the
-//! group of its neighbour, and one shift tells the groups apart; within a group, it aims at the ratios of the probabilities before. A
-//! second shift of the logits of the classes that are shown is fitted to frames weighted by the probability of the others: a model that is
-//! right about the empty room stays as it is by recordings of the empty room alone. One or two people who are labelled for a few
-//! seconds only count as a class that is not shown.
+//! A class that no recording shows is in the group of its neighbour, and only the groups are told apart: within a group, the fit aims at
+//! the ratios of the probabilities before. Where that class is one person or two, the logits are shifted only, because weights that are
+//! fitted without these frames move them: a network of two qubits that told the empty room from two people better called one
+//! person two. Then one shift of the logits of the classes that are shown is fitted, to frames weighted by the probability of the others: a model
+//! that is right about the empty room stays as it is by recordings of the empty room alone. One or two people who are labelled
+//! for a few seconds only count as a class that is not shown.
 //!
 //! [`tail`] has the adapted layers and the samples.
 
@@ -205,11 +205,12 @@ impl Adapter {
         let is_shown = is_labelled.map(|shown| shown || !self.simulated.is_empty());
         let is_too_short = std::array::from_fn(|class| seconds[class] > 0.0 && !is_labelled[class]);
         let by_time = WEAKEST_BY_TIME / total_s.powi(2);
-        let weakest = by_time.min(SAFE_STRENGTH);
-        let strengths: Vec<f64> = if is_shown.contains(&false) {
-            vec![BIAS_STRENGTH]
-        } else {
-            STRENGTHS.into_iter().filter(|strength| *strength >= weakest).collect()
+        let from = |weakest: f64| STRENGTHS.into_iter().filter(|strength| *strength >= weakest).collect();
+        let strengths: Vec<f64> = match is_shown {
+            [true, true, true] => from(by_time.min(SAFE_STRENGTH)),
+            // The empty room loses most to weak strengths, and held-out recordings do not show it.
+            [false, true, true] => from(SAFE_STRENGTH),
+            [_, _, _] => vec![BIAS_STRENGTH],
         };
 
         let (folds, is_measured) = self.hold_out(&tail, recordings, &by_recording, is_labelled, &strengths)?;
@@ -226,7 +227,7 @@ impl Adapter {
         let strength = match chosen {
             _ if is_shown.iter().filter(|shown| **shown).count() == 1 => shift_strength(&all),
             Some((index, _)) => strengths[index],
-            None if is_shown.contains(&false) => BIAS_STRENGTH,
+            None if is_shown[1..].contains(&false) => BIAS_STRENGTH,
             None => SAFE_STRENGTH,
         };
         let numbers = tail.fit(&all, &self.simulated, &[strength], &self.before)?.into_iter().next();

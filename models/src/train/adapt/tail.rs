@@ -240,7 +240,8 @@ impl<'a> Tail<'a> {
     }
 
     /// Fits parameters to recordings and simulated maps, for each strength of the penalty towards `before`; each fit starts from
-    /// the one before it. Where samples do not show all classes, logits are shifted only, whatever the strength.
+    /// the one before it. The fit tells apart the [`groups`] of classes that samples show. Where they do not show both one person and
+    /// two, logits are shifted only, whatever the strength.
     pub(super) fn fit(
         &self,
         recordings: &[&AdaptRecording],
@@ -248,8 +249,10 @@ impl<'a> Tail<'a> {
         strengths: &[f64],
         before: &[f64],
     ) -> Result<Vec<Vec<f64>>, AdaptError> {
-        let samples = samples(recordings, simulated);
+        let mut samples = samples(recordings, simulated);
         let total: f64 = samples.iter().map(|sample| sample.weight).sum();
+        let shown: [bool; CLASSES] = std::array::from_fn(|class| samples.iter().any(|sample| sample.label == class));
+        let groups = groups(shown);
         let normalisation = normalisation(&samples, self.inputs);
         let standardise = |sample: &Sample| -> Vec<f32> {
             let of = |(x, (mean, sigma)): (&f32, &(f64, f64))| ((f64::from(*x) - mean) / sigma) as f32;
@@ -258,10 +261,16 @@ impl<'a> Tail<'a> {
         let features: Vec<f32> = samples.iter().flat_map(standardise).collect();
         let features = Tensor::from_vec(features, (samples.len(), self.inputs), &Device::Cpu)?;
         let origin = self.standardised(before, &normalisation);
-        let shown: [bool; CLASSES] = std::array::from_fn(|class| samples.iter().any(|sample| sample.label == class));
-        if shown.contains(&false) {
-            let by = self.shifts(&origin, &features, samples, shown, shift_strength(recordings))?;
-            return Ok(vec![self.shifted(before, by); strengths.len()]);
+        self.set(&origin)?;
+        for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(&features)?) {
+            sample.targets = within_group(groups, sample.label, &probabilities);
+        }
+        let shift_strength = shift_strength(recordings);
+        if shown[1..].contains(&false) {
+            let between = self.shift_between(&origin, &features, &samples, groups)?;
+            let moved = self.shifted(&origin, between);
+            let common = self.shift_shown(&moved, &features, &samples, shown, shift_strength)?;
+            return Ok(vec![self.shifted(&self.shifted(before, between), common); strengths.len()]);
         }
         let most = |p: &Parameter| if p.name.ends_with(".bias") { BIAS_STRENGTH } else { f64::INFINITY };
         let most = self.parameters.by_parameter(most);
@@ -282,44 +291,51 @@ impl<'a> Tail<'a> {
         let (mut numbers, mut fits) = (origin.clone(), Vec::with_capacity(strengths.len()));
         for strength in strengths {
             numbers = minimum(numbers, *strength)?;
-            fits.push(self.standardised(&numbers, &back));
+            let common = self.shift_shown(&numbers, &features, &samples, shown, shift_strength)?;
+            fits.push(self.shifted(&self.standardised(&numbers, &back), common));
         }
         Ok(fits)
     }
 
-    /// Finds shifts of the logits for samples that do not show all classes: one between the two [`groups`] that they show, and then
-    /// a common one of the classes that are shown. For the second, frames are weighted by the probability of other classes, so
-    /// that a model that is right about these frames stays as it is.
-    fn shifts(
+    /// Finds the shift of the logits between two groups of classes. It is zero for any other number of groups.
+    fn shift_between(
         &self,
         numbers: &[f64],
         features: &Tensor,
-        mut samples: Vec<Sample>,
+        samples: &[Sample],
+        groups: [usize; CLASSES],
+    ) -> Result<[f64; CLASSES], AdaptError> {
+        let first = groups.map(|group| group == groups[0]);
+        if !first.contains(&false) {
+            Ok([0.0; CLASSES])
+        } else {
+            self.shift(numbers, features, samples, first, BIAS_STRENGTH)
+        }
+    }
+
+    /// Finds the common shift of the logits of the classes that are shown; it is zero where all are. Frames are weighted by the
+    /// probability of other classes, so that a model that is right about these frames stays as it is.
+    fn shift_shown(
+        &self,
+        numbers: &[f64],
+        features: &Tensor,
+        samples: &[Sample],
         shown: [bool; CLASSES],
         strength: f64,
     ) -> Result<[f64; CLASSES], AdaptError> {
-        let groups = groups(shown);
-        let raised = |classes: [bool; CLASSES], by: f64| classes.map(|is_raised| if is_raised { by } else { 0.0 });
-        let mut between = [0.0; CLASSES];
-        if groups != [0; CLASSES] {
-            self.set(numbers)?;
-            for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(features)?) {
-                sample.targets = within_group(groups, sample.label, &probabilities);
-            }
-            let first = groups.map(|group| group == groups[0]);
-            between = raised(first, self.shift(numbers, features, &samples, first, BIAS_STRENGTH)?);
+        if !shown.contains(&false) {
+            return Ok([0.0; CLASSES]);
         }
-        let numbers = self.shifted(numbers, between);
-        self.set(&numbers)?;
+        self.set(numbers)?;
+        let mut samples = samples.to_vec();
         for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(features)?) {
             sample.targets = certain(sample.label);
             sample.weight *= probabilities.iter().zip(shown).filter(|(_, shown)| !shown).map(|(p, _)| p).sum::<f64>();
         }
-        let common = raised(shown, self.shift(&numbers, features, &samples, shown, strength)?);
-        Ok(std::array::from_fn(|class| between[class] + common[class]))
+        self.shift(numbers, features, &samples, shown, strength)
     }
 
-    /// Finds the shift of the logits of these classes that has the least loss, with a penalty of this strength.
+    /// Finds the common shift of the logits of these classes that has the least loss, with a penalty of this strength.
     fn shift(
         &self,
         numbers: &[f64],
@@ -327,17 +343,21 @@ impl<'a> Tail<'a> {
         samples: &[Sample],
         classes: [bool; CLASSES],
         strength: f64,
-    ) -> Result<f64, AdaptError> {
+    ) -> Result<[f64; CLASSES], AdaptError> {
+        let raised =
+            |by: &[f64]| classes.map(|is_raised| if is_raised { by.first().copied().unwrap_or(0.0) } else { 0.0 });
         let total: f64 = samples.iter().map(|sample| sample.weight).sum::<f64>().max(f64::MIN_POSITIVE);
         let found = minimise(vec![0.0], MOST_STEPS, LEAST_GAIN, |by| {
-            let by = by.first().copied().unwrap_or(0.0);
-            let shifted = self.shifted(numbers, classes.map(|is_raised| if is_raised { by } else { 0.0 }));
-            let (value, gradient) = self.loss(&shifted, features, samples)?;
+            let (mut value, gradient) = self.loss(&self.shifted(numbers, raised(by)), features, samples)?;
             let slopes = gradient.iter().skip(self.logits).zip(classes);
-            let slope: f64 = slopes.filter(|(_, is_raised)| *is_raised).map(|(g, _)| g).sum();
-            Ok::<_, AdaptError>(((value + 0.5 * strength * by * by) / total, vec![(slope + strength * by) / total]))
+            let mut slope: f64 = slopes.filter(|(_, is_raised)| *is_raised).map(|(g, _)| g).sum();
+            for by in by {
+                value += 0.5 * strength * by * by;
+                slope += strength * by;
+            }
+            Ok::<_, AdaptError>((value / total, vec![slope / total]))
         })?;
-        found.and_then(|by| by.first().copied()).ok_or(AdaptError::NonFinite)
+        Ok(raised(&found.ok_or(AdaptError::NonFinite)?))
     }
 
     /// Parameters with raised logits.
