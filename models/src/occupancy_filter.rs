@@ -16,6 +16,8 @@ const SHORTEST_S: f64 = 1e-3;
 const INDEPENDENT_S: f64 = 0.36;
 /// Temperatures that are allowed.
 const TEMPERATURES: std::ops::RangeInclusive<f64> = 0.05..=20.0;
+/// Probabilities of one person without evidence that are allowed.
+const ONE_SHARES: std::ops::RangeInclusive<f64> = 0.1..=0.9;
 
 /// Settings of the occupancy filter, saved in the model file.
 ///
@@ -25,8 +27,9 @@ const TEMPERATURES: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 // The keys of `SmoothingFile` that are no longer read are not offered.
 #[schemars(!from, default, deny_unknown_fields)]
 pub struct Smoothing {
-    /// Mean time that a number of people stays what it is, s: how long the filter holds on to its answer. Wrong frames last, which
-    /// the model of the filter does not know, so the best value is shorter than people stay.
+    /// Mean time that the empty room stays empty and two people stay, s: how long the filter holds on to its answer. One person stays
+    /// `dwell_s * one_share / (1 - one_share)`. Wrong frames last, which the model of the filter does not know, so the best
+    /// value is shorter than people stay.
     pub dwell_s: f64,
     /// Weight of one frame's evidence in (0, 1], whatever the frame interval: of models from before `independent_s`, and absent
     /// where that is given. 1 takes each frame at its word.
@@ -45,6 +48,10 @@ pub struct Smoothing {
     /// frames before it do. What the filter holds does not depend on it. 0 if absent.
     #[serde(skip_serializing_if = "crate::is_default")]
     pub newest: f64,
+    /// Probability of one person without evidence, 0.1 to 0.9; the empty room and two people share the rest. With 1/3, the filter prefers no
+    /// number of people. 0.5 if absent.
+    #[serde(skip_serializing_if = "is_half")]
+    pub one_share: f64,
 }
 
 /// Settings as files hold them.
@@ -56,6 +63,7 @@ struct SmoothingFile {
     independent_s: Option<f64>,
     temperature: f64,
     newest: f64,
+    one_share: f64,
     #[serde(rename = "unseen_share")]
     _unseen_share: IgnoredAny,
     #[serde(rename = "unseen_s")]
@@ -71,6 +79,7 @@ impl Default for SmoothingFile {
             independent_s: None,
             temperature: 1.0,
             newest: 0.0,
+            one_share: 0.5,
             _unseen_share: IgnoredAny,
             _unseen_s: IgnoredAny,
         }
@@ -79,13 +88,17 @@ impl Default for SmoothingFile {
 
 impl From<SmoothingFile> for Smoothing {
     fn from(file: SmoothingFile) -> Self {
-        let SmoothingFile { dwell_s, weight, independent_s, temperature, newest, .. } = file;
-        Smoothing { dwell_s, weight, independent_s, temperature, newest }
+        let SmoothingFile { dwell_s, weight, independent_s, temperature, newest, one_share, .. } = file;
+        Smoothing { dwell_s, weight, independent_s, temperature, newest, one_share }
     }
 }
 
 fn is_one(value: &f64) -> bool {
     *value == 1.0
+}
+
+fn is_half(value: &f64) -> bool {
+    *value == 0.5
 }
 
 impl Default for Smoothing {
@@ -94,14 +107,28 @@ impl Default for Smoothing {
     /// most frames are right. Answers of room-hqnn are means over half a second, so that a large weight of the newest one
     /// does not make the filter's answers flicker.
     fn default() -> Self {
-        Smoothing { dwell_s: 2.0, weight: None, independent_s: Some(INDEPENDENT_S), temperature: 2.2, newest: 0.7 }
+        Smoothing {
+            dwell_s: 2.6,
+            weight: None,
+            independent_s: Some(0.9),
+            temperature: 1.8,
+            newest: 0.7,
+            one_share: 0.4,
+        }
     }
 }
 
 impl Smoothing {
     /// Settings of model files without any: short presences, full weight of single frames.
     pub(crate) fn of_old_models() -> Self {
-        Smoothing { dwell_s: 8.0, weight: Some(1.0), independent_s: None, temperature: 1.0, newest: 0.0 }
+        Smoothing {
+            dwell_s: 8.0,
+            weight: Some(1.0),
+            independent_s: None,
+            temperature: 1.0,
+            newest: 0.0,
+            one_share: 0.5,
+        }
     }
 
     /// First setting that is out of range: `(name, value, expected)`.
@@ -115,6 +142,9 @@ impl Smoothing {
         }
         if !(0.0..=1.0).contains(&self.newest) {
             return Some(("smoothing.newest", self.newest, "0 to 1"));
+        }
+        if !ONE_SHARES.contains(&self.one_share) {
+            return Some(("smoothing.one_share", self.one_share, "0.1 to 0.9"));
         }
         match (self.weight, self.independent_s) {
             (Some(weight), Some(_)) => Some(("smoothing.weight", weight, "none beside independent_s")),
@@ -130,10 +160,11 @@ impl Smoothing {
 
     /// Transition rates between numbers of people, 1/s: one person comes or goes at a time. From one person, both are equally likely.
     ///
-    /// Without evidence, one person is as likely as none and two together.
+    /// Without evidence, one person has the probability `one_share`.
     fn rates(&self) -> Matrix {
-        let rate = 1.0 / self.dwell_s;
-        [[-rate, 0.5 * rate, 0.0], [rate, -rate, rate], [0.0, 0.5 * rate, -rate]]
+        let to_one = 1.0 / self.dwell_s;
+        let from_one = 0.5 * to_one * (1.0 - self.one_share) / self.one_share;
+        [[-to_one, from_one, 0.0], [to_one, -2.0 * from_one, to_one], [0.0, from_one, -to_one]]
     }
 }
 
@@ -281,12 +312,24 @@ mod tests {
     use crate::evaluate::{Metrics, most_probable};
 
     /// Settings of models from before `independent_s`: each frame is half a piece of evidence.
-    const BY_FRAME: Smoothing =
-        Smoothing { dwell_s: 8.0, weight: Some(0.5), independent_s: None, temperature: 1.0, newest: 0.0 };
+    const BY_FRAME: Smoothing = Smoothing {
+        dwell_s: 8.0,
+        weight: Some(0.5),
+        independent_s: None,
+        temperature: 1.0,
+        newest: 0.0,
+        one_share: 0.5,
+    };
 
     /// Settings for people who stay for long, by time.
-    const SLOW: Smoothing =
-        Smoothing { dwell_s: 60.0, weight: None, independent_s: Some(1.0), temperature: 1.0, newest: 0.0 };
+    const SLOW: Smoothing = Smoothing {
+        dwell_s: 60.0,
+        weight: None,
+        independent_s: Some(1.0),
+        temperature: 1.0,
+        newest: 0.0,
+        one_share: 0.5,
+    };
 
     fn filter(smoothing: Smoothing) -> OccupancyFilter {
         OccupancyFilter::new(smoothing, 0.1)
@@ -329,6 +372,20 @@ mod tests {
         }
     }
 
+    /// Without evidence, one person has its share after a long time, whatever was there, and the others have the same.
+    #[test]
+    fn without_evidence_one_person_has_its_share() {
+        for one_share in [0.2, 1.0 / 3.0, 0.5, 0.8] {
+            let settled = exponential(&Smoothing { one_share, ..SLOW }.rates(), 1e5);
+            for from in 0..CLASSES {
+                let found = settled.map(|row| row[from]);
+                let others = 0.5 * (1.0 - one_share);
+                let expected = [others, one_share, others];
+                assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{found:?} {expected:?}");
+            }
+        }
+    }
+
     /// The frame rate does not matter: the same probabilities, shown at 10 and at 20 Hz, come to the same at
     /// the same times.
     #[test]
@@ -368,7 +425,14 @@ mod tests {
         let read: Smoothing = serde_json::from_str(old).expect("old settings");
         assert_eq!(
             read,
-            Smoothing { dwell_s: 60.0, weight: Some(0.15), independent_s: None, temperature: 1.0, newest: 0.0 }
+            Smoothing {
+                dwell_s: 60.0,
+                weight: Some(0.15),
+                independent_s: None,
+                temperature: 1.0,
+                newest: 0.0,
+                one_share: 0.5
+            }
         );
         assert_eq!(read.fault(), None);
         assert_eq!(serde_json::to_string(&read).expect("JSON"), r#"{"dwell_s":60.0,"weight":0.15}"#);
@@ -392,7 +456,7 @@ mod tests {
             let short: Smoothing = serde_json::from_str(&text).expect("settings");
             assert_eq!((short.dwell_s, short.temperature), (default.dwell_s, 1.0), "{text}");
             assert_eq!((short.weight, short.independent_s), (None, None), "{text}");
-            let same = Smoothing { temperature: 1.0, newest: 0.0, ..default };
+            let same = Smoothing { independent_s: None, temperature: 1.0, newest: 0.0, one_share: 0.5, ..default };
             let (mut a, mut b) = (filter(short), filter(same));
             assert_eq!(a.update(0.0, [0.2, 0.5, 0.3]), b.update(0.0, [0.2, 0.5, 0.3]), "{text}");
         }
@@ -411,6 +475,10 @@ mod tests {
             ] {
                 assert_eq!(settings.fault().map(|fault| fault.0), Some(name), "{bad}");
             }
+        }
+        for one_share in [0.0, 1.0, f64::NAN] {
+            let settings = Smoothing { one_share, ..Smoothing::default() };
+            assert_eq!(settings.fault().map(|fault| fault.0), Some("smoothing.one_share"), "{one_share}");
         }
         for newest in [-0.1, 1.1, f64::NAN] {
             let settings = Smoothing { newest, ..Smoothing::default() };

@@ -140,8 +140,7 @@ fn the_confidence_is_that_of_being_right() {
 /// that of single frames.
 #[test]
 fn the_default_settings_are_near_those_of_the_best_log_loss() {
-    let fitted =
-        |groups: Vec<Vec<FilterSequence>>| fit_smoothing(&groups, Smoothing::default().newest).expect("labels");
+    let fitted = |groups: Vec<Vec<FilterSequence>>| fit_smoothing(&groups, Smoothing::default()).expect("labels");
     let by_frame = fitted(rungs().into_values().collect()).log_loss_by_frame;
     let fit = fitted(rungs().into_values().map(|rung| rung.iter().map(remembered).collect()).collect());
     assert!(fit.log_loss < by_frame, "{fit:?}, {by_frame} by frame");

@@ -44,12 +44,12 @@ type Sums = (f64, u64);
 /// The method is a compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`] and
 /// [`Smoothing::temperature`] from `START` (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs
 /// frames that follow each other more closely than errors last, and people who come and go. Frames a second apart do
-/// not show how long errors last. `newest` is [`Smoothing::newest`]: the log loss alone would set it near 1, where
+/// not show how long errors last. The others are those of `kept`: the log loss alone would set [`Smoothing::newest`] near 1, where
 /// answers flicker.
-pub fn fit_smoothing(groups: &[Vec<FilterSequence>], newest: f64) -> Option<SmoothingFit> {
+pub fn fit_smoothing(groups: &[Vec<FilterSequence>], kept: Smoothing) -> Option<SmoothingFit> {
     let settings = |logarithms: [f64; 3]| {
         let [dwell_s, independent_s, temperature] = logarithms.map(f64::exp);
-        Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature, newest }
+        Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature, ..kept }
     };
     let log_loss_by_frame = log_loss(groups, None)?;
     let mut at = START.map(f64::ln);
@@ -123,6 +123,9 @@ mod tests {
     use super::*;
     use crate::metrics::CLASSES;
 
+    const KEPT: Smoothing =
+        Smoothing { dwell_s: 1.0, weight: None, independent_s: None, temperature: 1.0, newest: 0.0, one_share: 0.5 };
+
     /// Probability of the class that a frame says to be the truth.
     const RIGHT: f64 = 0.5;
 
@@ -162,9 +165,9 @@ mod tests {
     fn the_settings_that_made_recordings_are_found() {
         for (dwell_s, independent_s) in [(6.0, 0.5), (12.0, 0.8)] {
             let groups = vec![recordings(dwell_s, independent_s, 0.2)];
-            let fit = fit_smoothing(&groups, 0.0).expect("labels");
+            let fit = fit_smoothing(&groups, KEPT).expect("labels");
             let true_settings =
-                Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature: 1.0, newest: 0.0 };
+                Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature: 1.0, ..KEPT };
             assert!(Some(fit.log_loss) <= log_loss(&groups, Some(true_settings)).map(|loss| loss + 2e-3), "{fit:?}");
             assert!(fit.log_loss < fit.log_loss_by_frame, "{fit:?}");
             let Smoothing { dwell_s: found_dwell_s, independent_s: found_s, temperature, .. } = fit.smoothing;
@@ -199,10 +202,10 @@ mod tests {
 
         #[test]
         fn nothing_is_fitted_to_nothing() {
-            assert_eq!(fit_smoothing(&[], 0.0), None);
+            assert_eq!(fit_smoothing(&[], KEPT), None);
             let mut unlabelled = recording(5.0, 0.5, 0.2, 0);
             unlabelled.frames.iter_mut().for_each(|frame| frame.truth = None);
-            assert_eq!(fit_smoothing(&[vec![unlabelled]], 0.0), None);
+            assert_eq!(fit_smoothing(&[vec![unlabelled]], KEPT), None);
         }
 
         /// Frames with NaN, and a recording with a constant number of people.
@@ -211,7 +214,7 @@ mod tests {
             let mut odd = recording(1e9, 0.5, 0.2, 1);
             odd.frames.iter_mut().step_by(3).for_each(|frame| frame.probabilities = [f32::NAN, 0.0, f32::INFINITY]);
             odd.frames.truncate(100);
-            let fit = fit_smoothing(&[vec![odd]], 0.0).expect("labels");
+            let fit = fit_smoothing(&[vec![odd]], KEPT).expect("labels");
             assert!(fit.smoothing.fault().is_none() && fit.log_loss.is_finite(), "{fit:?}");
         }
     }

@@ -69,7 +69,7 @@ pub fn run(
     let fit = fit.then(|| {
         let sequences = |scores: &mut RungScores| std::mem::take(&mut scores.sequences);
         let groups: Vec<Vec<FilterSequence>> = all.iter_mut().flatten().map(sequences).collect();
-        fit_smoothing(&groups, Smoothing::default().newest)
+        fit_smoothing(&groups, Smoothing::default())
     });
     let fitted = fit.flatten();
     if json {

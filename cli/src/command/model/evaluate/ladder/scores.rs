@@ -200,5 +200,6 @@ pub(super) fn print_fit(fit: &SmoothingFit) -> anyhow::Result<()> {
     output::text_line(&format!("dwell_s = {:.2}", fit.smoothing.dwell_s))?;
     output::text_line(&format!("independent_s = {:.2}", fit.smoothing.independent_s.unwrap_or_default()))?;
     output::text_line(&format!("temperature = {:.2}", fit.smoothing.temperature))?;
-    output::text_line(&format!("newest = {:.2}", fit.smoothing.newest))
+    output::text_line(&format!("newest = {:.2}", fit.smoothing.newest))?;
+    output::text_line(&format!("one_share = {:.2}", fit.smoothing.one_share))
 }
