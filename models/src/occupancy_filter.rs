@@ -108,10 +108,10 @@ impl Default for Smoothing {
     /// does not make the filter's answers flicker.
     fn default() -> Self {
         Smoothing {
-            dwell_s: 2.6,
+            dwell_s: 2.7,
             weight: None,
             independent_s: Some(0.9),
-            temperature: 1.8,
+            temperature: 1.9,
             newest: 0.7,
             one_share: 0.4,
         }
