@@ -199,6 +199,7 @@ mod tests {
         assert!((8_000..16_000).contains(&frames), "{frames} frames");
         let names: Vec<&str> = rungs.iter().map(|rung| rung.name.as_str()).collect();
         let expected = [
+            "company",
             "furnished",
             "gait",
             "ghosts",
