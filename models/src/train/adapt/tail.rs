@@ -297,7 +297,7 @@ impl<'a> Tail<'a> {
         Ok(fits)
     }
 
-    /// Finds the shift of the logits between two groups of classes. It is zero for any other number of groups.
+    /// Finds the shift of the logits between two groups of classes. It is zero where there is only one group.
     fn shift_between(
         &self,
         numbers: &[f64],
