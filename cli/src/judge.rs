@@ -10,7 +10,7 @@ use radome_driver::Judge as NamedJudge;
 use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::detect::CfarCounter;
 use radome_dsp::rdm::{AxesCoverage, PhysicalAxes, SlowTime};
-use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, ReceiverFault, Waveform};
+use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, ReceiverFault, Waveform};
 use radome_files::read;
 use radome_models::evidence_mean::EvidenceMean;
 use radome_models::occupancy_filter::Smoothing;
@@ -187,7 +187,7 @@ impl Model {
     ///
     /// # Errors
     /// The file cannot be read.
-    pub fn named(&self, path: &Path, delays: Delays) -> anyhow::Result<NamedJudge> {
+    pub fn named(&self, path: &Path, delays: Delays, max_range_m: Option<f64>) -> anyhow::Result<NamedJudge> {
         let model = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let model_hash = match self {
             // The detector is identified by the program's version.
@@ -202,7 +202,7 @@ impl Model {
             }
         };
         let Delays { on_s: on_delay_s, off_s: off_delay_s } = delays;
-        Ok(NamedJudge { version: RESULTS_VERSION, model, model_hash, on_delay_s, off_delay_s })
+        Ok(NamedJudge { version: RESULTS_VERSION, model, model_hash, on_delay_s, off_delay_s, max_range_m })
     }
 
     /// Returns the time over which the model averages the evidence of frames, s.
@@ -233,24 +233,32 @@ impl Model {
         Ok(network.rdm_spec().check_compatible(waveform, network.waveform())?)
     }
 
-    /// Sets the model up for frames of a waveform. Prints on stderr what is lost relative to the model's own waveform.
+    /// Sets the model up for frames of a waveform. People farther away than `max_range_m`, if given, do not count. Prints on stderr
+    /// what is lost relative to the model's own waveform.
     ///
     /// # Errors
-    /// If the model cannot judge frames of the waveform.
-    pub fn judge(self, waveform: &Waveform) -> anyhow::Result<Judge> {
+    /// If the model cannot judge frames of the waveform, or if its maps cannot be limited to a range.
+    pub fn judge(self, waveform: &Waveform, max_range_m: Option<f64>) -> anyhow::Result<Judge> {
         self.check_waveform(waveform)?;
         Ok(Judge(match self {
             Model::Network(classifier) => {
-                if let Some(axes) = classifier.rdm_spec().physical_axes {
+                let spec = classifier.rdm_spec();
+                if let Some(axes) = spec.physical_axes {
                     say_losses(&losses(&axes, waveform, classifier.waveform()));
                 }
-                let processor = RdmProcessor::new(classifier.rdm_spec(), waveform)?;
+                ensure!(
+                    max_range_m.is_none() || spec.physical_axes.is_some(),
+                    "--max-range-m is for models of any waveform, and this model takes only its own\n\nhint: leave it out, or use {BUILT_IN} \
+                     or {CFAR}"
+                );
+                let processor = RdmProcessor::new(&RdmSpec { max_range_m, ..*spec }, waveform)?;
                 let map = processor.empty_map();
                 let mean = EvidenceMean::new(classifier.card().memory_s);
                 Kind::Network { classifier, processor, map, mean }
             }
             Model::Cfar => {
-                Kind::Cfar(Box::new(CfarCounter::new(waveform).context("the detector cannot look at these frames")?))
+                let counter = CfarCounter::new(waveform).context("the detector cannot look at these frames")?;
+                Kind::Cfar(Box::new(counter.up_to(max_range_m.unwrap_or(f64::INFINITY))))
             }
         }))
     }
@@ -442,7 +450,7 @@ mod tests {
         let of = waveform(|_| ());
         let length = of.request.samples_per_chirp * of.request.chirps_per_frame;
         for name in [CFAR, BUILT_IN] {
-            let mut judge = Model::open(Path::new(name)).expect("a model").judge(&of).expect("its waveform");
+            let mut judge = Model::open(Path::new(name)).expect("a model").judge(&of, None).expect("its waveform");
             let mut frame = Frame::zeroed(of.shape());
             assert!(matches!(judge.frame(&frame).expect("judged"), Prediction::NoSignal), "{name}");
             frame.sequence = 1;

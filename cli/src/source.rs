@@ -403,6 +403,15 @@ pub fn not_negative(text: &str) -> Result<f64, String> {
     number.ok_or_else(|| "expected a finite number, 0 or more".to_owned())
 }
 
+/// Parses an argument that is a number above zero.
+///
+/// # Errors
+/// The text is no such number.
+pub fn positive(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| number.is_finite() && *number > 0.0);
+    number.ok_or_else(|| "expected a finite number above 0".to_owned())
+}
+
 /// Parses an argument in seconds.
 ///
 /// # Errors

@@ -137,7 +137,8 @@ mod hard_cases {
         let (_folder, path) = in_folder("a.mcap");
         let mut source = Pattern::new(waveform(&[1], 4, 32, 0.1), 20);
         let (model, model_hash) = ("a".to_owned(), "b".to_owned());
-        let judge = Judge { version: RESULTS_VERSION, model, model_hash, on_delay_s: 0.5, off_delay_s: 3.0 };
+        let judge =
+            Judge { version: RESULTS_VERSION, model, model_hash, on_delay_s: 0.5, off_delay_s: 3.0, max_range_m: None };
         let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(source.waveform.clone()) };
         let mut recorder = Recorder::create(&path, &header).expect("creates");
         let mut frame = Frame::zeroed(source.waveform.shape());

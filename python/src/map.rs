@@ -194,6 +194,7 @@ static PROCESSORS: Mutex<Vec<(Arc<radome_dsp::Waveform>, RdmProcessor)>> = Mutex
 /// - `physical_axes`: `None` (the axes of the waveform) or a dict of `range_step_m`, m, `range_bins`, `velocity_step_m_per_s`, m/s,
 ///   and `velocity_bins`.
 /// - `change_over_s`: `None` or the time constant, s, of change in cells of zero velocity; with `physical_axes` and a stream.
+/// - `max_range_m`: `None` or the greatest range that is measured, m; with `physical_axes`. Cells beyond hold noise.
 /// - `slow_time`: `"chirps"`, `{"frames": {"frames": 64}}` (a window over frames; with a stream).
 /// - `amplitude`: `"full_scale_sine"`, `"unnormalised"`, `"vendor"`: the amplitude that reads 0 dB.
 /// - `floor_db`: -200, the lowest level of a cell, dB.

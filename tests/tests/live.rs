@@ -3,7 +3,8 @@
 use radome_tests::browser::{Served, page};
 use radome_tests::running::emulated_board;
 use radome_tests::{
-    command, fails_with, fixture, fixture_text, json_lines, live_command, shared, subcommand, success, walk, write_file,
+    command, fails_with, fixture, fixture_text, json_lines, live_command, shared, subcommand, success, walk,
+    write_file, wrong_use_with,
 };
 use serde_json::Value;
 
@@ -56,6 +57,34 @@ fn the_real_recording_warms_up_and_is_then_labelled() {
     assert!(frames[0]["label"].is_null() && frames[0]["warming_up"].is_string(), "{}", frames[0]);
     assert!(frames.iter().all(|f| f.get("truth").is_none()));
     assert_eq!(summary["summary"]["labelled"], labelled as u64);
+}
+
+/// Who walks beyond the greatest range is not counted, by a network and by the classical detector.
+#[test]
+fn people_beyond_the_greatest_range_do_not_count() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let far = walk(folder.path(), 5.0, 3.0);
+    let recording = folder.path().join("far.mcap");
+    success(command!("scene simulate --frames 40 --seed 3 -o", &recording, &far));
+    for model in ["room-hqnn", "cfar"] {
+        let share_occupied = |options: &str| {
+            let lines = json_lines(live_command(&recording, &format!("--json --model {model} {options}")));
+            let frames: Vec<&Value> = lines.iter().filter(|line| line["label"].is_string()).collect();
+            frames.iter().filter(|frame| frame["label"] != "empty").count() as f64 / frames.len() as f64
+        };
+        let shares = ["", "--max-range-m 2.5", "--max-range-m 100"].map(share_occupied);
+        assert!(shares[0] >= 0.9 && shares[1] <= 0.05 && shares[2] == shares[0], "{model}: {shares:?}");
+    }
+    let model = fixture("models/paper-hqnn.safetensors");
+    let refused = ["--max-range-m", "room-hqnn"];
+    fails_with(
+        command!("live --max-range-m 2 --frames 5", fixture("scenes/corridor.toml"), "--model", model),
+        &refused,
+    );
+    for range_m in ["0", "-1", "nan", "inf", "far"] {
+        let wrong = command!("live --model cfar", &recording, "--max-range-m", range_m);
+        wrong_use_with(wrong, &["--max-range-m", "above 0"]);
+    }
 }
 
 /// Regression test: after one lost frame a person at a desk counted as gone for the ten seconds that a map takes.

@@ -52,6 +52,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
         allow_loss: false,
         overwrite: Default::default(),
         background: None,
+        max_range_m: None,
         on_delay_s: delays.on_s,
         off_delay_s: delays.off_s,
         json: arguments.json,

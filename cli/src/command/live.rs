@@ -50,6 +50,9 @@ pub struct Arguments {
     /// Measurement of the empty room by `radome model background`, so that fans and curtains do not count as people
     #[arg(long, value_name = "FILE.json")]
     pub background: Option<PathBuf>,
+    /// Count only people up to this distance from the radar, m: at a desk, in a bed, before a door. Who is farther away is not seen
+    #[arg(long, value_name = "M", value_parser = source::positive)]
+    pub max_range_m: Option<f64>,
     /// Seconds for which frames must agree before `occupied` or a greater number of people is reported
     #[arg(long, value_name = "SECONDS", default_value_t = Delays::default().on_s, value_parser = source::not_negative)]
     pub on_delay_s: f64,
@@ -89,7 +92,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     }
     let model = Model::open(&arguments.model)?;
     let delays = Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s };
-    let named = model.named(&arguments.model, delays)?;
+    let named = model.named(&arguments.model, delays, arguments.max_range_m)?;
     let background = arguments.background.as_deref().map(|path| Background::load(path, &named)).transpose()?;
     let source = source::open(&arguments.source.source, &arguments.source_options(&model)?)?;
     message!("{}", source.description);
@@ -101,7 +104,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     if let (Some(background), Some(path)) = (&background, &arguments.background) {
         background.check_waveform(path, &waveform)?;
     }
-    let mut judge = FrameClassifier::new(model, &waveform, delays, started)?
+    let mut judge = FrameClassifier::new(model, &waveform, delays, arguments.max_range_m, started)?
         .with_background(background)
         .with_outage(source.outage.clone());
     if let Some(playback) = &source.playback {

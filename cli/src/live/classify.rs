@@ -49,17 +49,24 @@ pub struct FrameClassifier {
 }
 
 impl FrameClassifier {
-    /// Creates a classifier for a waveform; refuses one that the model does not support.
+    /// Creates a classifier for a waveform; refuses one that the model does not support. People farther away than `max_range_m`, if
+    /// given, do not count.
     ///
     /// # Errors
-    /// The model does not take the waveform.
-    pub fn new(model: Model, waveform: &Waveform, delays: Delays, started: Instant) -> anyhow::Result<Self> {
+    /// The model does not take the waveform, or its maps cannot be limited to a range.
+    pub fn new(
+        model: Model,
+        waveform: &Waveform,
+        delays: Delays,
+        max_range_m: Option<f64>,
+        started: Instant,
+    ) -> anyhow::Result<Self> {
         let smoothing = model.smoothing();
         let map_s = model.frames() as f64 * waveform.frame_interval_s();
         let model_memory_s = model.memory_s();
         Ok(FrameClassifier {
             filter: OccupancyFilter::new(smoothing, waveform.frame_interval_s()),
-            judge: model.judge(waveform)?,
+            judge: model.judge(waveform, max_range_m)?,
             background: None,
             outage: Outage::default(),
             people: PeopleCount::new(delays.on_s, delays.off_s),
@@ -332,7 +339,7 @@ mod tests {
     }
 
     fn judge() -> FrameClassifier {
-        FrameClassifier::new(Model::Cfar, &waveform(), Delays::default(), Instant::now()).expect("a judge")
+        FrameClassifier::new(Model::Cfar, &waveform(), Delays::default(), None, Instant::now()).expect("a judge")
     }
 
     /// Sink that runs a given function for each answer, and counts how often it is ended.

@@ -367,6 +367,7 @@ mod tests {
             model_hash: "b".into(),
             on_delay_s: 0.5,
             off_delay_s: 3.0,
+            max_range_m: None,
         };
         let waveform = panicking_after(0).waveform().clone();
         let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(waveform) };

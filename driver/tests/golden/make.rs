@@ -77,7 +77,14 @@ pub fn header() -> RecordingHeader {
 
 pub fn judge() -> Judge {
     let model_hash = "ab".repeat(32);
-    Judge { version: RESULTS_VERSION, model: "paper.safetensors".into(), model_hash, on_delay_s: 0.5, off_delay_s: 3.0 }
+    Judge {
+        version: RESULTS_VERSION,
+        model: "paper.safetensors".into(),
+        model_hash,
+        on_delay_s: 0.5,
+        off_delay_s: 3.0,
+        max_range_m: None,
+    }
 }
 
 /// Results of the frames: the first is within the warm-up, and the seventh was too late.

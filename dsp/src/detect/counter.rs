@@ -84,6 +84,7 @@ pub struct CfarCounter {
     /// Whether a person walked, for each of the frames of slow time.
     walked: VecDeque<bool>,
     slow_frames: usize,
+    max_range_m: f64,
 }
 
 impl CfarCounter {
@@ -120,7 +121,22 @@ impl CfarCounter {
         let energy_cfar = Cfar::new(energy_spec, 1, shape.range)?;
         let (map, slow_map) = (moving.empty_map(), still.empty_map());
         let walked = VecDeque::with_capacity(slow_frames);
-        Ok(CfarCounter { moving, still, cfar, energy_cfar, map, slow_map, walked, slow_frames })
+        Ok(CfarCounter {
+            moving,
+            still,
+            cfar,
+            energy_cfar,
+            map,
+            slow_map,
+            walked,
+            slow_frames,
+            max_range_m: f64::INFINITY,
+        })
+    }
+
+    /// Counts only people whose echoes are nearer than this or at it, m.
+    pub fn up_to(self, max_range_m: f64) -> Self {
+        CfarCounter { max_range_m, ..self }
     }
 
     /// Number of frames of slow time in which breathing is detected.
@@ -147,9 +163,9 @@ impl CfarCounter {
     /// shape.
     pub fn observe(&mut self, frame: &Frame) -> Result<Observation, CounterError> {
         let is_map = self.moving.process(frame, &mut self.map)? == MapStatus::Ready;
-        let walking = if is_map { count(&self.cfar.detect(&self.map, 0), &self.map) } else { 0 };
+        let walking = if is_map { count(&self.cfar.detect(&self.map, 0), &self.map, self.max_range_m) } else { 0 };
         let is_slow_map = self.still.process(frame, &mut self.slow_map)? == MapStatus::Ready;
-        let breathes = is_slow_map && breathes(&self.energy_cfar, &self.slow_map);
+        let breathes = is_slow_map && breathes(&self.energy_cfar, &self.slow_map, self.max_range_m);
         if self.walked.len() == self.slow_frames {
             self.walked.pop_front();
         }
@@ -183,10 +199,11 @@ fn cfar_spec(looks: usize, doppler: usize, range: usize) -> CfarSpec {
     }
 }
 
-/// Counts people among the detections of a frame.
-fn count(detections: &[CellDetection], map: &Rdm) -> usize {
+/// Counts people among the detections of a frame, up to a range.
+fn count(detections: &[CellDetection], map: &Rdm, max_range_m: f64) -> usize {
     let zero = map.shape.doppler / 2;
-    let moves = |d: &&CellDetection| d.doppler.abs_diff(zero) > RESIDUE_CELLS && map.range_m(d.range) >= NEAREST_M;
+    let is_in_range = |range: usize| (NEAREST_M..=max_range_m).contains(&map.range_m(range));
+    let moves = |d: &&CellDetection| d.doppler.abs_diff(zero) > RESIDUE_CELLS && is_in_range(d.range);
     let mut cells: Vec<(f64, f64)> = detections
         .iter()
         .filter(moves)
@@ -212,8 +229,9 @@ fn count(detections: &[CellDetection], map: &Rdm) -> usize {
     groups.iter().filter(|group| group.1 >= strongest_db - GHOST_DB).count()
 }
 
-/// Returns whether the energy over slow time, without static echoes, exceeds its threshold and its least share at some range.
-fn breathes(cfar: &Cfar, map: &Rdm) -> bool {
+/// Returns whether the energy over slow time, without static echoes, exceeds its threshold and its least share at some range up to
+/// the greatest one.
+fn breathes(cfar: &Cfar, map: &Rdm, max_range_m: f64) -> bool {
     let (range, zero) = (map.shape.range, map.shape.doppler / 2);
     let (mut energy, mut still) = (vec![0.0; range], vec![0.0; range]);
     for (doppler, row) in map.db.chunks_exact(range.max(1)).enumerate() {
@@ -223,7 +241,9 @@ fn breathes(cfar: &Cfar, map: &Rdm) -> bool {
     let Some(thresholds) = cfar.thresholds(&energy) else { return false };
     let mut cells = energy.iter().zip(&thresholds).zip(&still).enumerate();
     cells.any(|(index, ((energy, threshold), still))| {
-        energy > threshold && *energy > LEAST_MOVING_SHARE * (energy + still) && map.range_m(index) >= NEAREST_M
+        energy > threshold
+            && *energy > LEAST_MOVING_SHARE * (energy + still)
+            && (NEAREST_M..=max_range_m).contains(&map.range_m(index))
     })
 }
 
@@ -285,6 +305,25 @@ mod tests {
         assert!(counts(&[], 40).iter().all(|people| *people == 0));
         assert!(counts(&[(3.0, 0.8, 8.0)], 5).iter().all(|people| *people == 1));
         assert!(counts(&[(2.0, 0.8, 20.0), (4.5, -0.6, 4.0)], 5).iter().all(|people| *people == 2));
+    }
+
+    /// Who walks, or sits and breathes, beyond the greatest range is not counted; the person before is.
+    #[test]
+    fn bodies_beyond_the_greatest_range_are_not_counted() {
+        let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
+        let count = |max_range_m: f64, bodies: &[(f64, f64, f64)], frames: u64| {
+            let mut counter = CfarCounter::new(&waveform).expect("fits").up_to(max_range_m);
+            let seen = (0..frames).map(|number| {
+                let observation = counter.observe(&frame(&waveform, number, bodies)).expect("a frame");
+                counter.people(observation)
+            });
+            seen.last().expect("frames")
+        };
+        let two = [(2.0, 0.8, 20.0), (4.5, -0.6, 4.0)];
+        assert_eq!([6.0, 3.5, 1.0].map(|max_range_m| count(max_range_m, &two, 5)), [2, 1, 0]);
+        // Half a millimetre a second turns the phase as breathing does.
+        let sits = [(3.0, 0.0005, 20.0)];
+        assert_eq!([6.0, 2.0].map(|max_range_m| count(max_range_m, &sits, 100)), [1, 0]);
     }
 
     mod hard_cases {

@@ -137,6 +137,12 @@ impl PhysicalAxes {
             chirps,
         }
     }
+
+    /// Number of range cells up to a range, at least one.
+    pub(super) fn range_bins_up_to(&self, range_m: f64) -> usize {
+        // A bound at a cell includes the cell, however it is rounded.
+        ((range_m / self.range_step_m * (1.0 + ROUNDING)) as usize).saturating_add(1)
+    }
 }
 
 fn is_positive(value: f64) -> bool {

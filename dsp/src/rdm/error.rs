@@ -64,6 +64,12 @@ pub enum SpecError {
     /// The time constant of change is out of range.
     #[error("map spec: change_over_s is {time_s}, allowed is {LEAST_CHANGE_S} to {MOST_CHANGE_S} s")]
     ChangeTime { time_s: f64 },
+    /// A greatest range is requested without physical axes.
+    #[error("map spec: max_range_m needs physical_axes\n\nhint: give physical_axes, or leave max_range_m out")]
+    MaxRangeWithoutAxes,
+    /// The greatest range is out of range.
+    #[error("map spec: max_range_m is {range_m}, expected a finite number above zero")]
+    MaxRange { range_m: f64 },
     /// The floor is not a level that f32 power can represent.
     #[error("map spec: floor_db is {floor_db}, allowed is -370 dB and above")]
     Floor { floor_db: f64 },

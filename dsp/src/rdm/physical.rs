@@ -9,9 +9,10 @@ use std::ops::Range;
 
 use num_complex::Complex64;
 
-use super::axes::PhysicalAxes;
+use super::axes::{AxesCoverage, PhysicalAxes};
 use super::change::Change;
 use super::plan::MapPlan;
+use super::spec::RdmSpec;
 use crate::decibel::power_to_db_portable;
 use crate::{KernelLevel, MAX_CODE, Waveform, dispatch};
 
@@ -56,16 +57,15 @@ pub(super) struct PhysicalTransform {
 }
 
 impl PhysicalTransform {
-    /// Creates the transform for a plan of a spec with these axes; `level` must be available. `change_over_s` is
-    /// [`RdmSpec::change_over_s`](super::RdmSpec).
+    /// Creates the transform for the plan of a spec with these axes and this coverage; `level` must be available.
     pub(super) fn new(
         plan: &MapPlan,
+        spec: &RdmSpec,
         axes: &PhysicalAxes,
-        change_over_s: Option<f64>,
+        coverage: AxesCoverage,
         waveform: &Waveform,
         level: KernelLevel,
     ) -> Self {
-        let coverage = axes.coverage(waveform);
         let (range, velocity) = (coverage.range_bins, coverage.velocity_bins);
         let range_cycles = axes.range_step_m / waveform.range_step_m(1);
         let mut range_matrix = Vec::with_capacity(coverage.samples.len() * 2 * range);
@@ -100,7 +100,8 @@ impl PhysicalTransform {
         let zero = axes.velocity_bins / 2 * axes.range_bins;
         PhysicalTransform {
             level,
-            change: change_over_s
+            change: spec
+                .change_over_s
                 .map_or_else(Vec::new, |time_s| plan.channels.clone().map(|_| change(time_s)).collect()),
             zero: zero..zero + range,
             zero_weights: plan.doppler_window.iter().map(|weight| *weight as f32).collect(),

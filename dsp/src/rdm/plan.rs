@@ -40,7 +40,7 @@ impl MapPlan {
         };
         let is_sum = spec.channels == Channels::IncoherentSum;
         // On physical axes, only a part of the frame may be used.
-        let coverage = spec.physical_axes.map(|axes| axes.coverage(waveform));
+        let coverage = spec.coverage(waveform);
         let (samples, slow) =
             coverage.map_or((frame_shape.samples, slow_length), |c| (c.samples.len(), c.chirps.len()));
         let range_weights = spec.range_window.weights(samples);

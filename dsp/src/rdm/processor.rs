@@ -97,8 +97,8 @@ impl RdmProcessor {
         let codes = plan.frame_shape.codes();
         let floor_power = 10f64.powf(spec.floor_db / 10.0) as f32;
         let is_recursive = matches!(spec.static_removal, StaticRemoval::RecursiveMti { .. });
-        let transform = if let Some(axes) = spec.physical_axes {
-            Transform::Physical(Box::new(PhysicalTransform::new(&plan, &axes, spec.change_over_s, waveform, level)))
+        let transform = if let Some((axes, coverage)) = spec.physical_axes.zip(spec.coverage(waveform)) {
+            Transform::Physical(Box::new(PhysicalTransform::new(&plan, spec, &axes, coverage, waveform, level)))
         } else if let Some(lanes) = LaneTransform::new(&plan, level) {
             Transform::Lanes(lanes)
         } else {

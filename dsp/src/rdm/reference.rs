@@ -109,7 +109,7 @@ impl<'a> Sums<'a> {
             range_resolution_m,
             velocity_resolution_m_per_s,
         };
-        let coverage = spec.physical_axes.map_or(whole, |axes| axes.coverage(waveform));
+        let coverage = spec.coverage(waveform).unwrap_or(whole);
         let range_window = spec.range_window.weights(coverage.samples.len());
         let doppler_window = spec.doppler_window.weights(coverage.chirps.len());
         Ok(Sums { spec, waveform, shape, coverage, range_window, doppler_window })

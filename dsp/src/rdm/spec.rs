@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::axes::PhysicalAxes;
+use super::axes::{AxesCoverage, PhysicalAxes};
 use super::error::{LEAST_CHANGE_S, MOST_CELLS, MOST_CHANGE_S, MOST_FFT_POINTS, MapMismatch, SpecError};
 use super::map::RdmShape;
 use crate::{Waveform, WaveformMismatch, Window};
@@ -135,6 +135,10 @@ pub struct RdmSpec {
     /// first frame and after a gap.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub change_over_s: Option<f64>,
+    /// Greatest range of a cell that is measured, m; only with `physical_axes`. Cells beyond it hold noise, as cells beyond the
+    /// unambiguous range of a waveform do. If absent, all cells within the unambiguous range are measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_range_m: Option<f64>,
     /// Contents of the slow-time axis.
     pub slow_time: SlowTime,
     /// Amplitude that reads 0 dB.
@@ -158,6 +162,7 @@ impl Default for RdmSpec {
             doppler_fft_length: None,
             physical_axes: None,
             change_over_s: None,
+            max_range_m: None,
             slow_time: SlowTime::Chirps,
             amplitude: AmplitudeScale::FullScaleSine,
             floor_db: -200.0,
@@ -255,6 +260,14 @@ impl RdmSpec {
                 return Err(SpecError::ChangeTime { time_s });
             }
         }
+        if let Some(range_m) = self.max_range_m {
+            if self.physical_axes.is_none() {
+                return Err(SpecError::MaxRangeWithoutAxes);
+            }
+            if !(range_m.is_finite() && range_m > 0.0) {
+                return Err(SpecError::MaxRange { range_m });
+            }
+        }
         let (doppler, range) = match self.physical_axes {
             None => (doppler, range_fft / 2),
             Some(axes) => {
@@ -281,6 +294,17 @@ impl RdmSpec {
         }
         axes.check()?;
         axes.check_waveform(waveform)
+    }
+
+    /// Part of the physical axes that frames of a waveform measure, for specs and waveforms that [`shape`](Self::shape) accepts;
+    /// `None` without physical axes.
+    pub fn coverage(&self, waveform: &Waveform) -> Option<AxesCoverage> {
+        let axes = self.physical_axes?;
+        let mut coverage = axes.coverage(waveform);
+        if let Some(range_m) = self.max_range_m {
+            coverage.range_bins = coverage.range_bins.min(axes.range_bins_up_to(range_m));
+        }
+        Some(coverage)
     }
 
     /// Checks that maps of `given` frames are comparable with maps of `nominal` frames, which a model was trained on or a dataset

@@ -140,13 +140,15 @@ impl Classifier {
         &self.card.rdm_spec
     }
 
-    /// Checks that maps which `spec` makes of the frames of `waveform` are such as the model was trained on.
+    /// Checks that maps which `spec` makes of the frames of `waveform` are such as the model was trained on. They may end at a nearer
+    /// range ([`RdmSpec::max_range_m`]): people beyond it then do not count.
     ///
     /// # Errors
     /// [`ClassifyError::OtherMaps`].
     pub fn check_maps(&self, spec: &RdmSpec, waveform: &Waveform) -> Result<(), ClassifyError> {
-        if *spec != self.card.rdm_spec {
-            let what = format!("the maps were made with {}", differences(spec, &self.card.rdm_spec));
+        let expected = RdmSpec { max_range_m: spec.max_range_m, ..self.card.rdm_spec };
+        if *spec != expected {
+            let what = format!("the maps were made with {}", differences(spec, &expected));
             return Err(ClassifyError::OtherMaps { what });
         }
         let checked = spec.check_compatible(waveform, &self.card.waveform);

@@ -177,7 +177,7 @@ pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>
     let mut checks = vec![Check::ok("source", format!("{}, {}", opened.description, waveform.shape()))];
     let header = opened.header(None);
     let mut examined = Examined { description: opened.description, header, frames: Vec::new() };
-    let mut judge = match model.map(|model| model.judge(&waveform)) {
+    let mut judge = match model.map(|model| model.judge(&waveform, None)) {
         Some(Ok(judge)) => {
             checks.push(Check::ok("fit", "the model takes these frames"));
             Some(judge)

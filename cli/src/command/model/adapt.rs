@@ -13,8 +13,8 @@ use serde_json::json;
 use self::frames::Frames;
 use super::evaluate::LabelledRecording;
 use crate::judge::{CFAR, Model};
-use crate::output;
 use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
+use crate::{output, source};
 
 /// `radome model adapt`
 #[derive(clap::Args)]
@@ -32,6 +32,9 @@ pub struct Arguments {
     /// Recording of the empty room, the same as RECORDING=empty; may be given several times
     #[arg(long, value_name = "RECORDING")]
     empty: Vec<PathBuf>,
+    /// Count only people up to this distance from the radar, m, as `live --max-range-m` will. The labels must be of these people
+    #[arg(long, value_name = "M", value_parser = source::positive, conflicts_with = "curve")]
+    max_range_m: Option<f64>,
     /// Dataset folder with simulated maps to mix in, so that the model keeps its accuracy in other rooms
     #[arg(long, value_name = "DATASET")]
     simulated: Option<PathBuf>,
@@ -84,7 +87,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return curve::run(judging, &adapter, rooms, arguments.json);
     }
     let inputs = inputs(arguments)?;
-    let mut frames = Frames::new(judging, &adapter);
+    let mut frames = Frames::new(judging, &adapter, arguments.max_range_m);
     let bar = output::progress(inputs.len() as u64, "reading");
     let mut recordings = Vec::with_capacity(inputs.len());
     for input in &inputs {

@@ -40,14 +40,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let [source, waveform] = arguments.source.inputs();
     arguments.overwrite.check(&arguments.output, &[source, waveform, &arguments.model])?;
     let model = Model::open(&arguments.model)?;
-    let judge = model.named(&arguments.model, Default::default())?;
+    let judge = model.named(&arguments.model, Default::default(), None)?;
     let mut options = arguments.source.options()?;
     options.model_waveform = model.waveform().cloned();
     options.people.get_or_insert(0);
     let source = source::open(&arguments.source.source, &options)?;
     message!("{}; nobody should be in the room", source.description);
     let (waveform, is_live) = (source.frames.waveform().clone(), source.is_live);
-    let mut at_work = model.judge(&waveform)?;
+    let mut at_work = model.judge(&waveform, None)?;
     let mut capture = Capture::default();
     let mut start_s = None;
     let items = Items::of(source.frames, arguments.source.frames);

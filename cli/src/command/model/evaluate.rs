@@ -21,7 +21,7 @@ use self::candidate::{Candidate, Predictions, Refused, count_reliability};
 pub use self::labelled::LabelledRecording;
 use self::thermal::ThermalNoise;
 use crate::judge::{CFAR, Model};
-use crate::output;
+use crate::{output, source};
 
 /// `radome model evaluate`
 #[derive(clap::Args)]
@@ -39,6 +39,9 @@ pub struct Arguments {
     /// frames is applied, as in `live`
     #[arg(long)]
     no_smoothing: bool,
+    /// Count only people up to this distance from the radar, m, as in `live`. The labels must be of these people
+    #[arg(long, value_name = "M", value_parser = source::positive)]
+    max_range_m: Option<f64>,
     /// End with exit status 0 instead of 1 if the model refuses some recordings. They are listed and left out in either case
     #[arg(long)]
     skip_refused: bool,
@@ -56,7 +59,7 @@ pub struct Arguments {
     ablate: bool,
     /// Folder of rungs, or one rung. A rung is a set of recordings that are simulated and evaluated with all models; it differs
     /// from the training data in one way. Frames in which someone enters or leaves are left out
-    #[arg(long, value_name = "DIR|FILE.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused", "split"])]
+    #[arg(long, value_name = "DIR|FILE.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused", "split", "max_range_m"])]
     ladder: Option<PathBuf>,
     /// Folder that stores the recordings of the ladder for later runs. A recording is simulated again if its last frame has changed
     #[arg(long, value_name = "DIR", requires = "ladder")]
@@ -125,10 +128,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 "--thermal-snr-db puts noise on raw samples, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL, or \
                  build a dataset with raw_snr_db"
             );
-            if arguments.no_smoothing || arguments.skip_refused {
+            if arguments.no_smoothing || arguments.skip_refused || arguments.max_range_m.is_some() {
                 bail!(
-                    "--no-smoothing and --skip-refused are for recordings; each map of a dataset is judged by itself\n\nhint: leave them \
-                     out"
+                    "--no-smoothing, --skip-refused and --max-range-m are for recordings; each map of a dataset is judged as it \
+                     is\n\nhint: leave them out"
                 );
             }
             on_dataset(&mut classifier, Path::new(folder), arguments)
@@ -136,7 +139,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         _ if arguments.split.is_some() => {
             bail!("--split names a split of a dataset, and recordings have none\n\nhint: leave it out")
         }
-        recordings => on_recordings(Candidate::new(model, judging), recordings, arguments),
+        recordings => on_recordings(Candidate::new(model, judging, arguments.max_range_m), recordings, arguments),
     }
 }
 
@@ -295,7 +298,7 @@ impl<'a> Answers<'a> {
         let false_alarms = FalseAlarms::of(&self.scores);
         let mut ablated = Vec::new();
         if arguments.ablate {
-            let (model, rows) = ablation::on_recordings(candidate.take()?, &self.taken)?;
+            let (model, rows) = ablation::on_recordings(candidate.take()?, &self.taken, arguments.max_range_m)?;
             candidate.put_back(model);
             ablated = rows;
         }

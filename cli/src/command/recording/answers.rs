@@ -45,12 +45,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // Classifiers without a file have the program's version in place of a hash.
     let is_hash = judge.model_hash.len() == 64 && judge.model_hash.bytes().all(|byte| byte.is_ascii_hexdigit());
     message!(
-        "judged by {} ({}{}), on after {} s, off after {} s",
+        "judged by {} ({}{}), on after {} s, off after {} s{}",
         judge.model,
         if is_hash { "SHA-256 " } else { "" },
         judge.model_hash,
         judge.on_delay_s,
-        judge.off_delay_s
+        judge.off_delay_s,
+        judge.max_range_m.map_or_else(String::new, |range_m| format!(", people up to {range_m} m"))
     );
     let mut people = None;
     let mut wanted = results.filter(|result| {

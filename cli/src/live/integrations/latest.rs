@@ -157,7 +157,8 @@ mod tests {
         fn new() -> Self {
             let waveform = Waveform::realise(WaveformRequest::paper()).expect("a valid waveform");
             let started = Instant::now();
-            let judge = FrameClassifier::new(Model::Cfar, &waveform, Delays::default(), started).expect("a judge");
+            let judge =
+                FrameClassifier::new(Model::Cfar, &waveform, Delays::default(), None, started).expect("a judge");
             Room { waveform, judge, sink: LatestSink(Latest::new(started, Duration::from_secs(600))), noise: 1 }
         }
 

@@ -578,6 +578,7 @@ mod tests {
             model_hash: "b".into(),
             on_delay_s: 0.5,
             off_delay_s: 3.0,
+            max_range_m: None,
         };
         let mut frame = Frame::zeroed(pattern.waveform.shape());
         let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(pattern.waveform.clone()) };

@@ -19,6 +19,9 @@ pub struct Judge {
     pub on_delay_s: f64,
     /// Delay until the state becomes empty, s.
     pub off_delay_s: f64,
+    /// Greatest range at which people counted, m; `None` for the whole room.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_range_m: Option<f64>,
 }
 
 /// Result of the classifier for a frame. Frames without a result were not classified in time.

@@ -223,6 +223,44 @@ fn cells_that_are_not_measured_hold_noise() {
     }
 }
 
+/// Up to a greatest range a map is what it is without one. Beyond, no echo shows, and cells hold noise.
+#[test]
+fn beyond_a_greatest_range_nothing_is_seen() {
+    for (title, w) in waveforms() {
+        let whole = RdmSpec { change_over_s: Some(0.3), ..on_axes(AXES) };
+        for (max_range_m, bins) in [(1.5, 11), (1.64, 11), (0.01, 1), (1e300, AXES.coverage(&w).range_bins)] {
+            let spec = RdmSpec { max_range_m: Some(max_range_m), ..whole };
+            let coverage = spec.coverage(&w).expect("physical axes");
+            assert_eq!(coverage.range_bins, bins, "{title}, {max_range_m} m");
+            let mut random = Random(5);
+            let mut frame = |sequence| {
+                frame_of(w.shape(), sequence, |_, m, n| {
+                    0.2 * echo(&w, 0.9, 0.3, m, n) + 0.4 * echo(&w, 2.6, -0.7, m, n) + 0.01 * random.normal()
+                })
+            };
+            let frames: Vec<Frame> = (0..3).map(&mut frame).collect();
+            let of = |spec: &RdmSpec| last_map(&mut RdmProcessor::new(spec, &w).expect("spec fits"), &frames);
+            let (map, all) = (of(&spec), of(&whole));
+            for (cell, (db, of_all)) in map.db.iter().zip(&all.db).enumerate() {
+                let (d, r) = (cell / AXES.range_bins, cell % AXES.range_bins);
+                if r < bins && coverage.velocity_bins.contains(&d) {
+                    assert_eq!(db, of_all, "{title}, {max_range_m} m");
+                }
+            }
+            let expected = reference::map(&spec, &w, &frames).expect("spec fits");
+            assert!(measured_error_dbc(&map, &expected, &coverage) < -100.0, "{title}, {max_range_m} m");
+            if max_range_m == 1.5 {
+                let strongest = |map: &Rdm, bins: std::ops::Range<usize>| {
+                    let cells = (0..AXES.velocity_bins).flat_map(|d| bins.clone().map(move |r| (d, r)));
+                    cells.map(|(d, r)| map.at(0, d, r)).fold(f32::MIN, f32::max)
+                };
+                assert!(strongest(&all, 12..64) > strongest(&all, 0..11), "{title}");
+                assert!(strongest(&map, 12..64) < strongest(&map, 0..11) - 10.0, "{title}");
+            }
+        }
+    }
+}
+
 /// A receiver without signal is left out of the mean: the map is that of the others.
 #[test]
 fn a_dead_receiver_is_left_out() {
@@ -360,6 +398,12 @@ fn axes_that_cannot_be_are_refused_by_key() {
         let error = on_axes(axes).shape(&w).expect_err("refused").to_string();
         assert!(error.contains(key), "{error}");
     }
+    for range_m in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        let spec = RdmSpec { max_range_m: Some(range_m), ..on_axes(AXES) };
+        assert!(matches!(spec.shape(&w), Err(SpecError::MaxRange { .. })), "{range_m}");
+    }
+    let spec = RdmSpec { max_range_m: Some(1.0), physical_axes: None, ..on_axes(AXES) };
+    assert!(matches!(spec.shape(&w), Err(SpecError::MaxRangeWithoutAxes)));
     for spec in [
         RdmSpec { range_fft_length: Some(256), ..on_axes(AXES) },
         RdmSpec { doppler_fft_length: Some(64), ..on_axes(AXES) },

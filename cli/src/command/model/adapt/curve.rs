@@ -111,7 +111,7 @@ pub fn run(model: Model, adapter: &Adapter, path: &Path, json: bool) -> anyhow::
     file.check().with_context(|| path.display().to_string())?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let bar = output::progress(file.room.len() as u64, "rooms");
-    let mut frames = Frames::new(model, adapter);
+    let mut frames = Frames::new(model, adapter, None);
     let mut rooms = Vec::with_capacity(file.room.len());
     for of in &file.room {
         bar.set_message(of.name.clone());

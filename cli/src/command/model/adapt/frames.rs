@@ -11,11 +11,13 @@ pub struct Frames<'a> {
     /// Model, which is absent while in use and after an error.
     model: Option<Model>,
     adapter: &'a Adapter,
+    /// Greatest range at which people count, m.
+    max_range_m: Option<f64>,
 }
 
 impl<'a> Frames<'a> {
-    pub fn new(model: Model, adapter: &'a Adapter) -> Self {
-        Frames { model: Some(model), adapter }
+    pub fn new(model: Model, adapter: &'a Adapter, max_range_m: Option<f64>) -> Self {
+        Frames { model: Some(model), adapter, max_range_m }
     }
 
     /// Reads features and labels of the frames that `next` returns one after another.
@@ -28,7 +30,8 @@ impl<'a> Frames<'a> {
         mut next: impl FnMut(&mut Frame) -> anyhow::Result<SourceEvent>,
         truth: impl Fn(&Frame) -> Option<Occupancy>,
     ) -> anyhow::Result<AdaptRecording> {
-        let mut judge = self.model.take().context("an earlier recording has failed")?.judge(waveform)?;
+        let mut judge =
+            self.model.take().context("an earlier recording has failed")?.judge(waveform, self.max_range_m)?;
         let mut frame = Frame::zeroed(waveform.shape());
         let mut frames = Vec::new();
         loop {

@@ -25,11 +25,15 @@ pub struct Row {
     confusion: Confusion,
 }
 
-/// Scores a network on the single labelled frames of recordings. Returns the network with the scores.
+/// Scores a network on the single labelled frames of recordings, with people up to a range or in the whole room. Returns the network with the scores.
 ///
 /// # Errors
 /// A recording cannot be read, or the model does not take its waveform.
-pub fn on_recordings(mut model: Model, recordings: &[&LabelledRecording]) -> anyhow::Result<(Model, Vec<Row>)> {
+pub fn on_recordings(
+    mut model: Model,
+    recordings: &[&LabelledRecording],
+    max_range_m: Option<f64>,
+) -> anyhow::Result<(Model, Vec<Row>)> {
     let Model::Network(classifier) = &model else { bail!("{CFAR} has no maps of which parts can be replaced") };
     let mut scores = AblationScores::new(classifier.card());
     let bar = output::progress(recordings.len() as u64, "ablation");
@@ -37,7 +41,7 @@ pub fn on_recordings(mut model: Model, recordings: &[&LabelledRecording]) -> any
         let path = &recording.path;
         let mut source = Recording::open(path)?;
         let mut frame = Frame::zeroed(source.waveform().shape());
-        let mut judge = model.judge(source.waveform()).with_context(|| path.display().to_string())?;
+        let mut judge = model.judge(source.waveform(), max_range_m).with_context(|| path.display().to_string())?;
         loop {
             match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
                 SourceEvent::End => break,

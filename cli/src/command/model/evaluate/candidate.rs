@@ -15,13 +15,16 @@ use crate::output;
 /// Model that predicts one recording after another.
 pub struct Candidate {
     path: PathBuf,
+    /// Greatest range at which people count, m.
+    max_range_m: Option<f64>,
     /// Model, which is absent while in use and after it refused a recording. It is then opened again.
     model: Option<Model>,
 }
 
 impl Candidate {
-    pub fn new(path: PathBuf, model: Model) -> Self {
-        Candidate { path, model: Some(model) }
+    /// Creates a candidate that counts people up to a range, or in the whole room.
+    pub fn new(path: PathBuf, model: Model, max_range_m: Option<f64>) -> Self {
+        Candidate { path, max_range_m, model: Some(model) }
     }
 
     /// Returns the path of the model as it was given.
@@ -51,7 +54,7 @@ impl Candidate {
     pub fn start(&mut self, waveform: &Waveform) -> anyhow::Result<Run> {
         let model = self.take()?;
         let filter = OccupancyFilter::new(model.smoothing(), waveform.frame_interval_s());
-        let judge = model.judge(waveform)?;
+        let judge = model.judge(waveform, self.max_range_m)?;
         let frame_interval_s = waveform.frame_interval_s();
         Ok(Run {
             judge,

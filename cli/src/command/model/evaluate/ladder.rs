@@ -44,7 +44,7 @@ pub fn run(
     if let Some(hours) = empty_hours {
         rungs = rungs.into_iter().map(|rung| rung.without_people(hours)).collect::<anyhow::Result<_>>()?;
     }
-    let open = |path: &PathBuf| anyhow::Ok(Candidate::new(path.clone(), Model::open(path)?));
+    let open = |path: &PathBuf| anyhow::Ok(Candidate::new(path.clone(), Model::open(path)?, None));
     let mut candidates = models.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
     if let Some(folder) = keep {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
