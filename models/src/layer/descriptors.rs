@@ -6,9 +6,10 @@
 //! range and the velocity of the strongest cell. In real rooms this separates one from two; in simulated rooms counts did as well.
 //!
 //! Cells of zero velocity are treated separately: they hold the change from frame to frame
-//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), which shows people who stand, sit or breathe. Two descriptors use them:
-//! whether there is change while nothing moves, and whether there is change nearer than what moves. Farther than a walking person,
-//! shadows change the echoes of the room, and the distribution of change over ranges differs between simulated and real rooms.
+//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), which shows people who stand, sit or breathe. Three descriptors use them:
+//! whether there is change while nothing moves, and whether there is change nearer than what moves, much nearer or as strong as it.
+//! Farther than a walking person, shadows change the echoes of the room, and the distribution of change over ranges differs between
+//! simulated and real rooms.
 //!
 //! The resolution of a waveform decides how wide an echo is, and on fixed axes it shows in the noise: where it is coarser than a bin,
 //! neighbouring cells of noise are alike. Four descriptors say how much.
@@ -22,10 +23,10 @@ use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::spin_pool::for_each_chunk;
 
 /// Number of descriptors of a map.
-pub const DESCRIPTORS: usize = 48;
-/// Numbers of descriptors that models had before: the first ones of a map, without the correlations of the noise, and without the
-/// change nearer than what moves.
-pub(crate) const EARLIER_DESCRIPTORS: [usize; 2] = [43, 47];
+pub const DESCRIPTORS: usize = 50;
+/// Numbers of descriptors that models had before: the first ones of a map, without the correlations of the noise, without the
+/// change nearer than what moves, and without the change that is little nearer.
+pub(crate) const EARLIER_DESCRIPTORS: [usize; 3] = [43, 47, 48];
 
 /// Level above which a cell is an echo, dB. One of 8,192 cells of noise exceeds it.
 const STANDS_OUT_DB: f32 = 10.0;
@@ -40,6 +41,16 @@ const SAME_RANGE_BINS: i64 = 2;
 /// Range bins by which change must be nearer than the strongest cell to be that of another person. Limbs and the window of the
 /// range transform reach less far.
 const OTHER_PERSON_BINS: usize = 6;
+/// The same for change that is strong in itself, beside a strongest cell that is not slow. The change of limbs and of the window is
+/// weaker, and those who stand alone move slowly.
+const CLOSE_PERSON_BINS: usize = 2;
+/// Level of such change up to which it is nobody's, and from which it is a person's, dB over noise. Whoever has just gone from there
+/// leaves less.
+const CLOSE_CHANGE_DB: [f32; 2] = [33.0, 42.0];
+/// Level of the strongest cell up to which it may be noise or an echo of that person, and from which it is another's motion, dB.
+const CLOSE_MOTION_DB: [f32; 2] = [14.0, 26.0];
+/// Change over the level of the strongest cell up to which it counts as that of the same person, and from which as another's, dB.
+const CHANGE_OVER_MOTION_DB: [f32; 2] = [-10.0, 0.0];
 /// Velocity bins to either side of the strongest cell that count as its velocity: limbs move that much faster and slower.
 const SAME_VELOCITY_BINS: i64 = 4;
 /// Velocity bins to either side of zero that are slow. A room at rest reaches them.
@@ -102,15 +113,17 @@ struct Cell {
 /// | 43, 44 | correlation of the levels of noise one and two velocity bins apart | 1 |
 /// | 45, 46 | the same one and two range bins apart | 1 |
 /// | 47 | person without motion nearer than one with motion: strongest cell of zero velocity more than six bins nearer than the strongest cell, 0 up to 20 dB and 1 from 35 dB on, times 0 where the strongest cell has 10 dB, and 1 where it has 25 dB | 1 |
+/// | 48 | person without motion little nearer than one with motion: strongest cell of zero velocity more than two bins nearer than the strongest cell, 0 up to 33 dB and 1 from 42 dB on, times 0 where it is 10 dB weaker than the strongest cell, and 1 where it is at least as strong, times 0 where the strongest cell has 14 dB, and 1 where it has 26 dB; 0 where the strongest cell is slow | 1 |
+/// | 49 | the same where the strongest cell approaches, 0 otherwise: change near one who recedes may be what that one left there | 1 |
 ///
-/// Cells of zero velocity are in 42 and 47 only. Cells of noise are those above 0 dB and up to 10 dB that are not slow, in range bins whose
+/// Cells of zero velocity are in 42 and 47 to 49 only. Cells of noise are those above 0 dB and up to 10 dB that are not slow, in range bins whose
 /// cells are not all equal, which hold no noise. Without two pairs of cells that differ, a correlation is 0.
 ///
 /// The same range is within two bins of the strongest cell, the same velocity within four, and slow is one bin from zero. The
 /// opposite direction is more than a bin beyond zero as seen from the strongest cell.
 ///
-/// No descriptor changes when approaching and receding are exchanged about zero Doppler. The direction of motion says
-/// nothing about the number of people. A linear classifier can use the magnitude of a velocity only if the magnitude is
+/// No descriptor but 49 changes when approaching and receding are exchanged about zero Doppler. Without change, the direction of
+/// motion says nothing about the number of people. A linear classifier can use the magnitude of a velocity only if the magnitude is
 /// an input.
 ///
 /// Zero velocity is at index `velocity_bins / 2`, range 0 at row 0. Cells of an incomplete last row are left out. Only
@@ -146,16 +159,22 @@ pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, veloci
         })
         .collect();
     let peak = strongest(&cells, rows);
-    let change_before = |row: usize| {
-        let levels = map_db.iter().skip(columns / 2).step_by(columns).take(row);
-        share_of(CHANGE_DB, levels.copied().fold(f32::MIN, f32::max))
-    };
+    let strongest_change_db =
+        |rows: usize| map_db.iter().skip(columns / 2).step_by(columns).take(rows).copied().fold(f32::MIN, f32::max);
     let motion = share_of(MOTION_DB, peak.level_db);
     let mut values = moments(&cells, rows, range_step, velocity_step);
     values.extend(beside_the_strongest(&cells, &peak, range_step, velocity_step));
-    values.push(change_before(rows) * (1.0 - motion));
+    values.push(share_of(CHANGE_DB, strongest_change_db(rows)) * (1.0 - motion));
     values.extend(noise_correlations(&map_db[..rows * columns], columns));
-    values.push(change_before(peak.row.saturating_sub(OTHER_PERSON_BINS)) * motion);
+    let nearer_db = strongest_change_db(peak.row.saturating_sub(OTHER_PERSON_BINS));
+    values.push(share_of(CHANGE_DB, nearer_db) * motion);
+    let close_db = strongest_change_db(peak.row.saturating_sub(CLOSE_PERSON_BINS));
+    let is_moving = peak.speed.abs() > SLOW_BINS;
+    let close = share_of(CLOSE_CHANGE_DB, close_db)
+        * share_of(CHANGE_OVER_MOTION_DB, close_db - peak.level_db)
+        * share_of(CLOSE_MOTION_DB, peak.level_db);
+    values.push(if is_moving { close } else { 0.0 });
+    values.push(if is_moving && peak.speed < 0 { close } else { 0.0 });
     std::array::from_fn(|k| values.get(k).map_or(f32::NAN, |&value| value as f32))
 }
 
@@ -323,7 +342,7 @@ fn logarithm_of(count: usize) -> f64 {
     (count as f64).ln_1p()
 }
 
-/// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][48]`, ranges and velocities in bins.
+/// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][50]`, ranges and velocities in bins.
 ///
 /// The input has no gradient: the backward pass fails if it needs one.
 ///
@@ -349,7 +368,7 @@ fn run([_, rows, columns]: [usize; 3], maps: &[f32], output: &mut [f32]) {
 }
 
 impl Feature {
-    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][48]`.
+    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][50]`.
     ///
     /// # Errors
     /// Maps have more than one channel or no cells.
@@ -395,6 +414,8 @@ mod tests {
     const CHANGE: usize = 42;
     const NOISE: usize = 43;
     const CHANGE_BEFORE: usize = 47;
+    const CHANGE_CLOSE: usize = 48;
+    const CHANGE_CLOSE_APPROACHED: usize = 49;
 
     fn describe(map: &[f32], columns: usize) -> [f32; DESCRIPTORS] {
         descriptors(map, columns, RANGE_STEP_M, VELOCITY_STEP_M_PER_S)
@@ -470,6 +491,34 @@ mod tests {
         }
         assert_eq!(describe(&echoes(&[(5, 32, 60.0)]), 64)[CHANGE_BEFORE], 0.0);
         assert_eq!(describe(&echoes(&[(5, 40, 60.0), (2, 32, 60.0)]), 64)[CHANGE_BEFORE], 0.0);
+    }
+
+    /// A person who sits little nearer than one who walks: strong change, at least as strong as a motion that is not slow.
+    #[test]
+    fn strong_change_close_to_what_moves_is_another_person() {
+        // Row and level of the change; velocity bin and level of the walker in row 20.
+        for (row, change_db, bin, walker_db, expected) in [
+            (5, 45.0, 40, 40.0, 1.0),
+            (17, 45.0, 40, 40.0, 1.0),
+            (18, 45.0, 40, 40.0, 0.0),
+            (17, 37.5, 40, 26.0, 0.5),
+            (17, 33.0, 40, 26.0, 0.0),
+            (17, 45.0, 40, 50.0, 0.5),
+            (17, 45.0, 40, 55.0, 0.0),
+            (17, 45.0, 40, 20.0, 0.5),
+            (17, 45.0, 40, 14.0, 0.0),
+            (17, 45.0, 34, 40.0, 1.0),
+            (17, 45.0, 33, 40.0, 0.0),
+        ] {
+            let change = (row, 32, change_db);
+            let recedes = describe(&echoes(&[change, (20, bin, walker_db)]), 64);
+            near("change close to who recedes", recedes[CHANGE_CLOSE], expected, 1e-6);
+            assert_eq!(recedes[CHANGE_CLOSE_APPROACHED], 0.0);
+            let approaches = describe(&echoes(&[change, (20, 64 - bin, walker_db)]), 64);
+            near("change close to who approaches", approaches[CHANGE_CLOSE], expected, 1e-6);
+            assert_eq!(approaches[CHANGE_CLOSE_APPROACHED], approaches[CHANGE_CLOSE]);
+        }
+        assert_eq!(describe(&echoes(&[(5, 32, 60.0)]), 64)[CHANGE_CLOSE..], [0.0; 2]);
     }
 
     #[test]
@@ -643,7 +692,8 @@ mod tests {
         let mut map: Vec<f32> = noise(rows, columns, 9).iter().map(|level| 3.0 * level).collect();
         let found = describe(&map, columns);
         map.chunks_exact_mut(columns).for_each(<[f32]>::reverse);
-        for (a, b) in found.iter().zip(describe(&map, columns)) {
+        let reversed = describe(&map, columns);
+        for (a, b) in found[..CHANGE_CLOSE_APPROACHED].iter().zip(reversed) {
             assert!((a - b).abs() < 1e-5 * a.abs().max(1.0), "{a} {b}");
         }
     }

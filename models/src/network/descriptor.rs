@@ -2,11 +2,11 @@
 //!
 //! ```text
 //! map [1][range][doppler], dB over noise
-//!   48 descriptors (layer/descriptors.rs), ranges and velocities in bins
+//!   50 descriptors (layer/descriptors.rs), ranges and velocities in bins
 //!   standardise by constants, folded into the dense layer behind
 //!
 //! descriptor_linear                       descriptor_hqnn
-//!   linear 48 -> 3: logits       147        linear 48 -> 2: the latent            98
+//!   linear 50 -> 3: logits       153        linear 50 -> 2: the latent           102
 //!                                           standardise by constants, pi * sigmoid
 //!                                           two-qubit circuit, <ZI> and <IZ>       4
 //!                                           linear 2 -> 3: logits                  9
@@ -104,7 +104,7 @@ mod tests {
     #[test]
     fn multiply_adds_are_few() {
         let [linear, hqnn] = ["descriptor_linear", "descriptor_hqnn"].map(|name| NetworkSpec::named(name).expect(name));
-        assert_eq!(linear.multiply_adds(64, 32), 17 * 64 * 32 + 48 * 3);
+        assert_eq!(linear.multiply_adds(64, 32), 17 * 64 * 32 + 50 * 3);
         assert!(hqnn.multiply_adds(128, 128) < 300_000);
         assert_eq!(linear.too_small_for(1, 1), None);
     }
