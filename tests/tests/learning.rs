@@ -414,6 +414,8 @@ mod hard_cases {
         for (arguments, expected) in [
             (vec![set.as_str(), "--no-smoothing"], "each map of a dataset is judged by itself"),
             (vec![set.as_str(), "--skip-refused"], "each map of a dataset is judged by itself"),
+            (vec![set.as_str(), "--max-range-m", "2"], "each map of a dataset is judged by itself"),
+            (vec!["--ladder", ladder.as_str(), "--max-range-m", "2"], "cannot be used with"),
             (vec!["none.mcap=one", "--split", "test"], "--split names a split of a dataset"),
             (vec!["none.mcap=one", "--thermal-snr-db=-4000"], "expected -100 to 100"),
             (vec!["none.mcap=one", "--thermal-snr-db", "nan"], "expected -100 to 100"),
