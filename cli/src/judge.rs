@@ -233,13 +233,27 @@ impl Model {
         Ok(network.rdm_spec().check_compatible(waveform, network.waveform())?)
     }
 
+    /// Range below which echoes come from the radar itself and not from people, m.
+    fn nearest_m(&self) -> f64 {
+        let Some(card) = self.network().map(Classifier::card) else { return CfarCounter::NEAREST_M };
+        let skipped = card.standardisation.reference.skipped_range_bins().unwrap_or(0);
+        skipped as f64 * card.rdm_spec.steps(&card.waveform).0
+    }
+
     /// Sets the model up for frames of a waveform. People farther away than `max_range_m`, if given, do not count. Prints on stderr
     /// what is lost relative to the model's own waveform.
     ///
     /// # Errors
-    /// If the model cannot judge frames of the waveform, or if its maps cannot be limited to a range.
+    /// If the model cannot judge frames of the waveform, or if its maps cannot be limited to this range.
     pub fn judge(self, waveform: &Waveform, max_range_m: Option<f64>) -> anyhow::Result<Judge> {
         self.check_waveform(waveform)?;
+        if let Some(range_m) = max_range_m {
+            let nearest_m = self.nearest_m();
+            ensure!(
+                range_m >= nearest_m,
+                "--max-range-m {range_m}: the model sees nobody nearer than {nearest_m:.2} m\n\nhint: give a greater distance"
+            );
+        }
         Ok(Judge(match self {
             Model::Network(classifier) => {
                 let spec = classifier.rdm_spec();

@@ -81,6 +81,10 @@ fn people_beyond_the_greatest_range_do_not_count() {
         command!("live --max-range-m 2 --frames 5", fixture("scenes/corridor.toml"), "--model", model),
         &refused,
     );
+    for (model, nearest) in [("room-hqnn", "0.45 m"), ("cfar", "0.25 m")] {
+        let near = command!("live --max-range-m 0.2 --model", model, &recording);
+        fails_with(near, &["--max-range-m 0.2", nearest]);
+    }
     for range_m in ["0", "-1", "nan", "inf", "far"] {
         let wrong = command!("live --model cfar", &recording, "--max-range-m", range_m);
         wrong_use_with(wrong, &["--max-range-m", "above 0"]);

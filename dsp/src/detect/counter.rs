@@ -22,8 +22,6 @@ const SLOW_FALSE_ALARM_RATE: f64 = 1e-4;
 const RANK: f64 = 0.75;
 /// Velocity cells on either side of zero that hold the residue of static removal.
 const RESIDUE_CELLS: usize = 1;
-/// Range below which echoes come from the package itself, m.
-const NEAREST_M: f64 = 0.25;
 /// Least number of cells of a person: a single cell is a false alarm every few thousand frames.
 const LEAST_CELLS: usize = 3;
 /// Distance above which groups of detections are different people, m.
@@ -88,6 +86,9 @@ pub struct CfarCounter {
 }
 
 impl CfarCounter {
+    /// Range below which echoes come from the package itself, m. People nearer than this are not counted.
+    pub const NEAREST_M: f64 = 0.25;
+
     /// Creates the counter for frames of a waveform.
     ///
     /// # Errors
@@ -202,7 +203,7 @@ fn cfar_spec(looks: usize, doppler: usize, range: usize) -> CfarSpec {
 /// Counts people among the detections of a frame, up to a range.
 fn count(detections: &[CellDetection], map: &Rdm, max_range_m: f64) -> usize {
     let zero = map.shape.doppler / 2;
-    let is_in_range = |range: usize| (NEAREST_M..=max_range_m).contains(&map.range_m(range));
+    let is_in_range = |range: usize| (CfarCounter::NEAREST_M..=max_range_m).contains(&map.range_m(range));
     let moves = |d: &&CellDetection| d.doppler.abs_diff(zero) > RESIDUE_CELLS && is_in_range(d.range);
     let mut cells: Vec<(f64, f64)> = detections
         .iter()
@@ -243,7 +244,7 @@ fn breathes(cfar: &Cfar, map: &Rdm, max_range_m: f64) -> bool {
     cells.any(|(index, ((energy, threshold), still))| {
         energy > threshold
             && *energy > LEAST_MOVING_SHARE * (energy + still)
-            && (NEAREST_M..=max_range_m).contains(&map.range_m(index))
+            && (CfarCounter::NEAREST_M..=max_range_m).contains(&map.range_m(index))
     })
 }
 
