@@ -51,7 +51,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE.json")]
     pub background: Option<PathBuf>,
     /// Count only people up to this distance from the radar, m: at a desk, in a bed, before a door. Who is farther away is not seen
-    #[arg(long, value_name = "M", value_parser = source::positive)]
+    #[arg(long, value_name = "METRES", value_parser = source::positive)]
     pub max_range_m: Option<f64>,
     /// Seconds for which frames must agree before `occupied` or a greater number of people is reported
     #[arg(long, value_name = "SECONDS", default_value_t = Delays::default().on_s, value_parser = source::not_negative)]

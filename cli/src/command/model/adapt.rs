@@ -33,7 +33,7 @@ pub struct Arguments {
     #[arg(long, value_name = "RECORDING")]
     empty: Vec<PathBuf>,
     /// Count only people up to this distance from the radar, m, as `live --max-range-m` will. The labels must be of these people
-    #[arg(long, value_name = "M", value_parser = source::positive, conflicts_with = "curve")]
+    #[arg(long, value_name = "METRES", value_parser = source::positive, conflicts_with = "curve")]
     max_range_m: Option<f64>,
     /// Dataset folder with simulated maps to mix in, so that the model keeps its accuracy in other rooms
     #[arg(long, value_name = "DATASET")]

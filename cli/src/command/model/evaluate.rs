@@ -40,7 +40,7 @@ pub struct Arguments {
     #[arg(long)]
     no_smoothing: bool,
     /// Count only people up to this distance from the radar, m, as in `live`. The labels must be of these people
-    #[arg(long, value_name = "M", value_parser = source::positive)]
+    #[arg(long, value_name = "METRES", value_parser = source::positive)]
     max_range_m: Option<f64>,
     /// End with exit status 0 instead of 1 if the model refuses some recordings. They are listed and left out in either case
     #[arg(long)]
