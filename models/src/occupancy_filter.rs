@@ -108,10 +108,10 @@ impl Default for Smoothing {
     /// does not make the filter's answers flicker.
     fn default() -> Self {
         Smoothing {
-            dwell_s: 2.7,
+            dwell_s: 2.3,
             weight: None,
-            independent_s: Some(0.9),
-            temperature: 1.9,
+            independent_s: Some(1.0),
+            temperature: 1.7,
             newest: 0.7,
             one_share: 0.4,
         }
