@@ -68,7 +68,7 @@ fn people_beyond_the_greatest_range_do_not_count() {
     success(command!("scene simulate --frames 40 --seed 3 -o", &recording, &far));
     for model in ["room-hqnn", "cfar"] {
         let share_occupied = |options: &str| {
-            let lines = json_lines(live_command(&recording, &format!("--json --model {model} {options}")));
+            let lines = json_lines(command!("live --json --model", model, &recording, ..options.split_whitespace()));
             let frames: Vec<&Value> = lines.iter().filter(|line| line["label"].is_string()).collect();
             frames.iter().filter(|frame| frame["label"] != "empty").count() as f64 / frames.len() as f64
         };
