@@ -59,7 +59,7 @@ fn the_real_recording_warms_up_and_is_then_labelled() {
     assert_eq!(summary["summary"]["labelled"], labelled as u64);
 }
 
-/// Who walks beyond the greatest range is not counted, by a network and by the classical detector.
+/// Neither a network nor the classical detector counts a person who walks beyond the greatest range.
 #[test]
 fn people_beyond_the_greatest_range_do_not_count() {
     let folder = tempfile::tempdir().expect("a folder");

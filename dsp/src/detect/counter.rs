@@ -308,7 +308,7 @@ mod tests {
         assert!(counts(&[(2.0, 0.8, 20.0), (4.5, -0.6, 4.0)], 5).iter().all(|people| *people == 2));
     }
 
-    /// Who walks, or sits and breathes, beyond the greatest range is not counted; the person before is.
+    /// The counter leaves out people beyond the greatest range who walk or breathe, and counts those before it.
     #[test]
     fn bodies_beyond_the_greatest_range_are_not_counted() {
         let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");

@@ -6,8 +6,9 @@
 //! range and the velocity of the strongest cell. In real rooms this separates one from two; in simulated rooms counts did as well.
 //!
 //! Cells of zero velocity are treated separately: they hold the change from frame to frame
-//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), which shows people who stand, sit or breathe. Three descriptors use them:
-//! whether there is change while nothing moves, and whether there is change nearer than what moves, much nearer or as strong as it.
+//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), which shows people who stand, sit or breathe. Four descriptors use them:
+//! whether there is change while nothing moves, whether there is change much nearer than what moves, and whether there is change little
+//! nearer and as strong, beside any motion and beside motion that approaches.
 //! Farther than a walking person, shadows change the echoes of the room, and the distribution of change over ranges differs between
 //! simulated and real rooms.
 //!

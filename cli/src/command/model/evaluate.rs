@@ -130,7 +130,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             );
             if arguments.no_smoothing || arguments.skip_refused || arguments.max_range_m.is_some() {
                 bail!(
-                    "--no-smoothing, --skip-refused and --max-range-m are for recordings; each map of a dataset is judged by itself\n\nhint: leave them out"
+                    "--no-smoothing, --skip-refused and --max-range-m are for recordings; each map of a dataset is judged by itself\n\n\
+                     hint: leave them out"
                 );
             }
             on_dataset(&mut classifier, Path::new(folder), arguments)
