@@ -104,6 +104,15 @@ mod hard_cases {
             failure(command!("live", at("empty.mcap"), "--model", model, "--background", background))
         };
         assert!(with(&at("room.json"), "cfar").contains("another model"));
+        // With a greatest range, cells beyond it hold other noise.
+        let near = command!("model background --max-range-m 3", at("empty.mcap"), "-o", at("near.json"));
+        success(near);
+        let live = |range: &str| {
+            command!("live", at("empty.mcap"), "--background", at("near.json"), ..range.split_whitespace())
+        };
+        success(live("--max-range-m 3"));
+        fails_with(live("--max-range-m 2"), &["--max-range-m 3", "--max-range-m 2", "hint:"]);
+        fails_with(live(""), &["--max-range-m 3", "no --max-range-m"]);
         std::fs::write(at("nonsense.json"), "{\"format\":1}").expect("writable");
         assert!(with(&at("nonsense.json"), model.to_str().expect("text")).contains("nonsense.json"));
     }

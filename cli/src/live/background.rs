@@ -38,6 +38,9 @@ pub struct Background {
     /// Waveform of the frames that the maps were made of; captures of before have none.
     #[serde(default)]
     waveform: Option<Waveform>,
+    /// Greatest range at which people count, m; `None` for the whole room.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    max_range_m: Option<f64>,
     doppler: usize,
     range: usize,
     pub frames: usize,
@@ -92,9 +95,19 @@ impl Capture {
                 MOST_THRESHOLD_DB / MARGIN
             );
         }
-        let (frames, model_hash) = (maps.len(), judge.model_hash.clone());
+        let (frames, model_hash, max_range_m) = (maps.len(), judge.model_hash.clone(), judge.max_range_m);
         let waveform = Some(waveform.clone());
-        Ok(Background { format: FORMAT, model_hash, waveform, doppler, range, frames, threshold_db, level_db })
+        Ok(Background {
+            format: FORMAT,
+            model_hash,
+            waveform,
+            max_range_m,
+            doppler,
+            range,
+            frames,
+            threshold_db,
+            level_db,
+        })
     }
 }
 
@@ -115,10 +128,10 @@ fn excess_db(cells: &[f32], level_db: &[f32]) -> f32 {
 }
 
 impl Background {
-    /// Reads a capture; refuses one of another model.
+    /// Reads a capture; refuses one of another model or another greatest range.
     ///
     /// # Errors
-    /// The file cannot be read or was captured with another model.
+    /// The file cannot be read, or it was captured with another model or another `--max-range-m`.
     pub fn load(path: &Path, judge: &Judge) -> anyhow::Result<Self> {
         let named = || format!("{} is no capture of an empty room", path.display());
         let text = read(path, LIMIT_BYTES).with_context(|| {
@@ -142,6 +155,18 @@ impl Background {
                 path.display(),
                 judge.model,
                 judge.model
+            );
+        }
+        if background.max_range_m != judge.max_range_m {
+            let option = |range_m: Option<f64>| {
+                range_m.map_or_else(|| "no --max-range-m".to_owned(), |m| format!("--max-range-m {m}"))
+            };
+            bail!(
+                "{} was captured with {}, and {} is given: cells beyond the range hold other noise\n\nhint: capture the empty room anew \
+                 with radome model background and the --max-range-m of live, or leave it out of both",
+                path.display(),
+                option(background.max_range_m),
+                option(judge.max_range_m)
             );
         }
         Ok(background)

@@ -8,7 +8,7 @@ use crate::live::background::{Background, Capture};
 use crate::live::pipeline::{Item, Items};
 use crate::output;
 use crate::output_file::Overwrite;
-use crate::source::{self, SourceArgs, not_negative};
+use crate::source::{self, SourceArgs, not_negative, positive};
 
 /// `radome model background`
 #[derive(clap::Args)]
@@ -18,6 +18,9 @@ pub struct Arguments {
     /// Model that you will use in the room
     #[arg(long, default_value = BUILT_IN)]
     model: PathBuf,
+    /// Greatest distance from the radar at which people will count, m: the same as of `live --max-range-m`
+    #[arg(long, value_name = "METRES", value_parser = positive)]
+    max_range_m: Option<f64>,
     /// File to write, for `live --background`
     #[arg(short, long, value_name = "FILE.json")]
     output: PathBuf,
@@ -40,14 +43,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let [source, waveform] = arguments.source.inputs();
     arguments.overwrite.check(&arguments.output, &[source, waveform, &arguments.model])?;
     let model = Model::open(&arguments.model)?;
-    let judge = model.named(&arguments.model, Default::default(), None)?;
+    let judge = model.named(&arguments.model, Default::default(), arguments.max_range_m)?;
     let mut options = arguments.source.options()?;
     options.model_waveform = model.waveform().cloned();
     options.people.get_or_insert(0);
     let source = source::open(&arguments.source.source, &options)?;
     message!("{}; nobody should be in the room", source.description);
     let (waveform, is_live) = (source.frames.waveform().clone(), source.is_live);
-    let mut at_work = model.judge(&waveform, None)?;
+    let mut at_work = model.judge(&waveform, arguments.max_range_m)?;
     let mut capture = Capture::default();
     let mut start_s = None;
     let items = Items::of(source.frames, arguments.source.frames);
