@@ -158,7 +158,8 @@ impl PreparedScene {
             bounces: scene.file().room.diffuse_bounces,
             mirrored: max_body,
         };
-        prepared.wall_points = wall_points(&prepared.room, diffuse, &prepared.tx, &prepared.rx, seed);
+        prepared.wall_points =
+            wall_points(&prepared.room, diffuse, &prepared.tx, &prepared.rx, prepared.wavelength_m, seed);
         prepared.add_walls(scene.file().room.max_reflections);
         prepared.add_furniture(scene, seed);
         for (i, path) in prepared.static_paths.iter_mut().enumerate() {

@@ -10,6 +10,8 @@ use crate::path_segment::{FiveSamples, PathDerivatives, PathSample, PathSegment,
 
 /// Largest number of receivers besides the first.
 pub const OTHERS: usize = 2;
+/// Largest number of receivers.
+pub const RECEIVERS: usize = 1 + OTHERS;
 /// Relative power of an amplitude below which no ratio to it is computed.
 const LEAST_POWER: f64 = 1e-6;
 

@@ -87,16 +87,16 @@ mod tests {
             let mut power = [0.0; 5];
             for point in (0..400).flat_map(of_seed) {
                 let on = place - point.position;
-                let bin = ((point.there.0 + on.length()) / 3.0) as usize;
+                let bin = ((point.antennas.length_m + on.length()) / 3.0) as usize;
                 let cosine = on.normalize().dot(point.normal).max(0.0);
                 if let Some(slot) = power.get_mut(bin) {
-                    *slot += point.there.1.powi(2) * cosine / on.length_squared().max(0.01);
+                    *slot += point.antennas.tx.norm_sqr() * cosine / on.length_squared().max(0.01);
                 }
             }
             power
         };
-        let expected = by_length(&|seed| points(&of_box, diffuse, &antenna, &[], seed));
-        let found = by_length(&|seed| points(&facets, diffuse, &antenna, &[], 10_000 + seed));
+        let expected = by_length(&|seed| points(&of_box, diffuse, &antenna, &[], 0.005, seed));
+        let found = by_length(&|seed| points(&facets, diffuse, &antenna, &[], 0.005, 10_000 + seed));
         let whole: f64 = expected.iter().sum();
         for (bin, (expected, found)) in expected.iter().zip(&found).enumerate() {
             // Bins of low power have few points.

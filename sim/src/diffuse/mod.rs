@@ -8,8 +8,8 @@
 //! more. Here fixed points with random phases represent the scattering. The paths antenna, point, segment of a body,
 //! antenna, and their reverse, are treated like any others, so their delays and rates follow from the geometry. A
 //! segment scatters in all directions, as a convex body does on average over its directions: `|Gamma|^2 S / 4` for the
-//! surface S (Cauchy). For paths with a point both there and back, as many pairs of points are used as there are
-//! points.
+//! surface S (Cauchy). For paths with a point both there and back, half as many pairs of points are used as there are
+//! points, in both directions. The two directions of a path have nearly the same length, and add with their phases.
 //!
 //! More walls may lie between antenna and point. The power in a room decays exponentially with delay after many
 //! reflections (room electromagnetics: Andersen, Nielsen, Pedersen, Bauch and Herdin, IEEE Antennas and Propagation
@@ -26,7 +26,7 @@
 mod facets;
 mod points;
 
-pub use points::{Diffuse, WallPoint};
+pub use points::{AntennaPaths, Diffuse, WallPoint};
 
 use crate::em::image::Element;
 use crate::paths::Surroundings;
@@ -36,9 +36,16 @@ use facets::FacetWalls;
 pub(crate) const LEAST_LEG_M: f64 = 0.3;
 
 /// Generates the scattering points of a room.
-pub fn wall_points(room: &Surroundings, diffuse: Diffuse, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {
+pub fn wall_points(
+    room: &Surroundings,
+    diffuse: Diffuse,
+    tx: &Element,
+    rx: &[Element],
+    wavelength_m: f64,
+    seed: u64,
+) -> Vec<WallPoint> {
     match room {
-        Surroundings::Box(room) => points::points(room, diffuse, tx, rx, seed),
-        Surroundings::Polygons(room) => points::points(&FacetWalls::new(room), diffuse, tx, rx, seed),
+        Surroundings::Box(room) => points::points(room, diffuse, tx, rx, wavelength_m, seed),
+        Surroundings::Polygons(room) => points::points(&FacetWalls::new(room), diffuse, tx, rx, wavelength_m, seed),
     }
 }

@@ -11,6 +11,7 @@ use super::LEAST_LEG_M;
 use crate::em::fresnel::Reflection;
 use crate::em::image::{BoxRoom, Element, Wall};
 use crate::random::{Purpose, generator};
+use crate::tracks::RECEIVERS;
 
 /// Diffuse reflection of a room's walls.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,20 +26,59 @@ pub struct Diffuse {
     pub mirrored: u32,
 }
 
+/// Paths from a place to the transmitter and to each receiver.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AntennaPaths {
+    /// Mean of the lengths to the transmitter and to the first receiver, m.
+    pub(crate) length_m: f64,
+    /// Field by the path to the transmitter, with the phase of its length beyond the mean, as it multiplies `exp(+j 2 pi
+    /// ...)` of the mean.
+    pub(crate) tx: Complex64,
+    /// Field by the path to each receiver.
+    pub(crate) rx: [Complex64; RECEIVERS],
+    /// Magnitudes of the fields by the paths to the transmitter and to the first receiver.
+    pub(crate) magnitudes: [f64; 2],
+}
+
+impl AntennaPaths {
+    /// Joins the paths to all antennas, each with its length, m, and its field.
+    pub(crate) fn new(tx: (f64, f64), rx: &[(f64, f64)], wavelength_m: f64) -> Self {
+        let length_m = rx.first().map_or(tx.0, |first| 0.5 * (tx.0 + first.0));
+        let field = |path: (f64, f64)| Complex64::from_polar(path.1, TAU * (path.0 - length_m) / wavelength_m);
+        let mut fields = [Complex64::ZERO; RECEIVERS];
+        fields.iter_mut().zip(rx).for_each(|(own, path)| *own = field(*path));
+        AntennaPaths {
+            length_m,
+            tx: field(tx),
+            rx: fields,
+            magnitudes: [tx.1, rx.first().map_or(0.0, |first| first.1)],
+        }
+    }
+
+    /// Returns the field at each receiver by way of two places: from the transmitter over this one to the other, and in
+    /// the opposite direction.
+    pub(crate) fn both_ways(&self, other: &AntennaPaths) -> [Complex64; RECEIVERS] {
+        std::array::from_fn(|receiver| self.tx * other.rx[receiver] + other.tx * self.rx[receiver])
+    }
+
+    /// Returns the field at the first receiver by way of two places, in the direction in which it is stronger.
+    pub(crate) fn stronger_way(&self, other: &AntennaPaths) -> f64 {
+        let ([tx, rx], [other_tx, other_rx]) = (self.magnitudes, other.magnitudes);
+        (tx * other_rx).max(other_tx * rx)
+    }
+}
+
 /// Scattering point of a wall.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WallPoint {
     pub(crate) position: DVec3,
     /// Unit normal into the room.
     pub(crate) normal: DVec3,
-    /// Path from transmitter to point, over any walls: length, m, and the scattered field for a unit field, times m,
-    /// without the cosine of departure.
-    pub(crate) there: (f64, f64),
-    /// Length and scattered field of the path from the point to each receiver.
-    pub(crate) back: Vec<(f64, f64)>,
-    pub(crate) phase: Complex64,
-    /// Index of the point used on the return path of echoes that arrive over this one.
-    pub(crate) partner: usize,
+    /// Paths to the antennas, over any walls. The fields are those scattered for a unit field, times m, without the
+    /// cosine of departure, and with the point's random phase.
+    pub(crate) antennas: AntennaPaths,
+    /// Index of the point over which echoes return that arrive over this one. Only one point of each pair has it.
+    pub(crate) partner: Option<usize>,
 }
 
 /// Position on a wall of a room.
@@ -150,7 +190,14 @@ fn bounces(at: f64, most: u32) -> (u32, f64) {
 }
 
 /// Generates the scattering points of walls.
-pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {
+pub(super) fn points(
+    walls: &impl Walls,
+    diffuse: Diffuse,
+    tx: &Element,
+    rx: &[Element],
+    wavelength_m: f64,
+    seed: u64,
+) -> Vec<WallPoint> {
     let Diffuse { share, points: count, .. } = diffuse;
     let whole = walls.area_m2();
     if !(share > 0.0 && whole > 0.0) {
@@ -167,24 +214,26 @@ pub(super) fn points(walls: &impl Walls, diffuse: Diffuse, tx: &Element, rx: &[E
         // Lambert's law: a power density S on dA scatters `share S dA cos_in cos_out / (pi r^2)`.
         let leg = |element: &Element| {
             let offset = first.position - element.position;
-            let length_m = offset.length().max(LEAST_LEG_M);
-            let direction = offset / length_m;
+            let distance_m = offset.length();
+            let direction = offset / distance_m.max(1e-9);
             let cosine = (-direction.dot(first.normal)).max(0.0);
             let gain = element.pattern.field(element.radar_from_world * direction);
-            let scattered = gain * (walk.left * whole / count as f64 * cosine / PI).sqrt() / length_m;
-            (length_m + walk.length_m, scattered * walls.seen(element.position, &first))
+            let thrown = (walk.left * whole / count as f64 * cosine / PI).sqrt() / distance_m.max(LEAST_LEG_M);
+            (distance_m + walk.length_m, gain * thrown * walls.seen(element.position, &first))
         };
         let WallPosition { position, normal, .. } = walk.end;
-        let back = rx.iter().map(leg).collect();
-        points.push(WallPoint { position, normal, there: leg(tx), back, phase, partner: index });
+        let back: Vec<(f64, f64)> = rx.iter().map(leg).collect();
+        let mut antennas = AntennaPaths::new(leg(tx), &back, wavelength_m);
+        antennas.tx *= phase;
+        antennas.rx.iter_mut().for_each(|field| *field *= phase);
+        points.push(WallPoint { position, normal, antennas, partner: None });
     }
-    // Each point's partner is its neighbour in one random ring.
-    let mut ring: Vec<usize> = (0..count).collect();
-    ring.shuffle(&mut rng);
-    for (place, &index) in ring.iter().enumerate() {
-        let partner = ring.get((place + 1) % count).copied();
-        if let Some((point, partner)) = points.get_mut(index).zip(partner) {
-            point.partner = partner;
+    // Random pairs; of an odd number, the last point is its own partner.
+    let mut order: Vec<usize> = (0..count).collect();
+    order.shuffle(&mut rng);
+    for pair in order.chunks(2) {
+        if let Some(point) = pair.first().and_then(|&first| points.get_mut(first)) {
+            point.partner = pair.last().copied();
         }
     }
     points
@@ -277,15 +326,15 @@ pub(super) mod tests {
         }
         const SEEDS: u64 = 3000;
         let drawn: f64 = (0..SEEDS)
-            .flat_map(|seed| points(&room, one_wall(share), &antenna, &[], seed))
+            .flat_map(|seed| points(&room, one_wall(share), &antenna, &[], 0.005, seed))
             .map(|point| {
                 let on = place - point.position;
-                point.there.1.powi(2) * on.normalize().dot(point.normal).max(0.0) / on.length_squared()
+                point.antennas.tx.norm_sqr() * on.normalize().dot(point.normal).max(0.0) / on.length_squared()
             })
             .sum();
         let ratio = drawn / SEEDS as f64 / exact;
         assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
-        assert!(points(&room, one_wall(0.0), &antenna, &[antenna], 1).is_empty());
+        assert!(points(&room, one_wall(0.0), &antenna, &[antenna], 0.005, 1).is_empty());
     }
 
     fn one_wall(share: f64) -> Diffuse {

@@ -1,8 +1,11 @@
 //! Echoes of a person by paths over the scattering points of walls.
 //!
-//! All echoes of a segment consist of few legs: between it and each antenna, and between it and each point. A leg has a
-//! length with two time derivatives, and a field; a path adds the lengths and multiplies the fields of its two legs.
-//! The paths to further receivers differ only in the leg that ends at them.
+//! An echo travels from the antennas to a segment and back, by two of these ways: directly, or over one of the points.
+//! The transmitter may use either of them and the receivers the other. Both directions have nearly the same length, so
+//! they are one echo, whose amplitude at each receiver is their sum with their phases ([`AntennaPaths::both_ways`]).
+//!
+//! All ways end with few legs: between a segment and each antenna, and between it and each point. A leg has a length
+//! with two time derivatives, and a field; an echo adds the lengths and multiplies the fields of its two ways.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
@@ -11,14 +14,14 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::{Snapshot, inside_room};
-use crate::diffuse::{LEAST_LEG_M, WallPoint};
+use crate::diffuse::{AntennaPaths, LEAST_LEG_M, WallPoint};
 use crate::em::image::Element;
 use crate::em::{fresnel, specular::Ellipsoid};
 use crate::material::SKIN_PERMITTIVITY;
 use crate::people::body::{CHEST, SEGMENTS};
 use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{HeldEcho, HeldEchoes};
-use crate::tracks::OTHERS;
+use crate::tracks::RECEIVERS;
 
 /// Part of the threshold of a single path below which paths are inaudible even together.
 const HEARD: f64 = 0.1;
@@ -53,9 +56,9 @@ fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
 
 /// Returns the largest number of a person's diffuse echoes in an interval.
 pub fn most_echoes(prepared: &PreparedScene, points_a_segment: usize) -> usize {
-    /// Number of paths over a point.
-    const WAYS: usize = 3;
-    WAYS * SEGMENTS * points_a_segment.min(prepared.wall_points.len())
+    /// Number of echoes for each point: by way of the point and directly, and half of an echo by way of two points.
+    const ECHOES: usize = 2;
+    ECHOES * SEGMENTS * points_a_segment.min(prepared.wall_points.len())
 }
 
 /// Adds a person's diffuse echoes to those of each interval of a frame. `own` is that person at the ends of the
@@ -73,43 +76,40 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
     for (number, segment) in segments.iter().enumerate() {
         legs.clear(points.len(), own.len());
         for index in points_of(number, points_a_segment, points.len()) {
-            let (Some(point), Some(audible)) = (points.get(index), audible.get(index)) else { continue };
-            if *audible == [false; 3] {
-                continue;
+            let (Some(point), Some(&[alone, paired])) = (points.get(index), audible.get(index)) else { continue };
+            if alone {
+                legs.find(segment, index, point);
+                let (legs, paths) = (legs.of(index), &point.antennas);
+                let echo = |time: usize| {
+                    let (leg, direct) = (legs.get(time)?, segment.antennas.get(time)?);
+                    let length = [direct.length[0] + paths.length_m, direct.length[1], direct.length[2]];
+                    let stronger = direct.paths.stronger_way(paths);
+                    Some(leg.extended(length, stronger, direct.paths.both_ways(paths)))
+                };
+                segment.add(prepared, echo, &mut keys, intervals);
             }
-            legs.find(segment, index, point);
-            let partner = points.get(point.partner).filter(|_| audible[2]);
-            if let Some(partner) = partner {
-                legs.find(segment, point.partner, partner);
-            }
-            let own_legs = legs.of(index);
-            let mut add = |way: Way, beside: &dyn Fn(usize, usize) -> Beside| {
-                segment.add(prepared, &way, beside, &mut keys, intervals);
-            };
-            let phase = point.phase;
-            if let (true, Some(back)) = (audible[0], segment.rx.first()) {
-                let way = Way { legs: [own_legs, back], behind_m: point.there.0, scattered: point.there.1, phase };
-                add(way, &|receiver, time| segment.beside(receiver, time));
-            }
-            if let (true, Some(first)) = (audible[1], point.back.first()) {
-                let way = Way { legs: [&segment.tx, own_legs], behind_m: first.0, scattered: first.1, phase };
-                add(way, &|receiver, _| beside_by_point(point, receiver));
-            }
-            if let Some((partner, first)) = partner.and_then(|partner| Some((partner, partner.back.first()?))) {
-                let legs_of_partner = legs.of(point.partner);
-                let (behind_m, scattered) = (point.there.0 + first.0, weight * point.there.1 * first.1);
-                let phase = phase * partner.phase;
-                add(Way { legs: [own_legs, legs_of_partner], behind_m, scattered, phase }, &|receiver, _| {
-                    beside_by_point(partner, receiver)
-                });
+            let partner = point.partner.filter(|_| paired);
+            if let Some((number, partner)) = partner.and_then(|number| Some((number, points.get(number)?))) {
+                legs.find(segment, index, point);
+                legs.find(segment, number, partner);
+                let (own_legs, legs) = (legs.of(index), legs.of(number));
+                let between_m = point.antennas.length_m + partner.antennas.length_m;
+                let stronger = weight * point.antennas.stronger_way(&partner.antennas);
+                let fields = point.antennas.both_ways(&partner.antennas).map(|field| weight * field);
+                let echo = |time: usize| {
+                    let (leg, back) = (own_legs.get(time)?, legs.get(time)?);
+                    let length = [back.length[0] + between_m, back.length[1], back.length[2]];
+                    Some(leg.extended(length, back.field * stronger, fields.map(|field| back.field * field)))
+                };
+                segment.add(prepared, echo, &mut keys, intervals);
             }
         }
     }
 }
 
-/// Returns, for each point, whether its echoes may be audible on each of three paths: point and antenna, antenna and
-/// point, point and partner. The bound uses the distance of the whole body.
-fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) -> Vec<[bool; 3]> {
+/// Returns, for each point, whether its echoes may be audible: by way of it and directly, and by way of it and its
+/// partner. The bound uses the distance of the whole body.
+fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) -> Vec<[bool; 2]> {
     let chest = |now: &Snapshot| now.body[CHEST].centre;
     let reach = |now: &Snapshot| now.body.iter().map(|e| e.centre.distance(chest(now))).fold(0.0, f64::max);
     let reach_m = own.iter().map(|now| reach(now)).fold(0.0, f64::max);
@@ -119,8 +119,8 @@ fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) ->
     };
     let strongest = segments.iter().flat_map(|segment| &segment.strength).copied().fold(0.0, f64::max);
     let least = HEARD * prepared.threshold_lsb / (prepared.lsb.first().copied().unwrap_or(0.0) * strongest).max(1e-300);
-    let near_tx = near(prepared.tx.position);
     let near_rx = prepared.rx.first().map_or(0.0, |rx| near(rx.position));
+    let direct = AntennaPaths::new((0.0, near(prepared.tx.position)), &[(0.0, near_rx)], prepared.wavelength_m);
     let points = &prepared.wall_points;
     // Visibility from the middle of the body is decided once per frame, so that echoes over a point do not switch
     // within it.
@@ -131,11 +131,13 @@ fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) ->
     };
     let near_points: Vec<f64> = points.iter().map(|point| near(point.position) * seen(point)).collect();
     let weight = (points.len() as f64).sqrt();
-    let back = |point: &WallPoint| point.back.first().map_or(0.0, |back| back.1);
     let bound = |(point, near): (&WallPoint, &f64)| {
-        let partner = points.get(point.partner).map_or(0.0, back) * near_points.get(point.partner).unwrap_or(&0.0);
-        let there = point.there.1 * near;
-        [there * near_rx, back(point) * near * near_tx, weight * there * partner].map(|field| field >= least)
+        let by_two = |partner: usize| {
+            let field = points.get(partner).map_or(0.0, |other| point.antennas.stronger_way(&other.antennas));
+            weight * field * near_points.get(partner).unwrap_or(&0.0)
+        };
+        let fields = [point.antennas.stronger_way(&direct), point.partner.map_or(0.0, by_two)];
+        fields.map(|field| field * near >= least)
     };
     points.iter().zip(&near_points).map(bound).collect()
 }
@@ -163,6 +165,13 @@ impl Leg {
         Leg { length, field: sends(direction) / least_m }
     }
 
+    /// Returns the echo over this leg and a way back of this length, with the field at the first receiver in the stronger
+    /// direction, and the field at each receiver.
+    fn extended(&self, length: [f64; 3], stronger: f64, fields: [Complex64; RECEIVERS]) -> Echo {
+        let length = std::array::from_fn(|order| self.length[order] + length[order]);
+        Echo { length, stronger: self.field * stronger, fields: fields.map(|field| self.field * field) }
+    }
+
     fn from_antenna(prepared: &PreparedScene, lit: &Scatterer, antenna: &Element) -> Self {
         let straight = prepared.room.straight(antenna.position, lit.centre);
         let sends = |direction: DVec3| antenna.pattern.field(antenna.radar_from_world * direction) * straight;
@@ -186,12 +195,29 @@ struct Segment {
     lit: Vec<Scatterer>,
     /// Amplitude of its echo at an antenna for unit fields on both legs, by time.
     strength: Vec<f64>,
-    /// Leg from the transmitter, by time.
-    tx: Vec<Leg>,
-    /// Leg to each receiver: `[receiver][time]`.
-    rx: Vec<Vec<Leg>>,
+    /// Direct paths to the antennas, by time.
+    antennas: Vec<DirectPaths>,
     /// Gain of each receiver relative to the first.
-    gains: Vec<f64>,
+    gains: [f64; RECEIVERS],
+}
+
+/// Direct paths between a segment and the antennas at one time.
+struct DirectPaths {
+    paths: AntennaPaths,
+    /// Their mean length, m, and its first and second time derivative.
+    length: [f64; 3],
+}
+
+impl DirectPaths {
+    fn new(prepared: &PreparedScene, lit: &Scatterer) -> Self {
+        let leg = |antenna: &Element| Leg::from_antenna(prepared, lit, antenna);
+        let (tx, rx) = (leg(&prepared.tx), prepared.rx.iter().map(leg).collect::<Vec<Leg>>());
+        let first = rx.first().unwrap_or(&tx);
+        let length = std::array::from_fn(|order| 0.5 * (tx.length[order] + first.length[order]));
+        let path = |leg: &Leg| (leg.length[0], leg.field);
+        let fields: Vec<(f64, f64)> = rx.iter().map(path).collect();
+        DirectPaths { paths: AntennaPaths::new(path(&tx), &fields, prepared.wavelength_m), length }
+    }
 }
 
 /// Legs between a segment and the walls' points. Each is computed once, although a point is also the partner of
@@ -230,30 +256,18 @@ impl PointLegs {
     }
 }
 
-/// Difference of the path to another receiver from that to the first.
-struct Beside {
-    length_m: f64,
-    ratio: f64,
+/// Echo at one time, for a segment that reflects every field without loss.
+struct Echo {
+    /// Length of its path, m, and its first and second time derivative.
+    length: [f64; 3],
+    /// Field at the first receiver by the stronger direction of the path alone.
+    stronger: f64,
+    /// Field at each receiver.
+    fields: [Complex64; RECEIVERS],
 }
 
-/// Returns the difference of the path from a point to a receiver from that to the first receiver.
-fn beside_by_point(point: &WallPoint, receiver: usize) -> Beside {
-    match (point.back.first(), point.back.get(receiver)) {
-        (Some(first), Some(own)) if first.1 > 0.0 => Beside { length_m: own.0 - first.0, ratio: own.1 / first.1 },
-        _ => Beside { length_m: 0.0, ratio: 0.0 },
-    }
-}
-
-/// Path from antenna to antenna over a segment.
-struct Way<'a> {
-    /// Legs at the segment, each by time.
-    legs: [&'a [Leg]; 2],
-    /// Length of the path between points and antennas, m.
-    behind_m: f64,
-    /// Product of the fields that its points scatter for unit fields, times m.
-    scattered: f64,
-    phase: Complex64,
-}
+/// Delay of an echo, s, with two derivatives, and its amplitude at each receiver, LSB.
+type Key = ([f64; 3], [Complex64; RECEIVERS]);
 
 impl Segment {
     /// Builds a segment of a person. `share` is the amplitude factor that compensates for the reduced number of points.
@@ -270,65 +284,44 @@ impl Segment {
             share * scattered * aperture * FRAC_1_SQRT_2 * inside_room(prepared, now.centre(segment).0)
         };
         let lit: Vec<Scatterer> = own.iter().map(lit).collect();
-        let legs = |antenna: &Element| lit.iter().map(|lit| Leg::from_antenna(prepared, lit, antenna)).collect();
         let first_lsb = prepared.lsb.first().copied().unwrap_or(1.0);
-        Segment {
-            strength: own.iter().map(strength).collect(),
-            tx: legs(&prepared.tx),
-            rx: prepared.rx.iter().map(legs).collect(),
-            gains: prepared.lsb.iter().map(|lsb| lsb / first_lsb).collect(),
-            lit,
-        }
+        let mut gains = [0.0; RECEIVERS];
+        gains.iter_mut().zip(&prepared.lsb).for_each(|(gain, lsb)| *gain = lsb / first_lsb);
+        let antennas = lit.iter().map(|lit| DirectPaths::new(prepared, lit)).collect();
+        Segment { strength: own.iter().map(strength).collect(), antennas, gains, lit }
     }
 
-    /// Returns the difference of the leg to a receiver from that to the first receiver at a time.
-    fn beside(&self, receiver: usize, time: usize) -> Beside {
-        let leg = |receiver: usize| self.rx.get(receiver).and_then(|legs| legs.get(time));
-        match (leg(0), leg(receiver)) {
-            (Some(first), Some(own)) if first.field > 0.0 => {
-                Beside { length_m: own.length[0] - first.length[0], ratio: own.field / first.field }
-            }
-            _ => Beside { length_m: 0.0, ratio: 0.0 },
-        }
-    }
-
-    /// Adds the echo of a path if it is audible at any of the times. `beside` is the difference of a receiver at a
-    /// time.
+    /// Adds an echo, given at each time, if it is audible at any of the times.
     fn add(
         &self,
         prepared: &PreparedScene,
-        way: &Way,
-        beside: &dyn Fn(usize, usize) -> Beside,
-        keys: &mut Vec<([f64; 3], Complex64)>,
+        echo: impl Fn(usize) -> Option<Echo>,
+        keys: &mut Vec<Key>,
         intervals: &mut [HeldEchoes],
     ) {
         let least = HEARD * prepared.threshold_lsb;
         let lsb = prepared.lsb.first().copied().unwrap_or(0.0);
-        let legs = || way.legs[0].iter().zip(way.legs[1]);
-        let strength = |(strength, (a, b)): (&f64, (&Leg, &Leg))| strength * a.field * b.field * way.scattered;
+        let echoes = || self.strength.iter().enumerate().filter_map(|(time, strength)| Some((strength, echo(time)?)));
         // The filters only attenuate, so this bound precedes their evaluation.
-        if self.strength.iter().zip(legs()).map(strength).all(|field| lsb * field < least) {
+        if echoes().all(|(strength, echo)| lsb * strength * echo.stronger < least) {
             return;
         }
         keys.clear();
-        keys.extend(self.strength.iter().zip(legs()).map(|(by_segment, (a, b))| {
-            let length = [0, 1, 2].map(|order| a.length[order] + b.length[order]);
-            let delay = [length[0] + way.behind_m, length[1], length[2]].map(|l| l / SPEED_OF_LIGHT_M_PER_S);
-            let field = way.phase * strength((by_segment, (a, b)));
-            (delay, prepared.at_adc(0, field, prepared.chirp.beat_hz(delay[0], delay[1])))
+        let mut is_heard = false;
+        keys.extend(echoes().map(|(strength, echo)| {
+            let delay = echo.length.map(|l| l / SPEED_OF_LIGHT_M_PER_S);
+            let beat_hz = prepared.chirp.beat_hz(delay[0], delay[1]);
+            let factor = prepared.at_adc(0, Complex64::new(*strength, 0.0), beat_hz);
+            is_heard |= factor.norm_sqr() * echo.stronger * echo.stronger >= least * least;
+            (delay, std::array::from_fn(|receiver| factor * echo.fields[receiver] * self.gains[receiver]))
         }));
-        if keys.iter().all(|(_, amplitude)| amplitude.norm_sqr() < least * least) {
+        if !is_heard {
             return;
         }
-        for (time, (ends, interval)) in keys.windows(2).zip(intervals).enumerate() {
-            let mut others = [([0.0; 2], 0.0); OTHERS];
-            for ((other, gain), receiver) in others.iter_mut().zip(self.gains.iter().skip(1)).zip(1..) {
-                let [begin, end] = [time, time + 1].map(|time| beside(receiver, time));
-                let delays_s = [begin.length_m, end.length_m].map(|length_m| length_m / SPEED_OF_LIGHT_M_PER_S);
-                *other = (delays_s, gain * begin.ratio);
-            }
+        for (ends, interval) in keys.windows(2).zip(intervals) {
             let [(begin, from), (end, to)] = [ends[0], ends[1]];
-            interval.push(&HeldEcho { delay: [begin, end], amplitude: [from, to], others });
+            let amplitudes = std::array::from_fn(|receiver| [from[receiver], to[receiver]]);
+            interval.push(&HeldEcho { delay: [begin, end], amplitudes });
         }
     }
 }
@@ -384,5 +377,41 @@ mod tests {
         let e = (1.0 - a * a / (c * c)).sqrt();
         let exact = 2.0 * PI * a * a * (1.0 + c / (a * e) * e.asin());
         assert!((of([a, a, c]) / exact - 1.0).abs() < 0.012, "{}", of([a, a, c]) / exact);
+    }
+
+    /// Compares the echo over a point and directly, in both directions together, with separate paths from the transmitter
+    /// to each receiver: at one time, and between the ends of an interval of 25 ms, in which a walker passes at 1 m.
+    #[test]
+    fn both_directions_are_one_echo() {
+        const WAVELENGTH_M: f64 = 0.005;
+        let tx = DVec3::new(0.0, 0.0, 1.1);
+        let rx = [[0.0, 0.006, 1.1], [0.0, 0.006, 1.1025], [0.0, 0.0085, 1.1]].map(DVec3::from_array);
+        let legs_to = |place: DVec3| -> (f64, [f64; 3]) { (tx.distance(place), rx.map(|rx| rx.distance(place))) };
+        let paths = |place: DVec3| {
+            let (there, back) = legs_to(place);
+            AntennaPaths::new((there, 0.6), &back.map(|length_m| (length_m, 0.5)), WAVELENGTH_M)
+        };
+        let turned = |length_m: f64| Complex64::from_polar(1.0, 2.0 * PI * length_m / WAVELENGTH_M);
+        let point = DVec3::new(2.5, 1.8, 0.4);
+        let body = |u: f64| DVec3::new(0.9, -0.2 + 1.5 * 0.025 * u, 1.3);
+        let separate = |u: f64, receiver: usize| {
+            let ((a, b), (c, d)) = (legs_to(body(u)), legs_to(point));
+            0.3 * (turned(a + d[receiver]) + turned(c + b[receiver])) * turned(body(u).distance(point))
+        };
+        let together = |u: f64, fields: [Complex64; RECEIVERS], receiver: usize| {
+            let mean_m = paths(body(u)).length_m + paths(point).length_m;
+            turned(mean_m + body(u).distance(point)) * fields[receiver]
+        };
+        let fields = |u: f64| paths(body(u)).both_ways(&paths(point));
+        let [begin, end] = [0.0, 1.0].map(fields);
+        for receiver in 0..RECEIVERS {
+            for u in [0.0, 0.3, 0.5, 1.0] {
+                let exact = separate(u, receiver);
+                assert!((together(u, fields(u), receiver) - exact).norm() < 1e-9, "{receiver}, {u}");
+                let between = std::array::from_fn(|r| begin[r] + (end[r] - begin[r]) * u);
+                let error = (together(u, between, receiver) - exact).norm() / 0.6;
+                assert!(error < 0.02, "{receiver}, {u}: {error}");
+            }
+        }
     }
 }

@@ -24,10 +24,8 @@ use crate::math::smooth_step;
 use crate::path_segment::PathSample;
 use crate::paths::Surroundings;
 use crate::people::body::SEGMENTS;
-use crate::tracks::OTHERS;
+use crate::tracks::RECEIVERS;
 
-/// Largest number of receivers.
-const RECEIVERS: usize = 1 + OTHERS;
 /// Sample of a path that does not exist.
 const NOTHING: PathSample = PathSample { delay_s: 0.0, delay_rate: 0.0, amplitude: Complex64::ZERO };
 

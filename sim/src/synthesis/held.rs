@@ -5,8 +5,8 @@
 //! moves by more than 1/8 of a cell of the grid, 1/16 of a range cell. A tone `d` cells aside has an error of `0.9 d`
 //! of its own amplitude (rms over the chirp). This is -30 dB at the worst speed, -48 dB due to the quantised positions
 //! of the taps, and far less where an echo moves slowly. An echo occupies four cells, with least-squares taps: -50 dB,
-//! where the six taps of the kernel, which other paths need, have -104. Further receivers differ by a complex factor,
-//! held for the run. In a field of echoes with random phases these errors are negligible: the power at each delay and
+//! where the six taps of the kernel, which other paths need, have -104. Receivers differ in amplitude and phase only.
+//! In a field of echoes with random phases these errors are negligible: the power at each delay and
 //! rate is preserved.
 //!
 //! The anchors of eight echoes are computed in parallel in f64, then each echo's eight chirps in f32. The bodies are
@@ -19,12 +19,10 @@ use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer, on_circle};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 use crate::math::quintic;
-use crate::tracks::OTHERS;
+use crate::tracks::RECEIVERS;
 
 /// Number of echoes in a pack.
 pub(super) const ECHOES: usize = 8;
-/// Largest number of receivers.
-pub(super) const RECEIVERS: usize = 1 + OTHERS;
 /// Number of quantised positions between two cells, each with its taps.
 pub(super) const PLACES: u32 = 64;
 /// Largest movement of an echo while its position is held, cells.
@@ -35,29 +33,17 @@ const HELD_CELLS: f32 = 1.0 / 8.0;
 pub struct HeldEcho {
     /// Delay, s, and its first and second time derivative, s/s and 1/s, at both ends.
     pub delay: [[f64; 3]; 2],
-    /// Amplitude at the first receiver at both ends, LSB, as it multiplies `exp(+j 2 pi ...)`.
-    pub amplitude: [Complex64; 2],
-    /// Differences of each further receiver: delay beyond the first one's at both ends, s, and amplitude over the first
-    /// one's.
-    pub others: [([f64; 2], f64); OTHERS],
-}
-
-/// Differences of a receiver from the first one, for a pack of echoes.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Beside {
-    /// Delay at the beginning, s, and its change over the interval.
-    pub(super) delay_s: [[f32; ECHOES]; 2],
-    ratio: [f32; ECHOES],
+    /// Amplitude at each receiver at both ends, LSB, as it multiplies `exp(+j 2 pi ...)` of this delay.
+    pub amplitudes: [[Complex64; 2]; RECEIVERS],
 }
 
 /// Pack of echoes, as polynomials of `u` in 0..1.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Pack {
     delay_s: [[f64; ECHOES]; 6],
-    /// Amplitude at the beginning, and its change over the interval.
-    pub(super) re: [[f32; ECHOES]; 2],
-    pub(super) im: [[f32; ECHOES]; 2],
-    pub(super) others: [Beside; OTHERS],
+    /// Amplitude at each receiver at the beginning, and its change over the interval.
+    pub(super) re: [[[f32; ECHOES]; 2]; RECEIVERS],
+    pub(super) im: [[[f32; ECHOES]; 2]; RECEIVERS],
 }
 
 /// Echoes within one interval.
@@ -99,7 +85,7 @@ impl HeldEchoes {
         self.interval_s
     }
 
-    /// Adds an echo, with a delay that is quintic between both ends and an amplitude that is linear.
+    /// Adds an echo, with a delay that is quintic between both ends and amplitudes that are linear.
     pub fn push(&mut self, echo: &HeldEcho) {
         let interval_s = self.interval_s;
         let (pack, e) = self.next_lane();
@@ -107,12 +93,8 @@ impl HeldEchoes {
         for (row, c) in pack.delay_s.iter_mut().zip(quintic(scaled[0], scaled[1])) {
             row[e] = c;
         }
-        let [begin, end] = echo.amplitude;
-        pack.set_amplitude(e, begin, end);
-        for (beside, (delay_s, ratio)) in pack.others.iter_mut().zip(echo.others) {
-            beside.delay_s[0][e] = delay_s[0] as f32;
-            beside.delay_s[1][e] = (delay_s[1] - delay_s[0]) as f32;
-            beside.ratio[e] = ratio as f32;
+        for (receiver, ends) in echo.amplitudes.into_iter().enumerate() {
+            pack.set_amplitude(receiver, e, ends);
         }
     }
 
@@ -129,14 +111,9 @@ impl HeldEchoes {
         for (to, row) in pack.delay_s.iter_mut().zip(&from.delay_s) {
             to[e] = row[lane];
         }
-        for (to, row) in pack.re.iter_mut().chain(&mut pack.im).zip(from.re.iter().chain(&from.im)) {
+        let amplitudes = pack.re.iter_mut().chain(&mut pack.im).flatten();
+        for (to, row) in amplitudes.zip(from.re.iter().chain(&from.im).flatten()) {
             to[e] = row[lane];
-        }
-        for (to, beside) in pack.others.iter_mut().zip(&from.others) {
-            for (to, row) in to.delay_s.iter_mut().zip(&beside.delay_s) {
-                to[e] = row[lane];
-            }
-            to.ratio[e] = beside.ratio[lane];
         }
     }
 
@@ -157,27 +134,18 @@ impl HeldEchoes {
         let mut echoes = self.clone();
         for pack in &mut echoes.packs {
             for e in 0..ECHOES {
-                let begin_s = pack.delay_s[0][e];
-                let end_s: f64 = pack.delay_s.iter().map(|row| row[e]).sum();
-                let at = |end: f32| {
-                    let [re, im] = [pack.re, pack.im].map(|[begin, step]| f64::from(begin[e] + end * step[e]));
-                    Complex64::new(re, im)
-                };
-                let (begin, end) = (at(0.0) * Complex64::new(0.0, begin_s), at(1.0) * Complex64::new(0.0, end_s));
-                pack.set_amplitude(e, begin, end);
+                let delays_s = [pack.delay_s[0][e], pack.delay_s.iter().map(|row| row[e]).sum()];
+                for receiver in 0..RECEIVERS {
+                    let ends = [0, 1].map(|end| {
+                        let at = |[begin, step]: [[f32; ECHOES]; 2]| f64::from(begin[e] + end as f32 * step[e]);
+                        let amplitude = Complex64::new(at(pack.re[receiver]), at(pack.im[receiver]));
+                        amplitude * Complex64::new(0.0, delays_s[end])
+                    });
+                    pack.set_amplitude(receiver, e, ends);
+                }
             }
         }
         echoes
-    }
-}
-
-impl Beside {
-    /// Returns the factor of an echo at a position in the interval for its carrier frequency: real and imaginary part.
-    #[inline(always)]
-    pub(super) fn factor(&self, e: usize, place: f32, carrier_hz: f32) -> (f32, f32) {
-        let delay_s = self.delay_s[0][e] + place * self.delay_s[1][e];
-        let (cosine, sine) = cos_sin_of_turns(delay_s * carrier_hz);
-        (self.ratio[e] * cosine, self.ratio[e] * sine)
     }
 }
 
@@ -197,10 +165,11 @@ impl Pack {
         [value, slope, curve]
     }
 
-    fn set_amplitude(&mut self, e: usize, begin: Complex64, end: Complex64) {
-        let step = end - begin;
-        (self.re[0][e], self.re[1][e]) = (begin.re as f32, step.re as f32);
-        (self.im[0][e], self.im[1][e]) = (begin.im as f32, step.im as f32);
+    /// Sets the amplitude of an echo at a receiver, from its values at both ends.
+    fn set_amplitude(&mut self, receiver: usize, e: usize, [begin, end]: [Complex64; 2]) {
+        let (step, [re, im]) = (end - begin, [&mut self.re[receiver], &mut self.im[receiver]]);
+        (re[0][e], re[1][e]) = (begin.re as f32, step.re as f32);
+        (im[0][e], im[1][e]) = (begin.im as f32, step.im as f32);
     }
 }
 
@@ -288,7 +257,7 @@ fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64) -> Anchors {
     let (u, cells_per_hz) = (kernel.middle, kernel.cells / sample_rate_hz);
     let [value, slope, curve] = pack.delay_at(u);
     let (mut turn, mut rate, mut bend) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
-    let (mut position, mut moved, mut carrier_hz) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
+    let (mut position, mut moved) = ([0f32; ECHOES], [0f32; ECHOES]);
     for e in 0..ECHOES {
         let cycles = kernel.chirp.phase_cycles(value[e]);
         let carrier = start_hz + slope_hz_per_s * (middle_s - value[e]);
@@ -298,22 +267,14 @@ fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64) -> Anchors {
         let turns_a_sample = kernel.chirp.beat_hz(value[e], slope[e] * per_s) / sample_rate_hz;
         position[e] = (on_circle(turns_a_sample) * kernel.cells) as f32;
         moved[e] = (slope_hz_per_s * slope[e] * kernel.step * cells_per_hz) as f32;
-        carrier_hz[e] = carrier as f32;
     }
     let place = u as f32;
     let (mut re, mut im) = ([[0f32; ECHOES]; RECEIVERS], [[0f32; ECHOES]; RECEIVERS]);
-    for e in 0..ECHOES {
-        re[0][e] = pack.re[0][e] + place * pack.re[1][e];
-        im[0][e] = pack.im[0][e] + place * pack.im[1][e];
-    }
-    for (receiver, beside) in pack.others.iter().enumerate() {
-        let (mut own_re, mut own_im) = ([0f32; ECHOES], [0f32; ECHOES]);
+    for receiver in 0..RECEIVERS {
         for e in 0..ECHOES {
-            let (x, y) = beside.factor(e, place, carrier_hz[e]);
-            own_re[e] = re[0][e] * x - im[0][e] * y;
-            own_im[e] = re[0][e] * y + im[0][e] * x;
+            re[receiver][e] = pack.re[receiver][0][e] + place * pack.re[receiver][1][e];
+            im[receiver][e] = pack.im[receiver][0][e] + place * pack.im[receiver][1][e];
         }
-        (re[1 + receiver], im[1 + receiver]) = (own_re, own_im);
     }
     Anchors { turns: [turn, rate, bend], position, moved, re, im }
 }
@@ -425,13 +386,14 @@ pub(super) mod tests {
                 begin[2] + number(5.0) / c,
             ];
             let amplitude = Complex64::new(number(1.0), number(1.0));
-            let other = ([number(1.6e-11); 2], 0.9 + number(0.1));
-            let others = [other, ([other.0[0], other.0[0] + number(1e-13)], 1.1)];
-            echoes.push(HeldEcho {
-                delay: [begin, end],
-                amplitude: [amplitude, amplitude * (1.0 + number(0.05))],
-                others,
-            });
+            // Other receivers differ by some picoseconds and a gain.
+            let (beside_s, gain, moved_s) = (number(1.6e-11), 0.9 + number(0.1), number(1e-13));
+            let turned = |delay_s: f64| Complex64::from_polar(1.0, std::f64::consts::TAU * CHIRP.start_hz * delay_s);
+            let second = [amplitude * gain * turned(beside_s); 2];
+            let third = [beside_s, beside_s + moved_s].map(|delay_s| amplitude * 1.1 * turned(delay_s));
+            let grown = 1.0 + number(0.05);
+            let amplitudes = [[amplitude; 2], second, third].map(|[begin, end]| [begin, end * grown]);
+            echoes.push(HeldEcho { delay: [begin, end], amplitudes });
         }
         echoes
     }
@@ -447,18 +409,11 @@ pub(super) mod tests {
         let c = quintic(scaled[0], scaled[1]);
         let delay_s: f64 = c.iter().rev().fold(0.0, |sum, c| sum * u + c);
         let rate = (1..6).rev().fold(0.0, |sum, p| sum * u + p as f64 * c[p]) / INTERVAL_S;
-        let [begin, end] = echo.amplitude;
-        let (beside_s, ratio) = match receiver {
-            0 => (0.0, 1.0),
-            _ => {
-                let (delay_s, ratio) = echo.others[receiver - 1];
-                (delay_s[0] + u * (delay_s[1] - delay_s[0]), ratio)
-            }
-        };
-        let a = (begin + (end - begin) * u) * ratio;
+        let [begin, end] = echo.amplitudes[receiver];
+        let a = begin + (end - begin) * u;
         Tone {
-            phase_cycles: CHIRP.phase_cycles(delay_s + beside_s),
-            cycles_per_sample: CHIRP.beat_hz(delay_s + beside_s, rate) / CHIRP.sample_rate_hz,
+            phase_cycles: CHIRP.phase_cycles(delay_s),
+            cycles_per_sample: CHIRP.beat_hz(delay_s, rate) / CHIRP.sample_rate_hz,
             amplitude: Complex::new(a.re as f32, a.im as f32),
         }
     }
@@ -543,10 +498,14 @@ pub(super) mod tests {
         let echo = echoes(1)[0];
         let held = held(&[echo]).by_delay();
         for (end, (u, [delay_s, ..])) in [0f32, 1.0].into_iter().zip(echo.delay).enumerate() {
-            let expected = echo.amplitude[end] * Complex64::new(0.0, delay_s);
-            let [re, im] = [held.packs[0].re, held.packs[0].im].map(|[begin, step]| begin[0] + u * step[0]);
-            let found = Complex64::new(re.into(), im.into());
-            assert!((found - expected).norm() < 1e-5 * expected.norm(), "{found} {expected}");
+            for receiver in 0..RECEIVERS {
+                let expected = echo.amplitudes[receiver][end] * Complex64::new(0.0, delay_s);
+                let [re, im] = [held.packs[0].re, held.packs[0].im]
+                    .map(|rows| rows[receiver])
+                    .map(|[begin, step]| begin[0] + u * step[0]);
+                let found = Complex64::new(re.into(), im.into());
+                assert!((found - expected).norm() < 1e-5 * expected.norm(), "{found} {expected}");
+            }
         }
     }
 }

@@ -10,7 +10,7 @@
 //!   `(pi q)^3 / 24` of the amplitude.
 //! - The delay changes. To first order a tone that moves by `d` cells until the run's ends is itself plus its
 //!   derivative by both frequencies; the error is `(0.9 d)^2 / 2`.
-//! - Amplitude, and differences between receivers, are those of the run's middle.
+//! - Amplitudes are those of the run's middle.
 //!
 //! Echoes for which one of these effects is too large are left to [`super::held`].
 
@@ -21,11 +21,12 @@ use radome_dsp::spectrum::complex_fft_f32;
 use rustfft::Fft;
 
 use super::fitted_taps::{Point, fitted_taps};
-use super::held::{ECHOES, FIRST_TAP, HeldEchoes, PLACES, Pack, RECEIVERS, TAPS, under};
+use super::held::{ECHOES, FIRST_TAP, HeldEchoes, PLACES, Pack, TAPS, under};
 use super::spread::{CHIRPS, Grids};
 use super::{Synthesiser, nearest_integer, on_circle};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
+use crate::tracks::RECEIVERS;
 
 /// Largest number of chirps of a run.
 pub const RUN: usize = 32;
@@ -44,9 +45,7 @@ const MOST_BEND: f32 = 0.2;
 const MOST_MOVED: f32 = 0.3;
 /// Largest product of both: the movement of a tone with quadratic phase is neglected.
 const MOST_BENT_MOVE: f32 = 0.02;
-/// Largest change of the phase difference between receivers until the run's ends, turns.
-const MOST_APART: f32 = 0.01;
-/// Largest relative change of the amplitude until the run's ends.
+/// Largest change of the first receiver's amplitude until the run's ends, relative to it.
 const MOST_CHANGE: f32 = 0.04;
 
 /// Interleaved real and imaginary parts of an echo's cells by rate.
@@ -253,8 +252,7 @@ fn middle(kernel: &Kernel, pack: &Pack) -> Middle {
     let Chirp { start_hz, slope_hz_per_s, middle_s, sample_rate_hz } = *kernel.chirp;
     let ([value, slope, half_curve], cells_per_hz) = (pack.delay_at(kernel.middle), kernel.cells / sample_rate_hz);
     let half = HALF as f64 * kernel.step;
-    let (mut turn, mut carrier_hz) = ([0f32; ECHOES], [0f32; ECHOES]);
-    let (mut position, mut rate) = ([0f32; ECHOES], [0f32; ECHOES]);
+    let (mut turn, mut position, mut rate) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
     let (mut moved, mut bend) = ([0f32; ECHOES], [0f32; ECHOES]);
     for e in 0..ECHOES {
         let carrier = start_hz + slope_hz_per_s * (middle_s - value[e]);
@@ -265,32 +263,32 @@ fn middle(kernel: &Kernel, pack: &Pack) -> Middle {
         let cycles_per_sample = kernel.chirp.beat_hz(value[e], slope[e] * kernel.per_s) / sample_rate_hz;
         position[e] = (on_circle(cycles_per_sample) * kernel.cells) as f32;
         moved[e] = (slope_hz_per_s * slope[e] * half * cells_per_hz) as f32;
-        carrier_hz[e] = carrier as f32;
     }
     let (place, half) = (kernel.middle as f32, half as f32);
     let (mut re, mut im) = ([[0f32; ECHOES]; RECEIVERS], [[0f32; ECHOES]; RECEIVERS]);
+    let (mut cosine, mut sine) = ([0f32; ECHOES], [0f32; ECHOES]);
+    for e in 0..ECHOES {
+        // Half of the quadratic phase is constant: a square is half a constant and half a Chebyshev polynomial.
+        (cosine[e], sine[e]) = cos_sin_of_turns(turn[e] + 0.5 * bend[e]);
+    }
+    for receiver in 0..RECEIVERS {
+        let ([from_x, step_x], [from_y, step_y]) = (&pack.re[receiver], &pack.im[receiver]);
+        for e in 0..ECHOES {
+            let (x, y) = (from_x[e] + place * step_x[e], from_y[e] + place * step_y[e]);
+            re[receiver][e] = x * cosine[e] - y * sine[e];
+            im[receiver][e] = x * sine[e] + y * cosine[e];
+        }
+    }
     let mut changes = [false; ECHOES];
     for e in 0..ECHOES {
-        let (x, y) = (pack.re[0][e] + place * pack.re[1][e], pack.im[0][e] + place * pack.im[1][e]);
-        let (by_x, by_y) = (half * pack.re[1][e], half * pack.im[1][e]);
+        // The receivers are so close together that the first represents all. An echo is the same whoever else listens.
+        let (x, y) = (pack.re[0][0][e] + place * pack.re[0][1][e], pack.im[0][0][e] + place * pack.im[0][1][e]);
+        let (by_x, by_y) = (half * pack.re[0][1][e], half * pack.im[0][1][e]);
         let most = MOST_CHANGE * MOST_CHANGE * (x * x + y * y);
         changes[e] = (bend[e].abs() > MOST_BEND)
             | (moved[e].abs() > MOST_MOVED)
             | ((bend[e] * moved[e]).abs() > MOST_BENT_MOVE)
             | (by_x * by_x + by_y * by_y > most);
-        // Half of the quadratic phase is constant: a square is half a constant and half a Chebyshev polynomial.
-        let (c, s) = cos_sin_of_turns(turn[e] + 0.5 * bend[e]);
-        (re[0][e], im[0][e]) = (x * c - y * s, x * s + y * c);
-    }
-    for (receiver, beside) in pack.others.iter().enumerate() {
-        let (mut own_re, mut own_im) = ([0f32; ECHOES], [0f32; ECHOES]);
-        for e in 0..ECHOES {
-            changes[e] |= (half * beside.delay_s[1][e] * carrier_hz[e]).abs() > MOST_APART;
-            let (x, y) = beside.factor(e, place, carrier_hz[e]);
-            own_re[e] = re[0][e] * x - im[0][e] * y;
-            own_im[e] = re[0][e] * y + im[0][e] * x;
-        }
-        (re[1 + receiver], im[1 + receiver]) = (own_re, own_im);
     }
     Middle { position, rate, moved, bend, re, im, changes }
 }
