@@ -76,7 +76,7 @@ impl FrameSimulator {
         let constants = &self.scene.receiver().clutter;
         let mut rng = generator(self.options.seed, Purpose::FrameJitter, [index, 0]);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
-        let steps = self.clutter_steps(index);
+        let steps = self.clutter_steps(ends_s.first().copied().unwrap_or_default());
         // Half of the power of jitter and drift is common to all echoes, half is independent.
         let half = constants.phase_jitter_rad * 0.5f64.sqrt();
         let half_drift = constants.phase_drift_rad_per_10s * 0.5f64.sqrt();
@@ -113,12 +113,12 @@ impl FrameSimulator {
     /// Computes the phase of every static path due to the steps before a frame, rad; empty if there are none. Time is
     /// divided into intervals with one step each, at a random time. Between two steps the phases are constant, and
     /// their differences are the steps.
-    fn clutter_steps(&self, index: u64) -> Vec<f64> {
+    fn clutter_steps(&self, start_s: f64) -> Vec<f64> {
         let constants = &self.scene.receiver().clutter;
         if constants.phase_step_rad == 0.0 {
             return Vec::new();
         }
-        let at = self.start_s(index) / constants.phase_step_interval_s;
+        let at = start_s / constants.phase_step_interval_s;
         let interval = at as u64;
         let step = generator(self.options.seed, Purpose::ClutterStep, [interval, 0]).random::<f64>();
         let level = interval + u64::from(at - interval as f64 >= step);

@@ -62,7 +62,7 @@ impl FrameSimulator {
         let shape = self.waveform().shape();
         let static_grids = self.static_grids(clutter, false);
         let by_delay = phase.map(|phase| self.by_delay(phase, clutter, turns)).unwrap_or_default();
-        let mut channels: Vec<Channel> = (0..shape.rx).map(|rx| self.channel(rx, index)).collect();
+        let mut channels: Vec<Channel> = (0..shape.rx).map(|rx| self.channel(rx, index, start_s)).collect();
         let (mut scratch, mut clipped) = (Scratch::default(), 0);
         self.each_chirp(traced, &static_grids, turns, |rx, chirp, grid| {
             let Some(channel) = channels.get_mut(rx) else { return };
@@ -92,7 +92,7 @@ impl FrameSimulator {
     }
 
     /// Prepares the additions of a receiver to the echoes of a frame.
-    fn channel(&self, rx: usize, index: u64) -> Channel<'_> {
+    fn channel(&self, rx: usize, index: u64, start_s: f64) -> Channel<'_> {
         let seed = self.options.seed;
         // Runs of one seed with other numbers of people use other noise, so that their empty frames are not copies.
         let people = self.options.people.map_or(0, |people| people as u64 + 1) << 32;
@@ -101,7 +101,7 @@ impl FrameSimulator {
             // Phase noise is the same in all receivers.
             phase_noise: generator(seed, Purpose::PhaseNoise, [index, 0]),
             spurs: self.spurs.get(rx).map(|spurs| (spurs, spurs.phases(index))),
-            offset: self.offset(rx, index),
+            offset: self.offset(rx, index, start_s),
             leakage: self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default(),
             shaper: self.noise.get(rx),
         }
@@ -126,21 +126,20 @@ impl FrameSimulator {
     }
 
     /// Returns the offset (LSB) and the factor on leakage of a channel in a frame.
-    fn offset(&self, rx: usize, index: u64) -> (f32, f32) {
+    fn offset(&self, rx: usize, index: u64, start_s: f64) -> (f32, f32) {
         let receiver = self.scene.receiver();
-        let t = self.start_s(index);
         let mut rng = generator(self.options.seed, Purpose::FrameJitter, [index, 1 + rx as u64]);
         let (a, b): (f64, f64) = (StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
         let phases = drift_phases(self.options.seed, [rx as u64, 1]);
         let dc = self.prepared.channels.get(rx).map_or(2048.0, |c| c.dc_code);
         // The offset moves back and forth between the limits.
         let limit = receiver.drift.dc_limit_lsb.max(1e-9);
-        let walked = (receiver.drift.dc_lsb_per_s * t + limit).rem_euclid(4.0 * limit);
+        let walked = (receiver.drift.dc_lsb_per_s * start_s + limit).rem_euclid(4.0 * limit);
         let wander = if walked < 2.0 * limit { walked - limit } else { 3.0 * limit - walked };
         let offset = dc + wander + receiver.drift.dc_jitter_lsb * a;
         let leakage = 1.0
             + self.leakage_jitter * receiver.clutter.leakage_jitter * b
-            + receiver.clutter.leakage_drift_per_10s * drift(t, &phases);
+            + receiver.clutter.leakage_drift_per_10s * drift(start_s, &phases);
         (offset as f32, leakage as f32)
     }
 }
