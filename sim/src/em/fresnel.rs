@@ -48,6 +48,10 @@ fn normal_index(permittivity: Complex64, cosine: f64) -> Complex64 {
 
 /// Computes the reflection of a half-space at the cosine of the angle of incidence.
 pub fn half_space(permittivity: Complex64, cosine: f64) -> Reflection {
+    if cosine == 0.0 {
+        // The limit of all materials. The quotients have none where the permittivity is 1.
+        return Reflection { te: Complex64::from(-1.0), tm: Complex64::from(-1.0) };
+    }
     let q = normal_index(permittivity, cosine);
     let c = Complex64::from(cosine);
     Reflection { te: (c - q) / (c + q), tm: (permittivity * c - q) / (permittivity * c + q) }

@@ -7,7 +7,20 @@ use num_complex::Complex64;
 use super::facet::{Integral, Sample};
 use crate::geometry::Surface;
 
-/// Sums the integrand over patches whose edges are at most `patch_m`, each with the value at its middle. The patches of
+/// Largest number of parts of a facet's edge.
+const MOST_CUTS: f64 = 2048.0;
+
+fn longest_edge_m(a: DVec3, b: DVec3, c: DVec3) -> f64 {
+    a.distance(b).max(b.distance(c)).max(c.distance(a))
+}
+
+/// Returns the smallest patches that [`integrate`] makes of all facets, m.
+pub fn finest_patch_m(surface: &Surface) -> f64 {
+    let corners = (0..surface.triangles.len()).filter_map(|t| surface.corners(t));
+    corners.map(|[(a, _), (b, _), (c, _)]| longest_edge_m(a, b, c)).fold(0.0, f64::max) / MOST_CUTS
+}
+
+/// Sums the integrand over patches whose edges are at most `patch_m`, or [`finest_patch_m`], each with the value at its middle. The patches of
 /// a facet lie on the curved surface defined by its corners' normals.
 pub fn integrate(
     surface: &Surface,
@@ -18,8 +31,7 @@ pub fn integrate(
     let mut sum = Integral::default();
     for corners in (0..surface.triangles.len()).filter_map(|t| surface.corners(t)) {
         let [(a, na), (b, nb), (c, nc)] = corners;
-        let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
-        let cuts = (longest / patch_m.max(1e-9)).ceil().clamp(1.0, 2048.0) as usize;
+        let cuts = (longest_edge_m(a, b, c) / patch_m.max(1e-9)).ceil().clamp(1.0, MOST_CUTS) as usize;
         // Offset of the middle of each edge from the chord.
         let bulge = |p: DVec3, n: DVec3, q: DVec3, m: DVec3| 0.5 * ((q - p).dot(m) * m - (q - p).dot(n) * n);
         let (ab, bc, ca) = (bulge(a, na, b, nb), bulge(b, nb, c, nc), bulge(c, nc, a, na));

@@ -219,10 +219,14 @@ impl Problem {
             dense::integrate(surface, k, patch_m, |p, n| self.radar.sample(p, n, surface.two_sided, &boundary, k))
         };
         let mut patch_m = 0.5 * self.setup.wavelength_m();
-        self.converged(tolerance_db, at(patch_m), |_| {
+        // Finer patches than these would be the same ones: their sum would say nothing about the error.
+        let finest_m = dense::finest_patch_m(surface);
+        let outcome = self.converged(tolerance_db, at(patch_m), |_| {
             patch_m *= 0.5;
-            Some(at(patch_m))
-        })
+            (patch_m >= finest_m).then(|| at(patch_m))
+        });
+        let is_estimated = 0.25 * self.setup.wavelength_m() >= finest_m;
+        Outcome { estimate_db: outcome.estimate_db.filter(|_| is_estimated), ..outcome }
     }
 
     /// Integrates the patches of a skin, whose triangles are cut into four until the result converges.
@@ -415,8 +419,11 @@ fn mesh(target: &Target, edge_m: Option<f64>) -> Result<Surface, RcsError> {
             shape::cylinder(radius_m, height_m, fine_enough(2.0 * PI * radius_m * height_m, 0.1 * radius_m)?)
         }
         Target::Mirror { radius_m, aperture_m } => {
-            let edge_m = fine_enough(PI * aperture_m * aperture_m, (0.1 * radius_m).min(aperture_m / 80.0))?;
-            shape::mirror(radius_m, 0.5 * aperture_m, edge_m)
+            // The area of a cap.
+            let half_m = 0.5 * aperture_m;
+            let area_m2 = 2.0 * PI * radius_m * (radius_m - (radius_m * radius_m - half_m * half_m).max(0.0).sqrt());
+            let edge_m = fine_enough(area_m2, (0.1 * radius_m).min(aperture_m / 80.0))?;
+            shape::mirror(radius_m, half_m, edge_m)
         }
         Target::Surface { ref surface } => surface.clone(),
         // Corners and cavities are represented by faces, never by meshes.
