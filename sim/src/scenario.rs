@@ -315,7 +315,7 @@ fn at_door(size_m: [f64; 3], door: &DoorFile, depth: f64, lateral: f64) -> [f64;
 fn passer_by(file: &SceneFile, visits: &VisitsFile, seed: u64) -> Option<Motion> {
     /// Distance beyond the wall, m.
     const BEYOND_M: [f64; 2] = [0.6, 3.0];
-    /// Number of walks there and back, more than needed for any run.
+    /// Number of walks, which take more than twenty minutes.
     const LEGS: usize = 400;
     let mut rng = generator(seed, Purpose::Visit, [u64::MAX, 0]);
     if rng.random::<f64>() >= visits.passer_by_probability {

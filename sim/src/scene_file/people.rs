@@ -158,8 +158,8 @@ pub struct VisitsFile {
     pub pace_off_boresight_deg: Option<f64>,
     /// Range from the radar in which people pace, on the ground plan, m. Anywhere if absent.
     pub pace_range_m: Option<[f64; 2]>,
-    /// Probability that somebody walks about beyond the wall at the far end of the room (x = size) all the time, who is seen
-    /// faintly and does not count. Drawn for each seed. Default 0.
+    /// Probability that somebody walks about beyond the wall at the far end of the room (x = size), who is seen faintly and does
+    /// not count. This person stands after 400 walks, which take more than twenty minutes. Drawn for each seed. Default 0.
     pub passer_by_probability: f64,
     /// Level of that person's echoes behind that wall or around it, relative to those without a wall, dB. Default [-25, -10].
     pub passer_by_level_db: [f64; 2],
