@@ -71,7 +71,7 @@ pub enum SpecError {
     #[error("map spec: max_range_m is {range_m}, expected a finite number above zero")]
     MaxRange { range_m: f64 },
     /// The floor is not a level that f32 power can represent.
-    #[error("map spec: floor_db is {floor_db}, allowed is -370 dB and above")]
+    #[error("map spec: floor_db is {floor_db}, allowed is -370 to 370 dB")]
     Floor { floor_db: f64 },
     /// The requested kernel level is not available on this machine.
     #[error("map kernel: {level} asked for, but the best this processor has is {detected}; force that or a lower one")]

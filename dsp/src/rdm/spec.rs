@@ -249,7 +249,7 @@ impl RdmSpec {
         {
             return Err(SpecError::Alpha { alpha });
         }
-        if !self.floor_db.is_finite() || self.floor_db < -370.0 {
+        if !(-370.0..=370.0).contains(&self.floor_db) {
             return Err(SpecError::Floor { floor_db: self.floor_db });
         }
         if let Some(time_s) = self.change_over_s {
