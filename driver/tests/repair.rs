@@ -117,6 +117,31 @@ fn a_length_gone_wrong_costs_no_more_than_its_chunk() {
     }
 }
 
+/// A record whose opcode says that the data ends there costs no more than itself, and is reported.
+#[test]
+fn one_wrong_byte_does_not_end_a_recording() {
+    let bytes = whole();
+    let is_chunk = |at: usize| chunks(&bytes).iter().any(|&(start, _)| start == at);
+    let (mut at, mut records) = (8, 0);
+    while bytes[at] != 0x0f {
+        for opcode in [0x02, 0x0f] {
+            let mut bytes = bytes.clone();
+            bytes[at] = opcode;
+            let repaired = repaired(&bytes);
+            // Of the header nothing else has a copy.
+            if let Ok((report, numbers, _)) = repaired {
+                assert!(!report.damage.is_empty() && report.was_finished, "{at}: {report:?}");
+                let most_lost = if is_chunk(at) { 10 } else { 0 };
+                assert!(numbers.len() + most_lost >= 47 && report.labels == 1, "{at}: {report:?}");
+                records += 1;
+            }
+        }
+        let length = u64::from_le_bytes(*bytes[at + 1..].first_chunk().expect("a length"));
+        at += 9 + length as usize;
+    }
+    assert!(records > 2 * chunks(&bytes).len(), "{records}");
+}
+
 #[test]
 fn the_channels_are_known_without_their_chunk() {
     let mut bytes = whole();

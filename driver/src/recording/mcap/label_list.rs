@@ -11,14 +11,11 @@ use mcap::records::{MessageHeader, Record, Statistics, op};
 use super::encode::{Chunk, SummaryLayout, chunk_index_body, is_intact, record, statistics_body};
 use super::index::{FOOTER, summary_start};
 use super::lengths::parse_record;
-use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, topic};
+use super::records::{DATA_END_BYTES, MAX_RECORD, Next, RECORD_HEADER, Records, Topic, topic};
 use super::staged::{self, End};
 use super::{LABELS, LabelSpan, McapReader};
 use crate::recording::lock::{LABELS_PATIENCE, Locked, lock};
 use crate::recording::{RecordingError, disk};
-
-/// DATA_END: opcode, length, CRC.
-const DATA_END_BYTES: u64 = RECORD_HEADER + 4;
 
 /// Editor of the labels of a finished recording, which it locks against other writers.
 #[derive(Debug)]

@@ -9,6 +9,7 @@ use mcap::records::{Record, op};
 use radome_dsp::Waveform;
 use serde::de::DeserializeOwned;
 
+use super::encode::FOOTER_BODY_BYTES;
 use super::lengths::{ascii_metadata, parse_record, strings_fit};
 use super::{FORMAT_VERSION, FRAMES, GAPS, LABELS, METADATA_NAME, RESULTS, RecordingHeader};
 use crate::recording::RecordingError;
@@ -19,6 +20,9 @@ pub(super) const MAX_RECORD: u64 = 1 << 28;
 
 /// Bytes of opcode and length.
 pub(super) const RECORD_HEADER: u64 = 9;
+
+/// Bytes of the record that ends the data, with its header.
+pub(super) const DATA_END_BYTES: u64 = RECORD_HEADER + 4;
 
 /// Place of the compression in the body of a chunk.
 const COMPRESSION_AT: usize = 28;
@@ -109,9 +113,21 @@ impl Records {
         self.file.read_exact(&mut header).map_err(RecordingError::io(&self.path, "cannot be read"))?;
         let [opcode, length @ ..] = header;
         let length = u64::from_le_bytes(length);
-        if matches!(opcode, op::DATA_END | op::FOOTER) {
+        let end_length = match opcode {
+            op::DATA_END => Some(DATA_END_BYTES - RECORD_HEADER),
+            op::FOOTER => Some(FOOTER_BODY_BYTES),
+            _ => None,
+        };
+        if let Some(expected) = end_length {
             self.go_to(at)?;
-            return Ok(Next::End);
+            // The opcode alone would let one damaged byte end a recording.
+            return match length == expected {
+                true => Ok(Next::End),
+                false => {
+                    let reason = format!("a record that ends the data has {length} bytes, expected {expected}");
+                    Err(self.corrupt(at, reason))
+                }
+            };
         }
         if opcode == 0 || (opcode < 0x80 && opcode > op::DATA_END) {
             return Err(self.corrupt(at, format!("{opcode:#04x} is no MCAP record")));
