@@ -226,10 +226,16 @@ impl Synthesiser {
             sum
         };
         let half = cells / 2;
+        let paired = |low: Complex<f32>, high: Complex<f32>| (low + high.conj()) * 0.5;
+        let at_edge = |k: usize| paired(at(k), at((cells - k) % cells));
         scratch.half.clear();
-        for k in 0..=half {
-            let (low, high) = (at(k), at((cells - k) % cells));
-            scratch.half.push((low + high.conj()) * 0.5);
+        scratch.half.extend((0..LANES.min(half + 1)).map(at_edge));
+        if half >= LANES {
+            // Cells beyond the margins are used once.
+            let low = grid.cells.get(LANES + margin..half + margin).unwrap_or_default();
+            let high = grid.cells.get(half + margin + 1..=cells - LANES + margin).unwrap_or_default();
+            scratch.half.extend(low.iter().zip(high.iter().rev()).map(|(low, high)| paired(*low, *high)));
+            scratch.half.push(at_edge(half));
         }
         for end in [0, half] {
             if let Some(value) = scratch.half.get_mut(end) {
