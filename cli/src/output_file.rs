@@ -22,8 +22,7 @@ const TIME: &str = "{time}";
 /// Permission to replace an existing output file.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub struct Overwrite {
-    /// Replace the output file if it exists. The old file stays until the new one is complete; `record`, `live` and `scene simulate`
-    /// replace it at their start
+    /// Replace the output file if it exists. The old file stays until the new one is complete
     #[arg(long)]
     overwrite: bool,
 }

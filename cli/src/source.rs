@@ -46,16 +46,16 @@ pub struct SourceArgs {
     /// Waveform to program a board with, or to simulate a scene in: paper, room-hqnn, a .toml file, a model file, or a recording
     #[arg(long, value_hint = clap::ValueHint::AnyPath)]
     pub waveform: Option<String>,
-    /// Stop after this number of frames
+    /// Stop after this number of frames; a simulated scene has no end of its own
     #[arg(long)]
     pub frames: Option<u64>,
-    /// Pace as a multiple of real time; 0, the default, is as fast as possible. `live --view` plays recordings at 1 by default
+    /// Pace as a multiple of real time; 0, the default, is as fast as possible
     #[arg(long, value_parser = not_negative)]
     pub speed: Option<f64>,
-    /// Seed of a simulation; 1 if absent, 100001 for `live`
+    /// Seed of a simulation; 1 if absent
     #[arg(long)]
     pub seed: Option<u64>,
-    /// Number of people in a simulation, instead of the scene's own
+    /// Number of people, instead of the scene's own
     #[arg(long)]
     pub people: Option<usize>,
     /// Seconds for which to search for a lost board

@@ -11,7 +11,7 @@ mod reset;
 pub enum Action {
     /// List attached boards and debug probes: their identity, or what to do where one cannot be used
     List(list::Arguments),
-    /// Show what follows from a waveform: ranges, resolutions, data rate, registers
+    /// Show what follows from a waveform: ranges, resolutions, data rate; with --registers also the registers
     Config(config::Arguments),
     /// Emulate a board on a pseudo-terminal, with the frames of any source, until stopped
     Emulate(emulate::Arguments),

@@ -16,7 +16,7 @@ pub enum Action {
     Merge(merge::Arguments),
     /// Show mean and sigma of the cells by scene, class and domain, and by how much people raise them
     Stats(stats::Arguments),
-    /// Check hashes; find duplicates and entries of more than one split
+    /// Check hashes; find duplicates, maps in more than one split, and pairs whose two parts differ
     Verify(verify::Arguments),
     /// Print the script of a Slurm array that builds a dataset
     Slurm(slurm::Arguments),

@@ -8,11 +8,13 @@ use crate::source::{SourceArgs, not_negative};
 
 /// `radome demo`
 #[derive(clap::Args)]
+// A pair belongs to a recording, and the demo has none.
+#[command(mut_arg("pair", |pair| pair.hide(true)))]
 pub struct Arguments {
-    /// Number of frames
+    /// Stop after this number of frames
     #[arg(long, default_value_t = 300)]
     frames: u64,
-    /// Seed of the people's paths; the shipped model was trained on seeds below 100000
+    /// Seed of the people's paths; paper-hqnn was trained on seeds below 100000
     #[arg(long, default_value_t = live::UNSEEN_SEED)]
     seed: u64,
     /// Pace, as a multiple of real time; 0 is as fast as possible
@@ -21,7 +23,7 @@ pub struct Arguments {
     /// Scene to use instead of the corridor
     #[arg(long, value_name = "FILE.toml")]
     scene: Option<PathBuf>,
-    /// Model to use instead of the shipped one
+    /// Model to use instead of paper-hqnn
     #[arg(long)]
     model: Option<PathBuf>,
     /// Print one JSON object per frame and one at the end

@@ -31,6 +31,10 @@ pub const UNSEEN_SEED: u64 = 100_001;
                         Exit status: 0 if all went well, 3 if frames are missing in the recording of -o (0 with --allow-loss), 1 if the \
                         source, the recording or the program failed. If the recording fails, as on a full disk, live reports it at \
                         once, marks the file unfinished, goes on classifying, and ends with 1.")]
+#[command(mut_arg("speed", |speed| speed.help("Pace as a multiple of real time; 0 is as fast as possible. If absent, 1 for a \
+                                               recording with --view and 0 otherwise")))]
+#[command(mut_arg("seed", |seed| seed.help("Seed of a simulation; 100001 if absent, which no training of the shipped models has seen")))]
+#[command(mut_arg("overwrite", |overwrite| overwrite.help("Replace the output file, at the start, if it exists")))]
 pub struct Arguments {
     #[command(flatten)]
     pub source: SourceArgs,
@@ -50,7 +54,8 @@ pub struct Arguments {
     /// Measurement of the empty room by `radome model background`, so that fans and curtains do not count as people
     #[arg(long, value_name = "FILE.json")]
     pub background: Option<PathBuf>,
-    /// Count only people up to this distance from the radar, m: at a desk, in a bed, before a door. Who is farther away is not seen
+    /// Count only people up to this distance from the radar, m: at a desk, in a bed, before a door. Somebody up to half a metre beyond
+    /// may still count. For cfar and for models with maps on physical axes, such as the room models
     #[arg(long, value_name = "METRES", value_parser = source::positive)]
     pub max_range_m: Option<f64>,
     /// Seconds for which frames must agree before `occupied` or a greater number of people is reported

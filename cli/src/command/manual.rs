@@ -15,7 +15,7 @@ pub struct CompletionArguments {
 /// `radome man`
 #[derive(clap::Args)]
 pub struct ManArguments {
-    /// Folder for radome.1 and a page for each command
+    /// Folder for radome.1 and a page for each command. Existing pages are replaced
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 }

@@ -30,21 +30,21 @@ pub enum Command {
     Live(live::Arguments),
     /// Record a source to a file, with a gap where frames are lost
     Record(record::Arguments),
-    /// Check this machine for problems: permissions, ports, ONNX Runtime, model, board, disk
+    /// Check this machine for problems: permissions, ports, ONNX Runtime, board, disk; with --model also a model
     Doctor(doctor::Arguments),
-    /// Boards: list, configure, emulate, reset
+    /// Boards: list, config, emulate, reset
     #[command(subcommand)]
     Board(board::Action),
-    /// Recordings: show, convert, repair, label; answers, maps and echoes
+    /// Recordings: info, convert, repair, label, answers, maps, echoes
     #[command(subcommand)]
     Recording(recording::Action),
-    /// Scenes: simulate, preview, list paths, calibrate, pair
+    /// Scenes: simulate, paths, preview, calibrate, pair
     #[command(subcommand)]
     Scene(scene::Action),
-    /// Datasets of labelled maps: build, measure, verify, merge
+    /// Datasets of labelled maps: build, merge, stats, verify, slurm
     #[command(subcommand)]
     Dataset(dataset::Action),
-    /// Models: list, train, adapt, evaluate, compare, export; capture an empty room
+    /// Networks and models: train, adapt, background, evaluate, study, slurm, export, list
     #[command(subcommand)]
     Model(model::Action),
     /// Measure speed and error of every stage in one table, or of one stage; for developers

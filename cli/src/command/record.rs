@@ -24,6 +24,7 @@ use crate::{labels, output};
                         radome record serial:/dev/ttyACM0 --waveform room-hqnn --frames 600 -o recordings/\n\n\
                         Exit status: 0 if no frame is missing, 3 if frames are missing (0 with --allow-loss), 1 if the source, the disk \
                         or the program failed, or if --max-dropped is exceeded. In each case the file holds what was captured.")]
+#[command(mut_arg("overwrite", |overwrite| overwrite.help("Replace the output file, at the start, if it exists")))]
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,

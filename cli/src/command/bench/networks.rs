@@ -29,15 +29,16 @@ const SIZE: usize = 128;
 /// `radome bench train`, `radome bench infer`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Networks, as `radome model list` names them
+    /// Networks, as `radome model list` names them; hqnn, estimator_matched, doppler_net, resnet18 and efficientnet_b0 if absent. Only
+    /// these five are compared with other libraries. `bench infer` takes none whose name begins with descriptor_
     networks: Vec<String>,
-    /// Number of maps in a step or call
+    /// Number of maps in a step or call; if absent 32 for `bench train`, 1 for `bench infer`
     #[arg(long)]
     batch: Option<usize>,
     /// Number of threads of radome and of the other libraries
     #[arg(long, default_value_t = 2)]
     threads: usize,
-    /// Timed runs in a turn, after one that is not timed
+    /// Timed runs in a turn, after one that is not timed; if absent 5 for `bench train`, 30 for `bench infer`
     #[arg(long)]
     repeats: Option<usize>,
     /// Turns of radome and of the other libraries, which alternate

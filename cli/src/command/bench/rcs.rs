@@ -58,7 +58,7 @@ pub struct Arguments {
     /// Elevation of the radar
     #[arg(long, value_name = "DEGREES", allow_hyphen_values = true)]
     elevation_deg: Option<f64>,
-    /// Range to the target: middle of a plate or aperture, corner, pole of a mirror, surface of a round body [default: far field]
+    /// Range to the target: middle of a plate or aperture, corner, pole of a mirror, surface of a round body; the far field if absent
     #[arg(long, value_name = "METRES")]
     range_m: Option<f64>,
     /// Frequency
@@ -73,7 +73,7 @@ pub struct Arguments {
     /// Direction of the radar's electric field
     #[arg(long, value_parser = one_of(POLARISATIONS), default_value = "vertical")]
     polarisation: Polarisation,
-    /// Method; by default one that suits the target
+    /// Method of the solver
     #[arg(long, value_enum, default_value_t = How::Auto)]
     method: How,
     /// Use a mesh with edges of this length instead of the exact shape

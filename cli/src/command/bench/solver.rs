@@ -22,7 +22,7 @@ pub struct Arguments {
     /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
-    /// Picture to write: errors over times
+    /// Picture to write, of errors over times: PNG, or SVG if its name ends in .svg. An existing file is replaced
     #[arg(long, value_name = "FILE.png")]
     png: Option<PathBuf>,
     /// Rounds; the fastest counts

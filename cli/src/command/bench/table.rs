@@ -13,7 +13,8 @@ pub struct Arguments {
     /// Print a JSON list of objects
     #[arg(long)]
     json: bool,
-    /// Picture to write: errors over times, with a colour for each stage
+    /// Picture to write, of errors over times with a colour for each stage: PNG, or SVG if its name ends in .svg. An existing file is
+    /// replaced
     #[arg(long, value_name = "FILE.png")]
     png: Option<PathBuf>,
     /// Python whose scipy, torch and onnxruntime are measured too; `python3` if absent

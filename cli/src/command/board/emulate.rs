@@ -32,7 +32,7 @@ enum Protocol {
 /// `radome board emulate`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Recording or SCENE.toml to serve
+    /// Source of the frames: a recording, SCENE.toml, or any other SOURCE that `live` takes
     #[arg(long, value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath, required_unless_present = "probe")]
     from: Option<String>,
     /// Emulate a CMSIS-DAP debug probe instead of a board: on a HID gadget's node such as /dev/hidg0, or on a mounted FunctionFS

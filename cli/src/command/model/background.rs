@@ -12,6 +12,7 @@ use crate::source::{self, SourceArgs, not_negative, positive};
 
 /// `radome model background`
 #[derive(clap::Args)]
+#[command(mut_arg("people", |people| people.help("Number of people in a simulated scene; 0 if absent")))]
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,

@@ -38,7 +38,7 @@ pub struct Arguments {
     #[arg(long, value_name = "SEQUENCE")]
     hold_out: Option<String>,
     /// File that stores the training after each epoch; if it exists, the training resumes from it. It is removed when the model is
-    /// written. Default: FILE.safetensors.checkpoint
+    /// written. FILE.safetensors.checkpoint if absent
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Print one JSON object per epoch and one at the end

@@ -26,10 +26,11 @@ const REFLECTOR_FRAMES: u64 = 50;
 
 /// `radome recording echoes`
 #[derive(clap::Args)]
+#[command(mut_arg("frames", |frames| frames.help("Stop after this number of frames; a simulated scene ends after 100 if absent")))]
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
-    /// Phase offsets between this board's receivers, from a file that --reflector wrote
+    /// File with the phase offsets between this board's receivers, which -o wrote with --reflector
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
     /// Measure the phase offsets between the receivers with a reflector at this place, in metres and degrees to the left and up.

@@ -16,10 +16,11 @@ use crate::{files, output};
 
 /// `radome recording maps`
 #[derive(clap::Args)]
+#[command(mut_arg("frames", |frames| frames.help("Stop after this number of frames; a simulated scene ends after 100 if absent")))]
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
-    /// Array to write, f32 dB `[frame][rx][doppler][range]`, as NPY; `-` is stdout
+    /// Array to write, f32 dB `[frame][rx][doppler][range]`, as NPY; `-` is stdout. -o, --png or both are required
     #[arg(short, long, value_name = "FILE.npy")]
     output: Option<PathBuf>,
     #[command(flatten)]
@@ -27,7 +28,7 @@ pub struct Arguments {
     /// Picture of one map to write: PNG, or SVG if its name ends in .svg
     #[arg(long, value_name = "FILE.png")]
     png: Option<PathBuf>,
-    /// Frame of the picture; the last by default
+    /// Frame of the picture; the last if absent
     #[arg(long, requires = "png")]
     frame: Option<u64>,
     /// Kind of map

@@ -28,7 +28,7 @@ pub struct Arguments {
     /// Time since the first frame, s
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     time: f64,
-    /// List only paths that meet the person with this number; the first is 0
+    /// List only paths that meet the person with this number. People are numbered from 0; messages of `scene pair` number them from 1
     #[arg(long, value_name = "N")]
     person: Option<usize>,
     /// Number of people, instead of the scene's own

@@ -19,6 +19,7 @@ use crate::{kept, output};
 
 /// `radome scene simulate`
 #[derive(clap::Args)]
+#[command(mut_arg("overwrite", |overwrite| overwrite.help("Replace the output file, at the start, if it exists")))]
 pub struct Arguments {
     /// Scene file
     scene: PathBuf,
@@ -27,7 +28,7 @@ pub struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Number of frames
+    /// Number of frames to simulate
     #[arg(long, default_value_t = 400)]
     frames: u64,
     /// Seed of all random draws

@@ -59,7 +59,8 @@ pub struct Settings {
     /// Number of people in frames without a label
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..=2))]
     people: Option<u8>,
-    /// TOML file with positions of people when they were not visible: [[person]] with point = [{ time_s = 1.5, position_m = [2.0, 1.0] }, ...]
+    /// TOML file with positions of people when they were not visible: [[person]] with point = [{ time_s = 1.5, position_m = [2.0, 1.0] },
+    /// ...]. Messages number the people from 1, in the order of the file
     #[arg(long, value_name = "FILE.toml")]
     waypoints: Option<PathBuf>,
     /// Body height of the people, m
@@ -80,7 +81,7 @@ pub struct Settings {
     /// Number of corrections of the trajectory, each from tracking people in the mirrored scene
     #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u8).range(0..=4))]
     corrections: u8,
-    /// End after this many frames
+    /// Stop after this number of frames
     #[arg(long)]
     frames: Option<u64>,
     /// Seed of the mirrored scene

@@ -28,13 +28,13 @@ pub struct Arguments {
     /// Assistant, with POST to /report/empty, one or two on the metrics' address, or with SIGUSR1 (empty)
     #[arg(long, value_name = "DIR")]
     keep_to: Option<PathBuf>,
-    /// Seconds of the past to keep
+    /// With --keep-to: seconds of the past to keep
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, requires = "keep_to", value_parser = parse_span_s)]
     keep_last_s: f64,
-    /// Memory for these frames; older frames are dropped
+    /// With --keep-to: memory for these frames; older frames are dropped
     #[arg(long, value_name = "MIB", default_value_t = 256, requires = "keep_to", value_parser = clap::value_parser!(u64).range(1..))]
     keep_memory_mib: u64,
-    /// Size of the folder above which reports are refused
+    /// With --keep-to: size of the folder above which reports are refused
     #[arg(long, value_name = "MIB", default_value_t = 4096, requires = "keep_to")]
     keep_disk_mib: u64,
 }

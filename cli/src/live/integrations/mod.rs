@@ -37,10 +37,10 @@ use crate::exit::wrong_use;
 pub struct Arguments {
     #[command(flatten)]
     broker: BrokerArguments,
-    /// Name of the radar in Home Assistant and in the title of the page; also its identity if the board has none
+    /// With --mqtt: name of the radar in Home Assistant and in the title of the page; also its identity if the board has none
     #[arg(long, value_name = "NAME", requires = "mqtt", value_parser = NonEmptyStringValueParser::new())]
     mqtt_name: Option<String>,
-    /// Topic prefix under which Home Assistant looks for devices
+    /// With --mqtt: topic prefix under which Home Assistant looks for devices
     #[arg(long, value_name = "TOPIC", default_value = "homeassistant", requires = "mqtt")]
     mqtt_discovery_prefix: String,
     /// Serve /metrics for Prometheus, and /health. If the network can reach this address, --token-file is required, and Prometheus

@@ -29,7 +29,7 @@ pub struct Arguments {
     /// Fraction of each recording, from its start, that the receiver is fitted to; the rest tests the fit
     #[arg(long, default_value_t = 0.5, value_name = "0..1")]
     pub part: f64,
-    /// Number of people in the scene, instead of its own
+    /// Number of people, instead of the scene's own
     #[arg(long)]
     pub people: Option<usize>,
     /// First seed of the simulated copies
