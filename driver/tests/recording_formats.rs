@@ -491,4 +491,52 @@ mod hard_cases {
             assert_eq!(read(&path).1.iter().map(|f| f.time_ns).collect::<Vec<_>>(), [0, 100_000_000], "{wrong}");
         }
     }
+
+    /// A damaged file of temperatures made all frames unreadable.
+    #[test]
+    fn temperatures_that_cannot_be_read_are_left_out_and_the_frames_are_not() {
+        let (_folder, path) = in_folder("a");
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        let mut frames = simulated(&waveform, 3, 1);
+        frames[1].temperature_millicelsius = Some(25_000);
+        frames[2].temperature_millicelsius = Some(25_000);
+        write(&path, Format::Infineon, &waveform, &frames);
+        let file = path.join("RadarIfxAvian_00/temperature.npy");
+        let whole = std::fs::read(&file).expect("reads");
+        let kind = whole.windows(3).position(|bytes| bytes == b"<f8").expect("a type");
+        let with = |at: usize, bytes: &[u8]| [&whole[..at], bytes, &whole[at + bytes.len()..]].concat();
+        for (damaged, said) in [
+            (b"NUMPY".to_vec(), "shorter than an NPY header"),
+            (with(1, b"n"), "not an NPY file"),
+            (with(kind, b"<i8"), "temperatures are of type '<i8'"),
+        ] {
+            std::fs::write(&file, damaged).expect("writes");
+            let reader = InfineonReader::open(&path).expect("opens");
+            let [reason] = reader.left_out() else { panic!("{said}: {:?}", reader.left_out()) };
+            assert!(reason.contains("temperature.npy") && reason.contains(said), "{reason}");
+            for (back, frame) in read(&path).1.iter().zip(&frames) {
+                assert_eq!((&back.codes, back.time_ns), (&frame.codes, frame.time_ns), "{said}");
+                assert_eq!(back.temperature_millicelsius, None, "{said}");
+            }
+        }
+    }
+
+    /// A wrong time stamp cost all temperatures without a word.
+    #[test]
+    fn temperatures_without_times_of_the_frames_are_said_to_be_left_out() {
+        let (_folder, path) = in_folder("a");
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        let mut frames = simulated(&waveform, 2, 1);
+        frames.iter_mut().for_each(|frame| frame.temperature_millicelsius = Some(25_000));
+        write(&path, Format::Infineon, &waveform, &frames);
+        let stamps = path.join("RadarIfxAvian_00/radar_timestamp.csv");
+        std::fs::write(&stamps, "0\nnoon\n").expect("writes");
+        let reader = InfineonReader::open(&path).expect("opens");
+        let [times, temperatures] = reader.left_out() else { panic!("{:?}", reader.left_out()) };
+        assert!(times.contains("radar_timestamp.csv") && temperatures.contains("temperature.npy"), "{temperatures}");
+        std::fs::remove_file(&stamps).expect("removes");
+        let reader = InfineonReader::open(&path).expect("opens");
+        let [temperatures] = reader.left_out() else { panic!("{:?}", reader.left_out()) };
+        assert!(temperatures.contains("temperature.npy"), "{temperatures}");
+    }
 }
