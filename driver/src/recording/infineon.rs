@@ -162,12 +162,7 @@ impl InfineonReader {
 
     /// Time of a frame from the start of the acquisition, ns.
     fn time_ns(&self, index: u64) -> u64 {
-        let stamps = self.timestamps_ns.as_deref().unwrap_or(&[]);
-        match (usize::try_from(index).ok().and_then(|i| stamps.get(i)), stamps.first()) {
-            (Some(now), Some(first)) if *first >= FIRST_UNIX_NS => now - first,
-            (Some(now), _) => *now,
-            _ => self.waveform.frame_time_ns(index),
-        }
+        frame_time_ns(self.timestamps_ns.as_deref(), &self.waveform, index)
     }
 
     /// Seeks a frame by its number; the end for a number behind the last one.
@@ -238,6 +233,16 @@ impl InfineonReader {
         frame.temperature_millicelsius = known.map(|(_, celsius)| (celsius * 1e3).round() as i32);
         self.next += 1;
         Ok(SourceEvent::Frame)
+    }
+}
+
+/// Time of a frame from the start of the acquisition, ns, by the folder's time stamps if it has them.
+fn frame_time_ns(stamps_ns: Option<&[u64]>, waveform: &Waveform, index: u64) -> u64 {
+    let stamps = stamps_ns.unwrap_or(&[]);
+    match (usize::try_from(index).ok().and_then(|i| stamps.get(i)), stamps.first()) {
+        (Some(now), Some(first)) if *first >= FIRST_UNIX_NS => now - first,
+        (Some(now), _) => *now,
+        _ => waveform.frame_time_ns(index),
     }
 }
 
