@@ -23,7 +23,7 @@ pub struct WriteReport {
     pub results: u64,
     /// Length of the file with the samples, bytes.
     pub bytes: u64,
-    /// Greatest difference between the time of a frame and the time that a reader gives it, ns; 0 where the format holds
+    /// Greatest difference between the time of a frame and the time that a reader gives it, ns; 0 if the format holds
     /// the times.
     pub time_shift_ns: u64,
     /// Descriptions of the information that the format could not hold; empty if none.
