@@ -22,12 +22,40 @@ const LIMIT_BYTES: u64 = 64 << 20;
 struct Codec {
     parse: fn(&str) -> Result<Vec<LabelSpan>, LabelTextError>,
     print: fn(&[LabelSpan]) -> String,
+    /// Parts of labels that the kind does not hold.
+    not_held: &'static [Part],
 }
+
+/// Part of labels in words, and whether a label has it.
+type Part = (&'static str, fn(&LabelSpan) -> bool);
+
+/// Parts that Audacity's label track does not hold.
+const NOT_IN_AUDACITY: &[Part] = &[
+    ("authors", |label| label.who.is_some()),
+    ("times of labelling", |label| label.made_ns.is_some()),
+    ("confidences", |label| label.confidence.is_some()),
+    ("notes", |label| label.note.is_some()),
+];
+
+/// Parts that DEEPCRAFT's file does not hold.
+const NOT_IN_DEEPCRAFT: &[Part] = &[
+    ("authors", |label| label.who.is_some()),
+    ("times of labelling", |label| label.made_ns.is_some()),
+    ("the lack of a confidence (1 is written)", |label| label.confidence.is_none()),
+];
 
 fn codec(path: &Path) -> anyhow::Result<Codec> {
     match path.extension().and_then(|e| e.to_str()) {
-        Some("txt") => Ok(Codec { parse: label_text::from_audacity, print: label_text::to_audacity }),
-        Some("label") => Ok(Codec { parse: label_text::from_deepcraft, print: label_text::to_deepcraft }),
+        Some("txt") => Ok(Codec {
+            parse: label_text::from_audacity,
+            print: label_text::to_audacity,
+            not_held: NOT_IN_AUDACITY,
+        }),
+        Some("label") => Ok(Codec {
+            parse: label_text::from_deepcraft,
+            print: label_text::to_deepcraft,
+            not_held: NOT_IN_DEEPCRAFT,
+        }),
         _ => bail!(
             "{}: which kind of labels?\n\nhint: end its name in .txt for an Audacity label track, in .label for DEEPCRAFT",
             path.display()
@@ -45,13 +73,20 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     parse(&text).with_context(|| format!("{} cannot be understood", path.display()))
 }
 
-/// Writes a file of labels atomically.
+/// Writes a file of labels atomically. Says which parts of the labels it does not hold.
 ///
 /// # Errors
 /// The name has an unknown ending, the file exists and is not to be replaced, or it cannot be written.
 pub fn write(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Result<()> {
-    let text = (codec(path)?.print)(spans);
-    files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))
+    let Codec { print, not_held, .. } = codec(path)?;
+    let text = print(spans);
+    files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))?;
+    for (what, has_it) in not_held {
+        if spans.iter().any(has_it) {
+            message!("not held by this format: {what}");
+        }
+    }
+    Ok(())
 }
 
 /// Replaces the labels in the file beside a recording that cannot hold any by the result of `change`. No other process
@@ -183,6 +218,12 @@ pub fn check(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Returns whether a label and an interval, s, have a time in common. A label without duration has its start in common
+/// with an interval that begins there, and not with one that ends there.
+pub fn overlaps(label: &LabelSpan, (start_s, end_s): (f64, f64)) -> bool {
+    label.start_s < end_s && (label.end_s > start_s || label.start_s >= start_s)
+}
+
 /// Cuts an interval, s, out of the labels that are `meant`. The rests on both sides stay.
 pub fn cut_out(
     labels: Vec<LabelSpan>,
@@ -191,7 +232,7 @@ pub fn cut_out(
 ) -> Vec<LabelSpan> {
     let mut left = Vec::with_capacity(labels.len() + 1);
     for label in labels {
-        if !meant(&label) || label.end_s <= start_s || label.start_s >= end_s {
+        if !meant(&label) || !overlaps(&label, (start_s, end_s)) {
             left.push(label);
             continue;
         }

@@ -69,16 +69,19 @@ impl Overwrite {
 /// Files of inputs that are folders, by kind: recordings, their labels, and datasets, whose shards have numbers.
 const PARTS: [&[&str]; 3] = [&infineon::FILES, &labels::NAMES_IN_FOLDER, &["dataset.json", "manifest.jsonl"]];
 
-/// Fails if an output would replace an input, a file of an input that is a folder, or the configuration beside a text
-/// recording.
+/// Fails if an output would replace an input, a file of an input that is a folder, the configuration beside a text
+/// recording, or labels beside a recording that cannot hold any.
 fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
     let (Ok(written), Ok(read)) = (output.canonicalize(), input.canonicalize()) else { return Ok(()) };
     let name = written.file_name().unwrap_or_default().to_string_lossy();
     let is_part =
         PARTS.iter().any(|names| names.contains(&&*name)) || (name.starts_with("maps-") && name.ends_with(".npy"));
-    let configuration = config_path(&read).and_then(|path| path.canonicalize().ok());
-    let is_configuration = configuration.is_some_and(|configuration| configuration == written);
-    if written == read || is_configuration || (written.starts_with(read) && is_part) {
+    let configuration = config_path(&read);
+    // Labels beside a file of any other kind are not read with it.
+    let labels = labels::file_beside(input).filter(|_| read.is_dir() || configuration.is_some());
+    let is_written = |path: PathBuf| path.canonicalize().is_ok_and(|path| path == written);
+    let is_beside = [configuration, labels].into_iter().flatten().any(is_written);
+    if written == read || is_beside || (written.starts_with(read) && is_part) {
         wrong_use!("{} is input and output at once\n\nhint: choose another name", output.display());
     }
     Ok(())
@@ -294,6 +297,24 @@ mod tests {
         Overwrite::yes()
             .check(&folder.path().join("a.txt_config.json"), &[&folder.path().join("b.txt")])
             .expect("free");
+    }
+
+    /// Regression test: labels beside a recording that cannot hold any could be replaced while they were read.
+    #[test]
+    fn the_labels_beside_a_recording_are_inputs() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        let radar = path("session/RadarIfxAvian_00");
+        std::fs::create_dir_all(&radar).expect("creates");
+        for name in ["a.txt", "a.txt_config.json", "a.label", "b.mcap", "b.mcap.label", "session/radome.label"] {
+            std::fs::write(path(name), "").expect("writes");
+        }
+        for (input, labels) in [(path("a.txt"), "a.label"), (radar, "session/radome.label")] {
+            let said = Overwrite::yes().check(&path(labels), &[&input]).expect_err(labels).to_string();
+            assert!(said.contains("input and output at once"), "{said}");
+        }
+        Overwrite::yes().check(&path("b.mcap.label"), &[&path("b.mcap")]).expect("the recording holds its labels");
+        Overwrite::yes().check(&path("a.label"), &[&path("b.mcap")]).expect("labels of another recording");
     }
 
     /// Regression test: the version of a folder's format and two of the names of its labels could be written over while

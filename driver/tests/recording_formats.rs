@@ -236,6 +236,68 @@ fn times_of_a_host_whose_clock_was_set_are_the_boards() {
     }
 }
 
+/// The clock of a recording that begins later was set to 0 without a word, as after a repair without the first chunk.
+#[test]
+fn a_first_frame_that_loses_its_time_is_told() {
+    let (_folder, path) = in_folder("session");
+    let waveform = waveform(&[1], 2, 8, 0.1);
+    let mut frames = simulated(&waveform, 4, 1);
+    for frame in &mut frames {
+        frame.time_ns += 1_200_000_000;
+        frame.host_time_ns = 1_767_683_775_000_000_000 + frame.time_ns;
+    }
+    let report = write(&path, Format::Infineon, &waveform, &frames);
+    assert_eq!(report.omitted, ["the time of the first frame, 1.2 s (readers count from 0 s)"]);
+    assert_eq!((report.time_shift_ns, read(&path).1[0].time_ns), (1_200_000_000, 0));
+}
+
+/// Asserts that the report says by how much frames move in time. A text recording closes gaps, which moves all frames
+/// behind them.
+#[test]
+fn the_report_says_how_far_frames_move_in_time() {
+    let folder = tempfile::tempdir().expect("folder");
+    let waveform = waveform(&[1], 2, 8, 0.1);
+    let mut frames = simulated(&waveform, 4, 1);
+    frames.remove(1);
+    let shifts = [(Format::Infineon, "session", 0), (Format::Text, "session.txt", 100_000_000)];
+    for (format, name, shift_ns) in shifts {
+        let path = folder.path().join(name);
+        let report = write(&path, format, &waveform, &frames);
+        let moved = frames.iter().zip(read(&path).1).map(|(frame, back)| frame.time_ns.abs_diff(back.time_ns)).max();
+        assert_eq!((report.time_shift_ns, moved), (shift_ns, Some(shift_ns)), "{name}");
+        let is_told = report.omitted.iter().any(|what| what == "the times of the frames");
+        assert_eq!(is_told, shift_ns > 0, "{:?}", report.omitted);
+    }
+}
+
+/// Frames without a temperature had the last one before them, without a word.
+#[test]
+fn frames_that_lose_their_lack_of_a_temperature_are_counted() {
+    let (_folder, path) = in_folder("session");
+    let waveform = waveform(&[1], 2, 8, 0.1);
+    let mut frames = simulated(&waveform, 4, 1);
+    frames[1].temperature_millicelsius = Some(25_000);
+    let report = write(&path, Format::Infineon, &waveform, &frames);
+    assert_eq!(report.omitted, ["frames without a temperature: 2 (readers take the last one before)"]);
+    let temperatures: Vec<_> = read(&path).1.iter().map(|frame| frame.temperature_millicelsius).collect();
+    assert_eq!(temperatures, [None, Some(25_000), Some(25_000), Some(25_000)]);
+}
+
+/// The interval that a board's registers realise became the requested one, which changes all speeds, without a word.
+#[test]
+fn a_chirp_interval_that_the_configuration_does_not_state_is_told() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut waveform = waveform(&[1], 2, 8, 0.1);
+    waveform.chirp_interval_s = 501e-6;
+    for (name, format) in [("session", Format::Infineon), ("session.txt", Format::Text)] {
+        let path = folder.path().join(name);
+        let report = write(&path, format, &waveform, &simulated(&waveform, 2, 1));
+        let told = ["the chirp interval of 501.0000 us (readers take 500.0000 us)"];
+        assert_eq!(report.omitted, told, "{name}");
+        assert!((read(&path).0.chirp_interval_s - 500e-6).abs() < 1e-12, "{name}");
+    }
+}
+
 #[test]
 fn what_a_format_cannot_hold_is_named() {
     let folder = tempfile::tempdir().expect("folder");
@@ -490,5 +552,53 @@ mod hard_cases {
             assert!(reason.contains("radar_timestamp.csv"), "{reason}");
             assert_eq!(read(&path).1.iter().map(|f| f.time_ns).collect::<Vec<_>>(), [0, 100_000_000], "{wrong}");
         }
+    }
+
+    /// A damaged file of temperatures made all frames unreadable.
+    #[test]
+    fn temperatures_that_cannot_be_read_are_left_out_and_the_frames_are_not() {
+        let (_folder, path) = in_folder("a");
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        let mut frames = simulated(&waveform, 3, 1);
+        frames[1].temperature_millicelsius = Some(25_000);
+        frames[2].temperature_millicelsius = Some(25_000);
+        write(&path, Format::Infineon, &waveform, &frames);
+        let file = path.join("RadarIfxAvian_00/temperature.npy");
+        let whole = std::fs::read(&file).expect("reads");
+        let kind = whole.windows(3).position(|bytes| bytes == b"<f8").expect("a type");
+        let with = |at: usize, bytes: &[u8]| [&whole[..at], bytes, &whole[at + bytes.len()..]].concat();
+        for (damaged, said) in [
+            (b"NUMPY".to_vec(), "shorter than an NPY header"),
+            (with(1, b"n"), "not an NPY file"),
+            (with(kind, b"<i8"), "temperatures are of type '<i8'"),
+        ] {
+            std::fs::write(&file, damaged).expect("writes");
+            let reader = InfineonReader::open(&path).expect("opens");
+            let [reason] = reader.left_out() else { panic!("{said}: {:?}", reader.left_out()) };
+            assert!(reason.contains("temperature.npy") && reason.contains(said), "{reason}");
+            for (back, frame) in read(&path).1.iter().zip(&frames) {
+                assert_eq!((&back.codes, back.time_ns), (&frame.codes, frame.time_ns), "{said}");
+                assert_eq!(back.temperature_millicelsius, None, "{said}");
+            }
+        }
+    }
+
+    /// A wrong time stamp cost all temperatures without a word.
+    #[test]
+    fn temperatures_without_times_of_the_frames_are_said_to_be_left_out() {
+        let (_folder, path) = in_folder("a");
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        let mut frames = simulated(&waveform, 2, 1);
+        frames.iter_mut().for_each(|frame| frame.temperature_millicelsius = Some(25_000));
+        write(&path, Format::Infineon, &waveform, &frames);
+        let stamps = path.join("RadarIfxAvian_00/radar_timestamp.csv");
+        std::fs::write(&stamps, "0\nnoon\n").expect("writes");
+        let reader = InfineonReader::open(&path).expect("opens");
+        let [times, temperatures] = reader.left_out() else { panic!("{:?}", reader.left_out()) };
+        assert!(times.contains("radar_timestamp.csv") && temperatures.contains("temperature.npy"), "{temperatures}");
+        std::fs::remove_file(&stamps).expect("removes");
+        let reader = InfineonReader::open(&path).expect("opens");
+        let [temperatures] = reader.left_out() else { panic!("{:?}", reader.left_out()) };
+        assert!(temperatures.contains("temperature.npy"), "{temperatures}");
     }
 }

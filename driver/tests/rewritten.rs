@@ -83,13 +83,19 @@ fn files_of_another_layout_hold_the_same() {
     }
 }
 
-/// A new label is a chunk, which was taken for the only one of the file.
+/// A new label is a chunk. It was the only one in the index, by which other programs found no frame.
 #[test]
-fn a_label_beside_messages_without_chunks_hides_none() {
-    let (_folder, path) = in_folder("a.mcap");
-    std::fs::write(&path, rewritten(WriteOptions::new().use_chunks(false))).expect("writes");
-    set_labels(&path, &[label()]).expect("labels");
-    assert_is_whole(&std::fs::read(&path).expect("reads"), "a label beside messages");
+fn a_recording_without_chunks_takes_no_labels_until_it_is_repaired() {
+    let (folder, path) = in_folder("a.mcap");
+    let bytes = rewritten(WriteOptions::new().use_chunks(false));
+    std::fs::write(&path, &bytes).expect("writes");
+    let error = set_labels(&path, &[label()]).expect_err("refused").to_string();
+    assert!(error.contains("a.mcap") && error.contains("radome recording repair"), "{error}");
+    assert!(std::fs::read(&path).expect("reads") == bytes);
+    let repaired = folder.path().join("b.mcap");
+    repair(&path, &repaired, Existing::Refuse).expect("repairs");
+    set_labels(&repaired, &[label()]).expect("labels");
+    assert_is_whole(&std::fs::read(&repaired).expect("reads"), "repaired");
 }
 
 /// Damage among messages without chunks cost all later frames without a gap.

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
-use radome_driver::recording::Recording;
+use radome_driver::LabelSpan;
+use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource};
 use radome_tests::{
     command, convert, fails_with, failure, fixture, frames, json_lines_of, labels_of, limited, radome, shared,
@@ -229,6 +230,43 @@ mod hard_cases {
         let (_, said) = success(converted());
         assert!(said.contains("the label 'one' from 0 to 1000 s is out of range"), "{said}");
         assert_eq!(labels_of(&at("z.mcap")).len(), 1);
+    }
+
+    /// Labels were offered to recordings whose frames have other times: behind gaps, which text closes, and in a folder
+    /// with dates, which begins at 0 s.
+    #[test]
+    fn labels_are_offered_only_where_frames_keep_their_times() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        let whole = fixture("formats/recording.mcap");
+        let said = |from: &Path, to: &str| success(command!("recording convert", from, at(to))).1;
+        let offered = said(&whole, "session");
+        assert!(offered.contains("hint: radome recording label"), "{offered}");
+        assert!(offered.contains("session/radome.label writes the labels beside it"), "{offered}");
+
+        let later = at("later.mcap");
+        let header = Recording::open(&whole).expect("opens").header();
+        let mut writer = RecordingWriter::create(&later, Format::Mcap, &header).expect("creates");
+        read(&whole).0.iter().skip(1).for_each(|frame| writer.frame(frame).expect("writes"));
+        writer.label(&LabelSpan::new(0.4, 1.6, "one")).expect("writes");
+        writer.finish().expect("finishes");
+        let moved = said(&later, "later");
+        assert!(moved.contains("not held by this format: the time of the first frame, 0.4 s"), "{moved}");
+        for (said, shift) in [(said(&whole, "y.txt"), "0.800 s"), (moved, "0.400 s")] {
+            assert!(said.contains(&format!("times of frames differ by up to {shift}")), "{said}");
+            assert!(!said.contains("writes the labels beside it"), "{said}");
+        }
+    }
+
+    /// A file of labels that was there before became the labels of a new text recording.
+    #[test]
+    fn labels_of_an_earlier_text_recording_are_not_taken_over() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        std::fs::write(at("y.label"), "").expect("writes");
+        let converted = command!("recording convert", fixture("formats/recording.mcap"), at("y.txt"));
+        fails_with(converted, &["y.label holds the labels of", "hint: move it away"]);
+        assert_eq!(left_over(folder.path()), [at("y.label")]);
     }
 
     /// A text recording or a folder that is cut was said to be finished, and a folder to have the frames that it lacks.

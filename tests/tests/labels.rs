@@ -108,6 +108,37 @@ fn labels_are_replaced_and_erased_where_it_is_asked_for() {
     assert!(said.contains("3 labels cut or removed"), "{said}");
 }
 
+/// Regression test: a label without duration at the start of the interval stayed.
+#[test]
+fn labels_without_duration_are_erased() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("run.mcap");
+    std::fs::copy(fixture("formats/recording.mcap"), &recording).expect("copies");
+    let before = labels_of(&recording);
+    success(command!("recording label --span 3.7:3.7=knock --span 3.9:3.9=knock", &recording));
+    let (_, said) = success(command!("recording label --erase 3.7:3.9", &recording));
+    assert!(said.contains("1 label cut or removed"), "{said}");
+    let mut left = labels_of(&recording);
+    assert_eq!(left.pop().expect("the label at the end")["start_s"], 3.9);
+    assert_eq!(left, before);
+}
+
+/// Regression test: parts of labels were left out, and a confidence of 1 was put in, without a word.
+#[test]
+fn what_a_file_of_labels_does_not_hold_is_told() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = fixture("formats/recording.mcap");
+    let both = ["authors", "times of labelling"];
+    for (name, others) in [("a.txt", &["confidences", "notes"][..]), ("a.label", &["the lack of a confidence"][..])] {
+        let (_, said) = success(command!("recording label", &recording, "-o", folder.path().join(name)));
+        let told: Vec<&str> = said.lines().filter_map(|line| line.strip_prefix("not held by this format: ")).collect();
+        assert_eq!(told.len(), both.len() + others.len(), "{name}: {said}");
+        for (what, told) in both.iter().chain(others).zip(told) {
+            assert!(told.starts_with(what), "{name}: {told}");
+        }
+    }
+}
+
 /// Regression test: labels of a text recording were those of every other whose name was the same up to its last dot. The vendor's SDK
 /// gives its recordings no ending.
 #[test]

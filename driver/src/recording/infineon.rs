@@ -116,6 +116,10 @@ impl InfineonReader {
         }
         let of_times = left_out.len();
         let temperatures = read_temperatures(&folder, &mut left_out)?;
+        if timestamps_ns.is_none() && !temperatures.is_empty() {
+            let path = folder.join(TEMPERATURES);
+            left_out.push(format!("{}: the frames have no times by the clock of the temperatures", path.display()));
+        }
         for reason in left_out.iter().skip(of_times) {
             warn_once(format!("{reason}; the temperatures are left out"));
         }
@@ -158,12 +162,7 @@ impl InfineonReader {
 
     /// Time of a frame from the start of the acquisition, ns.
     fn time_ns(&self, index: u64) -> u64 {
-        let stamps = self.timestamps_ns.as_deref().unwrap_or(&[]);
-        match (usize::try_from(index).ok().and_then(|i| stamps.get(i)), stamps.first()) {
-            (Some(now), Some(first)) if *first >= FIRST_UNIX_NS => now - first,
-            (Some(now), _) => *now,
-            _ => self.waveform.frame_time_ns(index),
-        }
+        frame_time_ns(self.timestamps_ns.as_deref(), &self.waveform, index)
     }
 
     /// Seeks a frame by its number; the end for a number behind the last one.
@@ -234,6 +233,16 @@ impl InfineonReader {
         frame.temperature_millicelsius = known.map(|(_, celsius)| (celsius * 1e3).round() as i32);
         self.next += 1;
         Ok(SourceEvent::Frame)
+    }
+}
+
+/// Time of a frame from the start of the acquisition, ns, by the folder's time stamps if it has them.
+fn frame_time_ns(stamps_ns: Option<&[u64]>, waveform: &Waveform, index: u64) -> u64 {
+    let stamps = stamps_ns.unwrap_or(&[]);
+    match (usize::try_from(index).ok().and_then(|i| stamps.get(i)), stamps.first()) {
+        (Some(now), Some(first)) if *first >= FIRST_UNIX_NS => now - first,
+        (Some(now), _) => *now,
+        _ => waveform.frame_time_ns(index),
     }
 }
 
@@ -401,6 +410,8 @@ fn parse_time_ns(text: &str) -> Option<u64> {
     whole.parse::<u64>().ok()?.checked_mul(1_000_000_000)?.checked_add(nanoseconds)
 }
 
+/// Reads times on the frames' clock, ns, and temperatures, degrees Celsius. If they cannot be used, there are none:
+/// `left_out` then says why.
 fn read_temperatures(folder: &Path, left_out: &mut Vec<String>) -> Result<Vec<(u64, f64)>, RecordingError> {
     let path = folder.join(TEMPERATURES);
     let times = read_timestamps(&folder.join(TEMPERATURE_TIMES), None, left_out)?;
@@ -409,14 +420,11 @@ fn read_temperatures(folder: &Path, left_out: &mut Vec<String>) -> Result<Vec<(u
         Err(RecordingError::Missing { .. }) => return Ok(Vec::new()),
         content => content?,
     };
-    let header = NpyHeader::read(&mut Cursor::new(&content), &path)?;
-    let bytes = content.get(header.data_offset as usize..).unwrap_or(&[]);
-    let values: Vec<f64> = match header.type_string.as_str() {
-        "<f8" => bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect(),
-        "<f4" => bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect(),
-        other => {
-            let reason = format!("temperatures are of type '{other}', expected '<f8' or '<f4'");
-            return Err(RecordingError::Corrupt { path, offset: 10, reason });
+    let values = match parse_temperatures(&content, &path) {
+        Ok(values) => values,
+        Err(error) => {
+            left_out.push(error.to_string());
+            return Ok(Vec::new());
         }
     };
     if values.len() != times.len() {
@@ -425,4 +433,18 @@ fn read_temperatures(folder: &Path, left_out: &mut Vec<String>) -> Result<Vec<(u
         return Ok(Vec::new());
     }
     Ok(times.into_iter().zip(values).collect())
+}
+
+/// Parses the content of a file of temperatures, degrees Celsius; the error is [`RecordingError::Corrupt`].
+fn parse_temperatures(content: &[u8], path: &Path) -> Result<Vec<f64>, RecordingError> {
+    let header = NpyHeader::read(&mut Cursor::new(content), path)?;
+    let bytes = content.get(header.data_offset as usize..).unwrap_or(&[]);
+    match header.type_string.as_str() {
+        "<f8" => Ok(bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect()),
+        "<f4" => Ok(bytes.as_chunks::<4>().0.iter().map(|b| f64::from(f32::from_le_bytes(*b))).collect()),
+        other => {
+            let reason = format!("temperatures are of type '{other}', expected '<f8' or '<f4'");
+            Err(RecordingError::Corrupt { path: path.to_owned(), offset: 10, reason })
+        }
+    }
 }

@@ -22,8 +22,8 @@ pub struct LabelTextError {
     pub what: String,
 }
 
-/// Formats an Audacity label track. It cannot hold author, confidence and note; line ends and tabs in labels become
-/// blanks.
+/// Formats an Audacity label track. It cannot hold author, time of labelling, confidence and note; line ends and tabs in
+/// labels become blanks.
 pub fn to_audacity(spans: &[LabelSpan]) -> String {
     let line = |span: &LabelSpan| {
         let label = span.label.replace(['\t', '\r', '\n'], " ");
@@ -50,7 +50,8 @@ pub fn from_audacity(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
         .collect()
 }
 
-/// Formats a DEEPCRAFT `.label` file. It cannot hold the author of a label.
+/// Formats a DEEPCRAFT `.label` file. It cannot hold the author of a label and the time of labelling. A label without a
+/// confidence has 1 there, since other programs always write a number.
 pub fn to_deepcraft(spans: &[LabelSpan]) -> String {
     let mut text = format!("{DEEPCRAFT_HEADER}\n");
     for span in spans {

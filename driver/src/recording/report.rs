@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
+use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE, Waveform};
 
 use super::RecordingError;
 
@@ -23,6 +23,9 @@ pub struct WriteReport {
     pub results: u64,
     /// Length of the file with the samples, bytes.
     pub bytes: u64,
+    /// Greatest difference between the time of a frame and the time that a reader gives it, ns; 0 if the format holds
+    /// the times.
+    pub time_shift_ns: u64,
     /// Descriptions of the information that the format could not hold; empty if none.
     pub omitted: Vec<String>,
 }
@@ -52,6 +55,9 @@ pub(super) fn check_frame(path: &Path, offset: u64, shape: FrameShape, frame: &F
     }
 }
 
+/// Relative difference between two chirp intervals above which they are not the same one.
+const ROUNDING: f64 = 1e-9;
+
 /// Counts of a writer whose format holds frames alone.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
@@ -71,8 +77,8 @@ impl Tally {
         Ok(())
     }
 
-    /// Descriptions of the information that the vendor's formats cannot hold.
-    pub fn omitted(&self) -> Vec<String> {
+    /// Descriptions of the information that the vendor's formats cannot hold, with those of the waveform.
+    pub fn omitted(&self, waveform: &Waveform) -> Vec<String> {
         let WriteReport { gaps, frames_lost, unknown_gaps, labels, results, .. } = self.report;
         let counted = |count: u64, noun: &str| format!("{count} {noun}{}", if count == 1 { "" } else { "s" });
         let mut omitted = Vec::new();
@@ -94,6 +100,13 @@ impl Tally {
         }
         if results > 0 {
             omitted.push(format!("the answers of {}", counted(results, "frame")));
+        }
+        // The configuration states the requested waveform, from which the registers of a board may differ.
+        if let Ok(read) = Waveform::realise(waveform.request.clone())
+            && (waveform.chirp_interval_s / read.chirp_interval_s - 1.0).abs() > ROUNDING
+        {
+            let [realised_us, read_us] = [waveform, &read].map(|waveform| 1e6 * waveform.chirp_interval_s);
+            omitted.push(format!("the chirp interval of {realised_us:.4} us (readers take {read_us:.4} us)"));
         }
         omitted
     }

@@ -288,8 +288,10 @@ impl TextWriter {
     /// [`RecordingError::FrameShape`] or [`RecordingError::Code`] for a frame that does not fit;
     /// [`RecordingError::Io`].
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
+        let shift_ns = frame.time_ns.abs_diff(self.header.waveform.frame_time_ns(self.tally.report.frames));
         self.tally.frame(&self.path, self.header.waveform.shape(), frame)?;
-        self.timed |= frame.host_time_ns > 0 || frame.time_ns != self.header.waveform.frame_time_ns(frame.sequence);
+        self.tally.report.time_shift_ns = self.tally.report.time_shift_ns.max(shift_ns);
+        self.timed |= frame.host_time_ns > 0 || shift_ns > 0;
         self.temperatures |= frame.temperature_millicelsius.is_some();
         for chirp in frame.codes.chunks(frame.shape.samples.max(1)) {
             for line in chirp.iter().filter_map(|code| self.lines.get(usize::from(*code))) {
@@ -308,7 +310,7 @@ impl TextWriter {
         let cannot = || RecordingError::cannot_write(&self.path);
         self.file.flush().and_then(|()| disk::sync(self.file.get_ref(), self.partial.path())).map_err(cannot())?;
         let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
-        let mut omitted = self.tally.omitted();
+        let mut omitted = self.tally.omitted(&self.header.waveform);
         if self.timed {
             omitted.push("the times of the frames".into());
         }

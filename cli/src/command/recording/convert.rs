@@ -90,8 +90,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let is_labelled = labels::of(input).is_ok_and(|spans| !spans.is_empty());
     if is_labelled && format.is_some_and(|format| !format.holds_labels()) {
-        let [from, to] = [input, &labels::name_beside(path)].map(|path| shell::word(&path.to_string_lossy()));
-        message!("hint: radome recording label {from} -o {to} writes the labels beside it");
+        tell_of_labels(input, path, report.time_shift_ns as f64 * 1e-9, source.waveform().frame_interval_s());
     }
     if arguments.json {
         return output::json_line(&json!({
@@ -115,6 +114,21 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     ))
 }
 
+/// Says how the labels get beside a new recording that cannot hold them, if its frames have kept their times.
+fn tell_of_labels(input: &Path, output: &Path, shift_s: f64, frame_interval_s: f64) {
+    let beside = labels::name_beside(output);
+    let [from, new, to] = [input, output, beside.as_path()].map(|path| shell::word(&path.to_string_lossy()));
+    // Frames that move by less keep their labels, except at the ends of these.
+    if shift_s < 0.5 * frame_interval_s {
+        message!("hint: radome recording label {from} -o {to} writes the labels beside it");
+        return;
+    }
+    message!(
+        "the labels of {from} do not fit {new}, where times of frames differ by up to {shift_s:.3} s\n\nhint: \
+         radome recording label {new} --span START_S:END_S=LABEL labels it anew"
+    );
+}
+
 /// Fails if the folder to write has something in it.
 fn check_is_empty(folder: &Path) -> anyhow::Result<()> {
     ensure!(
@@ -125,9 +139,9 @@ fn check_is_empty(folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Fails if labels stand beside the file that is to be replaced: they would be taken for those of the new one.
+/// Fails if labels stand beside the file that is to be written: they would be taken for those of the new recording.
 fn check_labels(output: &Path) -> anyhow::Result<()> {
-    match labels::file_beside(output).filter(|_| output.exists()) {
+    match labels::file_beside(output) {
         Some(labels) => bail!(
             "{} holds the labels of {}, and would be taken for those of the new recording\n\nhint: move it away",
             labels.display(),

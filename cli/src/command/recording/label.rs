@@ -136,9 +136,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             file.clone()
         }
         None => labels::add(&arguments.recording, &spans, |there| {
-            let is_erased = |label: &&LabelSpan| {
-                arguments.erase.iter().any(|(start_s, end_s)| label.end_s > *start_s && label.start_s < *end_s)
-            };
+            let is_erased =
+                |label: &&LabelSpan| arguments.erase.iter().any(|interval| labels::overlaps(label, *interval));
             erased = there.iter().filter(is_erased).count();
             let there =
                 arguments.erase.iter().fold(there, |there, interval| labels::cut_out(there, *interval, |_| true));

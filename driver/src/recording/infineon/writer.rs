@@ -9,6 +9,7 @@ use serde_json::json;
 
 use super::{
     CONFIG, DATA, FIRST_UNIX_NS, META, RADAR, SUPPORTED_VERSION, TEMPERATURE_TIMES, TEMPERATURES, TIMES, VERSION,
+    frame_time_ns,
 };
 use crate::recording::mcap::RecordingHeader;
 use crate::recording::partial::Partial;
@@ -51,6 +52,8 @@ pub(in crate::recording) struct InfineonWriter {
     times_ns: Vec<(u64, u64)>,
     /// Frame and temperature in thousandths of a degree Celsius, where it changed.
     temperatures: Vec<(usize, i32)>,
+    /// Number of frames without a temperature behind the first one that has it.
+    without_temperature: u64,
     /// Counts of the frames, and of the items that the format cannot hold.
     pub tally: Tally,
 }
@@ -81,6 +84,7 @@ impl InfineonWriter {
             bytes: Vec::new(),
             times_ns: Vec::new(),
             temperatures: Vec::new(),
+            without_temperature: 0,
             tally: Tally::default(),
         })
     }
@@ -100,6 +104,8 @@ impl InfineonWriter {
         {
             self.temperatures.push((self.times_ns.len(), now));
         }
+        let has_none = frame.temperature_millicelsius.is_none();
+        self.without_temperature += u64::from(has_none && !self.temperatures.is_empty());
         self.times_ns.push((frame.time_ns, frame.host_time_ns));
         Ok(())
     }
@@ -118,11 +124,16 @@ impl InfineonWriter {
         self.file.flush().and_then(|()| disk::sync(self.file.get_ref(), &self.data)).map_err(cannot())?;
         let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
 
-        let mut omitted = self.tally.omitted();
+        let mut omitted = self.tally.omitted(&self.header.waveform);
         let stamps_ns = self.stamps(&mut omitted);
+        self.tally.report.time_shift_ns = self.time_shift_ns(stamps_ns.as_deref());
         if let Some(stamps_ns) = &stamps_ns {
             self.write_file(TIMES, seconds(stamps_ns.iter().copied()).as_bytes())?;
             self.write_temperatures(stamps_ns)?;
+            if self.without_temperature > 0 {
+                let frames = self.without_temperature;
+                omitted.push(format!("frames without a temperature: {frames} (readers take the last one before)"));
+            }
         } else if !self.temperatures.is_empty() {
             omitted.push("temperatures, for want of times".into());
         }
@@ -148,6 +159,9 @@ impl InfineonWriter {
             // The host's times give the date. They do not give the intervals: frames wait before the host takes them, and an
             // emulated board may send them faster than they were measured.
             let (first, start) = self.times_ns.first().map_or((0, 0), |(board, host)| (*host, *board));
+            if start > 0 {
+                omitted.push(format!("the time of the first frame, {} s (readers count from 0 s)", start as f64 / 1e9));
+            }
             let dated: Vec<u64> = board.iter().map(|time| first.saturating_add(time - start)).collect();
             if dated != host {
                 omitted.push(
@@ -165,6 +179,12 @@ impl InfineonWriter {
         }
         let nominal = |(index, time): (usize, &u64)| self.header.waveform.frame_time_ns(index as u64) == *time;
         (!self.temperatures.is_empty() || !board.iter().enumerate().all(nominal)).then_some(board)
+    }
+
+    /// Greatest difference between a frame's time by the board's clock and the one that readers find, ns.
+    fn time_shift_ns(&self, stamps_ns: Option<&[u64]>) -> u64 {
+        let read = |index| frame_time_ns(stamps_ns, &self.header.waveform, index);
+        (0..).zip(&self.times_ns).map(|(index, (board, _))| board.abs_diff(read(index))).max().unwrap_or(0)
     }
 
     /// Returns whether the host's clock has jumped against the board's, as where a computer without a battery for its clock hears

@@ -149,6 +149,13 @@ fn new_end(records: &mut Records, labels: &[LabelSpan]) -> Result<End, Recording
     }
     let mut summary = Summary::parse(summary).map_err(|reason| records.corrupt(summary_start, reason))?;
     let at = summary.drop_label_chunks(records, end)?;
+    // The chunk of the labels would be the only one in the index, by which other programs find messages.
+    let has_chunks = summary.records.iter().any(|(opcode, _)| *opcode == op::CHUNK_INDEX);
+    if !has_chunks && summary.statistics.message_count > 0 {
+        let reason =
+            "there is no index of chunks, without which labels cannot be written; radome recording repair makes one";
+        return Err(records.corrupt(summary_start, reason.into()));
+    }
     let json = serde_json::to_vec(labels).map_err(|e| RecordingError::cannot_write(&records.path)(e.into()))?;
     let bytes = summary.with_labels(at, &json).map_err(RecordingError::cannot_write(&records.path))?;
     Ok(End { at, bytes })
@@ -269,11 +276,59 @@ impl<'a> Summary<'a> {
 
 #[cfg(test)]
 mod tests {
-    use std::io::{Seek, SeekFrom, Write};
+    use std::collections::BTreeMap;
+    use std::io::{Cursor, Seek, SeekFrom, Write};
+
+    use radome_dsp::Frame;
 
     use super::*;
     use crate::pattern::waveform;
     use crate::recording::mcap::{Recorder, RecordingHeader};
+
+    /// Asserts that the reader does not take labels that are the only chunk in the index for all of the file.
+    #[test]
+    fn labels_in_the_only_chunk_of_a_file_hide_no_frame() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.mcap");
+        let header = RecordingHeader::new(waveform(&[1], 8, 64, 0.1));
+        let labels = [LabelSpan::new(0.0, 0.2, "one")];
+        let mut recorder = Recorder::create(&path, &header).expect("creates");
+        let mut frame = Frame::zeroed(header.waveform.shape());
+        for sequence in 0..3 {
+            (frame.sequence, frame.time_ns) = (sequence, header.waveform.frame_time_ns(sequence));
+            recorder.frame(&frame).expect("records");
+        }
+        recorder.label(&labels[0]).expect("records");
+        recorder.finish().expect("finishes");
+
+        // The same messages without chunks, as another program may write them.
+        let bytes = std::fs::read(&path).expect("reads");
+        let found = mcap::Summary::read(&bytes).expect("reads").expect("a summary");
+        let options = mcap::WriteOptions::new().use_chunks(false);
+        let mut writer = options.create(Cursor::new(Vec::new())).expect("starts");
+        let metadata = mcap::read::metadata(&bytes, &found.metadata_indexes[0]).expect("metadata");
+        writer.write_metadata(&metadata).expect("writes");
+        for message in mcap::MessageStream::new(&bytes).expect("opens") {
+            let message = message.expect("reads");
+            let (topic, encoding) = (&message.channel.topic, &message.channel.message_encoding);
+            let channel_id = writer.add_channel(0, topic, encoding, &BTreeMap::new()).expect("writes");
+            let (log_time, publish_time) = (message.log_time, message.publish_time);
+            let header = MessageHeader { channel_id, sequence: message.sequence, log_time, publish_time };
+            writer.write_to_known_channel(&header, &message.data).expect("writes");
+        }
+        writer.finish().expect("finishes");
+        let bytes = writer.into_inner().into_inner();
+        std::fs::write(&path, &bytes).expect("writes");
+
+        let end = data_end(&mut Records::open(&path).expect("opens")).expect("finished");
+        let (data, rest) = bytes.split_at(end as usize);
+        let summary = &rest[DATA_END_BYTES as usize..rest.len() - FOOTER as usize];
+        let json = serde_json::to_vec(&labels).expect("JSON");
+        let tail = Summary::parse(summary).expect("a summary").with_labels(end, &json).expect("encodes");
+        std::fs::write(&path, [data, tail.as_slice()].concat()).expect("writes");
+        let reader = McapReader::open(&path).expect("opens");
+        assert_eq!((reader.whole_frames(), reader.labels().expect("labels")), (3, labels.to_vec()));
+    }
 
     /// Recordings of several months have such a summary; the test uses a hole in a file.
     #[test]
