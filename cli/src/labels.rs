@@ -46,16 +46,12 @@ const NOT_IN_DEEPCRAFT: &[Part] = &[
 
 fn codec(path: &Path) -> anyhow::Result<Codec> {
     match path.extension().and_then(|e| e.to_str()) {
-        Some("txt") => Ok(Codec {
-            parse: label_text::from_audacity,
-            print: label_text::to_audacity,
-            not_held: NOT_IN_AUDACITY,
-        }),
-        Some("label") => Ok(Codec {
-            parse: label_text::from_deepcraft,
-            print: label_text::to_deepcraft,
-            not_held: NOT_IN_DEEPCRAFT,
-        }),
+        Some("txt") => {
+            Ok(Codec { parse: label_text::from_audacity, print: label_text::to_audacity, not_held: NOT_IN_AUDACITY })
+        }
+        Some("label") => {
+            Ok(Codec { parse: label_text::from_deepcraft, print: label_text::to_deepcraft, not_held: NOT_IN_DEEPCRAFT })
+        }
         _ => bail!(
             "{}: which kind of labels?\n\nhint: end its name in .txt for an Audacity label track, in .label for DEEPCRAFT",
             path.display()

@@ -122,6 +122,7 @@ fn a_length_gone_wrong_costs_no_more_than_its_chunk() {
 fn one_wrong_byte_does_not_end_a_recording() {
     let bytes = whole();
     let is_chunk = |at: usize| chunks(&bytes).iter().any(|&(start, _)| start == at);
+    let (last, _) = *chunks(&bytes).last().expect("chunks");
     let (mut at, mut records) = (8, 0);
     while bytes[at] != 0x0f {
         for opcode in [0x02, 0x0f] {
@@ -130,9 +131,11 @@ fn one_wrong_byte_does_not_end_a_recording() {
             let repaired = repaired(&bytes);
             // Of the header nothing else has a copy.
             if let Ok((report, numbers, _)) = repaired {
-                assert!(!report.damage.is_empty() && report.was_finished, "{at}: {report:?}");
+                assert!(!report.damage.is_empty(), "{at}: {report:?}");
                 let most_lost = if is_chunk(at) { 10 } else { 0 };
-                assert!(numbers.len() + most_lost >= 47 && report.labels == 1, "{at}: {report:?}");
+                assert!(numbers.len() + most_lost >= 47, "{at}: {report:?}");
+                // The last chunk holds the label.
+                assert!(report.labels == 1 && report.was_finished || at == last, "{at}: {report:?}");
                 records += 1;
             }
         }

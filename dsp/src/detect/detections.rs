@@ -18,9 +18,10 @@ use crate::{Frame, FrameMismatch, Waveform, Window};
 
 /// Points of the range FFT for each sample. Padding lets the offset of a peak from its bin be interpolated.
 const RANGE_PADDING: usize = 2;
-/// Least level of a local maximum over the mean noise of its range, dB. Noise of one receiver alone reaches it once in about ten
-/// million cells, that of several receivers together still less often.
-const LEAST_SNR_DB: f64 = 12.0;
+/// Least level of a local maximum over the mean noise of its range, dB. Noise of one receiver alone reaches it once in about five
+/// hundred million cells, that of several receivers together still less often. The rounding of a strong echo's codes, which is no
+/// noise, comes to 12 dB.
+const LEAST_SNR_DB: f64 = 13.0;
 /// Largest number of detections of a frame; the strongest are kept.
 const MOST_DETECTIONS: usize = 12;
 /// Largest difference of two maxima of one detection, in range resolutions.
