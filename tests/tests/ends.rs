@@ -116,6 +116,8 @@ fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
     let summary: Value = serde_json::from_str(answers.last().expect("a summary")).expect("JSON");
     assert!(summary["summary"]["frames"].as_u64().is_some_and(|frames| frames >= 1), "{summary}");
     assert_eq!(summary["summary"]["gaps_of_unknown_length"], 1, "{summary}");
+    let gap = answers.iter().rfind(|line| line.contains("\"gap\""));
+    assert!(gap.is_some_and(|gap| gap.contains("\"frames\":0,\"reason\":\"disconnected\"")), "{gap:?}");
     let (is_finished, frames, gaps) = read(&recording);
     assert!(is_finished && frames >= 5, "{frames} frames");
     assert_eq!(gaps.last().map(|gap| (gap.frames, gap.reason)), Some((0, GapReason::Disconnected)));
