@@ -1,7 +1,7 @@
 //! Every program end reports its cause on stderr, prints its summary and has its exit status: 0 done, 1 failed, 2 wrong
 //! use, 3 done with losses.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -419,6 +419,27 @@ fn a_stdout_that_nobody_reads_does_not_keep_live_from_ending() {
     assert_eq!(status.code(), Some(1), "{errors:?}");
     assert!(errors.iter().any(|line| line.contains("stdout is not read")), "{errors:?}");
     assert!(read(&recording).0);
+}
+
+/// Regression test: the summary of a board's run was dropped without a word where the reader of stdout was slow.
+#[test]
+fn the_summary_of_a_board_waits_for_a_slow_reader() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let desk_path = folder.path().join("desk.mcap");
+    desk(1200, &desk_path);
+    let board = format!("emulated:{}", desk_path.display());
+    let mut live = command!("live --model cfar --json --speed 40 --frames 1100", board);
+    let mut child = live.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    // The pipe and the queue hold some hundred answers.
+    let mut said = BufReader::new(child.stderr.take().expect("piped")).lines().map_while(Result::ok);
+    let lost = std::thread::spawn(move || said.any(|line| line.contains("answers were not printed")));
+    wait_for("lost answers", || lost.is_finished().then_some(()));
+    assert!(lost.join().expect("no panic"));
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    let mut told = String::new();
+    child.stdout.take().expect("piped").read_to_string(&mut told).expect("text");
+    assert!(told.lines().last().is_some_and(|line| line.contains("\"summary\"")), "{:?}", told.lines().last());
+    assert_eq!(child.wait().expect("ends").code(), Some(0));
 }
 
 /// Tests with a file-size limit in place of a full disk.
