@@ -158,7 +158,7 @@ fn tell(
         let why = match count {
             0 => "no recording shows it; it is told from its neighbour about as before",
             1 => "only one recording shows it; held out, nothing would be left to adapt to",
-            _ => "each recording that shows it also shows something that no other one shows",
+            _ => "each recording that shows it also shows a class that the others show too briefly, or not at all",
         };
         message!("warning: {class} cannot be measured: {why}");
         not_measured.push(json!({ "class": class, "recordings": count, "why": why }));
