@@ -14,7 +14,7 @@ use self::frames::Frames;
 use super::evaluate::LabelledRecording;
 use crate::judge::{CFAR, Model};
 use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
-use crate::{output, source};
+use crate::{files, output, source};
 
 /// `radome model adapt`
 #[derive(clap::Args)]
@@ -99,7 +99,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let is_refused = adaptation.adapted.held_out.is_some_and(|scores| scores.is_worse()) && !arguments.force;
     let written = arguments.output.as_ref().filter(|_| !is_refused);
     if let Some(path) = written {
-        adaptation.model.save(path)?;
+        files::write_bytes(path, arguments.overwrite.existing(), &adaptation.model.to_bytes(path)?)?;
     }
     tell(arguments, &inputs, &recordings, &adaptation, written)?;
     if let Some(path) = arguments.output.as_ref().filter(|_| is_refused) {

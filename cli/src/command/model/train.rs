@@ -142,7 +142,13 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
         message!("warning: {warning}");
     }
     // The model is saved even if progress could not be printed.
-    outcome.model.save(&arguments.output)?;
+    let bytes = outcome.model.to_bytes(&arguments.output)?;
+    files::write_bytes(&arguments.output, arguments.overwrite.existing(), &bytes).inspect_err(|_| {
+        message!(
+            "the training is kept in {}; the same command writes the model as soon as it can",
+            checkpoint.display()
+        );
+    })?;
     // Not before: a kill would lose the training. A file that cannot be removed does no harm: a new training repeats the last step.
     let _ = std::fs::remove_file(checkpoint);
     if let Some(error) = trouble {
