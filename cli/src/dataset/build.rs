@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_driver::recording::rename_synced;
+use radome_files::with_suffix;
 use radome_models::dataset::{self, Dataset, DatasetError, SplitSpec};
 use rayon::prelude::*;
 
@@ -113,9 +114,7 @@ struct Parts {
 
 impl Parts {
     fn of(target: &Path) -> Self {
-        let mut name = target.file_name().unwrap_or_default().to_owned();
-        name.push(".parts");
-        Parts { folder: target.with_file_name(name) }
+        Parts { folder: with_suffix(target, ".parts") }
     }
 
     /// Creates the folder, or continues in it if it holds units of the same plan. The folder is locked for other

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 
 use npyz::WriterBuilder;
 use radome_dsp::{Rdm, RdmShape};
+use radome_files::with_suffix;
 use sha2::{Digest, Sha256};
 
 use super::error::DatasetError;
@@ -62,9 +63,7 @@ impl DatasetWriter {
         if dir.exists() {
             return Err(DatasetError::Exists { path: dir.to_owned() });
         }
-        let mut name = dir.file_name().unwrap_or_default().to_owned();
-        name.push(".partial");
-        let temporary = dir.with_file_name(name);
+        let temporary = with_suffix(dir, ".partial");
         fs::create_dir_all(&temporary).map_err(DatasetError::io(&temporary, "creating the folder"))?;
         // The search comes before the lock, whose file tells the folder of a killed writer from a whole dataset.
         let foreign = foreign_file(&temporary).map_err(DatasetError::io(&temporary, "listing"))?;

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
+use radome_files::with_suffix;
 use radome_models::dataset::{Dataset, DatasetError};
 use radome_models::study::{Judgement, Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
 use schemars::JsonSchema;
@@ -158,9 +159,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// or other sources is refused with the hint.
 fn make_dataset(maps: &Path, source: &Path, hint: &str, plan: impl Fn() -> anyhow::Result<Plan>) -> anyhow::Result<()> {
     const WAIT: Duration = Duration::from_millis(500);
-    let mut card = maps.file_name().unwrap_or_default().to_owned();
-    card.push(".plan.json");
-    let card = maps.with_file_name(card);
+    let card = with_suffix(maps, ".plan.json");
     let mut is_told = false;
     while !is_dataset(maps) {
         let plan = plan()?;

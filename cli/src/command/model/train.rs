@@ -1,6 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use radome_files::with_suffix;
 use radome_models::dataset::{Dataset, DatasetError};
 use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_with_checkpoint, training_warnings};
 use serde_json::json;
@@ -48,11 +49,7 @@ pub struct Arguments {
 
 impl Arguments {
     fn checkpoint(&self) -> PathBuf {
-        self.checkpoint.clone().unwrap_or_else(|| {
-            let mut name = self.output.file_name().unwrap_or_default().to_owned();
-            name.push(".checkpoint");
-            self.output.with_file_name(name)
-        })
+        self.checkpoint.clone().unwrap_or_else(|| with_suffix(&self.output, ".checkpoint"))
     }
 
     /// Returns the settings of the file, with those that the options override.
