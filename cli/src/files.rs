@@ -111,6 +111,14 @@ pub fn write_output(
     Ok(partial.finish()?)
 }
 
+/// Writes bytes to a file atomically, as [`write_output`] does.
+///
+/// # Errors
+/// The file exists and is not to be replaced, or cannot be written.
+pub fn write_bytes(path: &Path, existing: Existing, bytes: &[u8]) -> anyhow::Result<()> {
+    write_output(path, existing, |file| Ok(file.write_all(bytes)?))
+}
+
 /// Writes an output that has been started.
 ///
 /// # Errors

@@ -180,6 +180,13 @@ pub fn within(folder: &Path, name: &str) -> io::Result<PathBuf> {
     Err(Refused::Outside { name: name.to_owned(), fault, hint }.into())
 }
 
+/// Returns the path beside another one whose name has an ending in addition: `set.parts` for `set`.
+pub fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(suffix);
+    path.with_file_name(name)
+}
+
 /// Returns the folder, or the working directory for an empty path.
 fn folder_of(folder: &Path) -> &Path {
     if folder.as_os_str().is_empty() { Path::new(".") } else { folder }
@@ -277,6 +284,13 @@ mod hard_cases {
                 assert!(matches!(refused(beside(&scenes, name)), Refused::Outside { .. }), "{name}");
                 assert!(matches!(refused(spec(name)), Refused::Outside { .. }), "{name}");
             }
+        }
+    }
+
+    #[test]
+    fn a_suffix_follows_the_whole_name() {
+        for (path, expected) in [("a/set", "a/set.parts"), ("set.old", "set.old.parts"), ("a/set/", "a/set.parts")] {
+            assert_eq!(with_suffix(Path::new(path), ".parts"), Path::new(expected));
         }
     }
 

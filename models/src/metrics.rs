@@ -5,6 +5,8 @@ use serde::{Deserialize, Serialize};
 
 /// Number of classes.
 pub(crate) const CLASSES: usize = Occupancy::ALL.len();
+/// Balanced accuracy and accuracy of a guess.
+pub(crate) const CHANCE: f64 = 1.0 / CLASSES as f64;
 
 /// Counts `[truth][prediction]`.
 pub type Confusion = [[u64; CLASSES]; CLASSES];

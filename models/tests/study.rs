@@ -487,6 +487,22 @@ mod hard_cases {
         assert!(error.contains("another training, hqnn-1-0.001-2") && error.contains("hint: remove it"), "{error}");
     }
 
+    /// Results of more than three thousand epochs were written and could not be read back, so that the study never went on.
+    #[test]
+    fn results_of_many_epochs_are_read_back() {
+        let (maps, spec) = (maps(), StudySpec { seeds: vec![1], learning_rates: Vec::new(), ..spec() });
+        let folder = tempfile::tempdir().expect("a folder");
+        run(&spec, &maps, folder.path(), (0, 1));
+        let path = folder.path().join("results/hqnn-1-0.001-1.json");
+        let mut outcome: Outcome = serde_json::from_slice(&std::fs::read(&path).expect("reads")).expect("an outcome");
+        outcome.curve = outcome.curve.iter().cycle().take(5000).cloned().collect();
+        let text = serde_json::to_string_pretty(&outcome).expect("JSON");
+        assert!(text.len() > 1 << 20, "{} bytes", text.len());
+        std::fs::write(&path, text).expect("writes");
+        let study = Study::open(&spec, &maps, folder.path(), (0, 1)).expect("opens");
+        assert!(study.outcomes().expect("read").contains(&outcome));
+    }
+
     /// Asserts that a whole run excludes all other runs, and that shards exclude whole runs.
     #[test]
     fn a_folder_in_use_is_said_to_be() {

@@ -168,6 +168,25 @@ fn two_builds_at_once_in_one_place_are_refused() {
     fails_with(build(&spec, &path("set")), &["set.parts: another process is at work here"]);
 }
 
+/// The folder was taken for that of an unfinished build, and removed when the build was done.
+#[test]
+fn a_folder_of_the_user_with_the_name_of_an_unfinished_build_stays() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let spec = spec(folder.path(), 1, "");
+    for taken in ["set.parts", "set.partial"] {
+        std::fs::create_dir(path(taken)).expect("a folder");
+        write_file(&path(taken), "notes.txt", "mine");
+        fails_with(build(&spec, &path("set")), &[taken, "holds notes.txt", "hint: move the folder away"]);
+        assert_eq!(names(&path(taken)), ["notes.txt"]);
+        assert!(!path("set").exists());
+        std::fs::remove_dir_all(path(taken)).expect("removed");
+    }
+    // The units that were made are used.
+    assert_eq!(json_lines(build(&spec, &path("set"))).remove(0)["units_found"], 3);
+    assert_eq!(names(folder.path()), ["set", "spec.toml"]);
+}
+
 #[test]
 fn a_zero_sigma_is_not_hidden() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,7 +1,7 @@
 //! Every program end reports its cause on stderr, prints its summary and has its exit status: 0 done, 1 failed, 2 wrong
 //! use, 3 done with losses.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -116,6 +116,8 @@ fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
     let summary: Value = serde_json::from_str(answers.last().expect("a summary")).expect("JSON");
     assert!(summary["summary"]["frames"].as_u64().is_some_and(|frames| frames >= 1), "{summary}");
     assert_eq!(summary["summary"]["gaps_of_unknown_length"], 1, "{summary}");
+    let gap = answers.iter().rfind(|line| line.contains("\"gap\""));
+    assert!(gap.is_some_and(|gap| gap.contains("\"frames\":0,\"reason\":\"disconnected\"")), "{gap:?}");
     let (is_finished, frames, gaps) = read(&recording);
     assert!(is_finished && frames >= 5, "{frames} frames");
     assert_eq!(gaps.last().map(|gap| (gap.frames, gap.reason)), Some((0, GapReason::Disconnected)));
@@ -417,6 +419,27 @@ fn a_stdout_that_nobody_reads_does_not_keep_live_from_ending() {
     assert_eq!(status.code(), Some(1), "{errors:?}");
     assert!(errors.iter().any(|line| line.contains("stdout is not read")), "{errors:?}");
     assert!(read(&recording).0);
+}
+
+/// Regression test: the summary of a board's run was dropped without a word where the reader of stdout was slow.
+#[test]
+fn the_summary_of_a_board_waits_for_a_slow_reader() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let desk_path = folder.path().join("desk.mcap");
+    desk(1200, &desk_path);
+    let board = format!("emulated:{}", desk_path.display());
+    let mut live = command!("live --model cfar --json --speed 40 --frames 1100", board);
+    let mut child = live.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    // The pipe and the queue hold some hundred answers.
+    let mut said = BufReader::new(child.stderr.take().expect("piped")).lines().map_while(Result::ok);
+    let lost = std::thread::spawn(move || said.any(|line| line.contains("answers were not printed")));
+    wait_for("lost answers", || lost.is_finished().then_some(()));
+    assert!(lost.join().expect("no panic"));
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    let mut told = String::new();
+    child.stdout.take().expect("piped").read_to_string(&mut told).expect("text");
+    assert!(told.lines().last().is_some_and(|line| line.contains("\"summary\"")), "{:?}", told.lines().last());
+    assert_eq!(child.wait().expect("ends").code(), Some(0));
 }
 
 /// Tests with a file-size limit in place of a full disk.

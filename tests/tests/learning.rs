@@ -390,6 +390,27 @@ mod hard_cases {
         wrong_use_with(command, &["are one file"]);
     }
 
+    /// The model of a training replaced a file that had appeared meanwhile, without `--overwrite`.
+    #[test]
+    fn a_file_that_appears_during_a_training_stays() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (model, checkpoint) = ("model.safetensors", folder.path().join("model.safetensors.checkpoint"));
+        let path = folder.path().join(model);
+        let command = || command!("model train --json", maps(), "--epochs 6 -o", &path);
+        let mut training = Running::start(command());
+        training.stdout.find(0, "an epoch", |_| Some(()));
+        write_file(folder.path(), model, "another model");
+        assert_eq!(training.wait().code(), Some(1));
+        let said = training.stderr.all().join("\n");
+        assert!(said.contains("exists already") && said.contains("the training is kept in"), "{said}");
+        assert_eq!(std::fs::read_to_string(&path).expect("reads"), "another model");
+        assert!(checkpoint.exists());
+        std::fs::remove_file(&path).expect("removed");
+        // Only the last epoch is trained once more.
+        assert!(json_lines(command()).len() <= 2);
+        assert!(path.exists() && !checkpoint.exists());
+    }
+
     /// Hints named a file to remove that was no checkpoint, and a command to repeat that failed again.
     #[test]
     fn hints_about_checkpoints_fit() {

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_driver::recording::rename_synced;
+use radome_files::with_suffix;
 use radome_models::dataset::{self, Dataset, DatasetError, SplitSpec};
 use rayon::prelude::*;
 
@@ -113,15 +114,18 @@ struct Parts {
 
 impl Parts {
     fn of(target: &Path) -> Self {
-        let mut name = target.file_name().unwrap_or_default().to_owned();
-        name.push(".parts");
-        Parts { folder: target.with_file_name(name) }
+        Parts { folder: with_suffix(target, ".parts") }
     }
 
     /// Creates the folder, or continues in it if it holds units of the same plan. The folder is locked for other
-    /// processes until the returned file is dropped.
+    /// processes until the returned file is dropped. A folder without a plan that holds anything is somebody else's.
     fn enter(&self, plan: &Plan) -> anyhow::Result<fs::File> {
         fs::create_dir_all(&self.folder).with_context(|| format!("cannot make {}", self.folder.display()))?;
+        let foreign = self.foreign_file().with_context(|| format!("cannot list {}", self.folder.display()))?;
+        // Units appear after the plan, so that the folder of a build that has just begun is not refused.
+        if let Some(name) = foreign.filter(|_| !self.folder.join(plan::FILE).exists()) {
+            return Err(DatasetError::InTheWay { path: self.folder.clone(), name }.into());
+        }
         let lock = dataset::lock_folder(&self.folder)?;
         if !self.folder.join(plan::FILE).exists() {
             plan.card.write_file(&self.folder.join(plan::FILE))?;
@@ -133,6 +137,18 @@ impl Parts {
             );
         }
         Ok(lock)
+    }
+
+    /// Returns the name of a file that no build makes before its plan is written; `None` if there is none.
+    fn foreign_file(&self) -> std::io::Result<Option<String>> {
+        let unfinished_plan = format!(".{}.partial", plan::FILE);
+        for entry in fs::read_dir(&self.folder)? {
+            let name = entry?.file_name();
+            if name != ".lock" && name != unfinished_plan.as_str() {
+                return Ok(Some(name.to_string_lossy().into_owned()));
+            }
+        }
+        Ok(None)
     }
 
     /// Returns whether only the cleanup is left: an earlier run ended after it had renamed the dataset.
@@ -187,6 +203,8 @@ impl Parts {
                 if path.is_dir() {
                     let unfinished = path.with_extension("partial");
                     fs::rename(&path, &unfinished)?;
+                    // Without it the folder is that of a killed writer, and no dataset of this name. It may be gone already.
+                    let _ = fs::remove_file(unfinished.join("dataset.json"));
                     fs::remove_dir_all(unfinished)?;
                 }
             }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail, ensure};
-use radome_driver::recording::Recording;
+use radome_driver::recording::{Existing, Recording};
 use radome_dsp::rdm::{Channels, MapMismatch};
 use radome_dsp::{FrameSource, KernelLevel, Occupancy, WaveformMismatch};
 use radome_files::read_text;
@@ -322,9 +322,7 @@ impl PlanCard {
     /// The file cannot be written.
     pub fn write_file(&self, path: &Path) -> anyhow::Result<()> {
         let text = serde_json::to_string_pretty(self).context("cannot write the plan")? + "\n";
-        files::write_atomically(path, |file| {
-            std::io::Write::write_all(file, text.as_bytes()).context("cannot write the plan")
-        })
+        files::write_bytes(path, Existing::Replace, text.as_bytes())
     }
 
     /// Returns the difference that prevents a merge with the units of another plan; `None` if there is none.

@@ -366,14 +366,12 @@ impl Hosts {
     /// Returns whether a `Host` in lower case denotes this server: one of its names, or any address. Unlike a name, an
     /// address cannot be rebound, and another machine's address does not lead here.
     fn knows(&self, host: &str) -> bool {
-        if self.names.iter().any(|name| name == host) {
+        // Clients omit the default port of HTTP. The colons of an IPv6 address are within brackets.
+        let has_port = host.contains(':') && !host.ends_with(']');
+        let with_port = if self.port == 80 && !has_port { format!("{host}:80") } else { host.to_owned() };
+        if self.names.iter().any(|name| name == host || *name == with_port) {
             return true;
         }
-        // Clients omit the default port of HTTP.
-        let with_port = match host.parse::<IpAddr>() {
-            Ok(_) if self.port == 80 => format!("{host}:80"),
-            _ => host.to_owned(),
-        };
         let Ok(address) = with_port.parse::<SocketAddr>() else { return false };
         address.port() == self.port && (!self.is_loopback || address.ip().is_loopback())
     }
@@ -478,6 +476,20 @@ mod tests {
                 assert!(open.knows(host), "{host}");
             }
             assert!(!open.knows("evil.example") && !open.knows("evil.example:80"));
+        }
+
+        /// On port 80 names and IPv6 addresses were refused, because clients omit that port.
+        #[test]
+        fn the_default_port_may_be_omitted() {
+            let of = |address: &str| Hosts::new(address.parse().expect("an address"), &["Radar.example:80".into()]);
+            let (here, open) = (of("127.0.0.1:80"), of("[::]:80"));
+            for host in ["localhost", "localhost:80", "radar.example", "radar.example:80", "127.0.0.1", "[::1]"] {
+                assert!(here.knows(host) && open.knows(host), "{host}");
+            }
+            assert!(open.knows("[fe80::1]") && open.knows("192.168.0.4"));
+            for host in ["", "localhost:81", "[fe80::1]", "192.168.0.4", "example", "[::1]:81"] {
+                assert!(!here.knows(host), "{host}");
+            }
         }
 
         #[test]

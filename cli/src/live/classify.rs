@@ -12,7 +12,7 @@ use super::answer::{Answer, Latency, Summary};
 use super::background::{Background, NOBODY_SEEN};
 use super::health::Health;
 use super::occupancy::PeopleCount;
-use super::pipeline::{Inlet, Item};
+use super::pipeline::{End, Inlet, Item};
 use super::sink::{Moment, Sink};
 use crate::judge::{Delays, Judge, Model, Prediction};
 use crate::{output, panics};
@@ -268,8 +268,7 @@ fn judge_all(
             Ok(delivery) => delivery,
             Err(crossbeam::channel::RecvTimeoutError::Timeout) => continue,
             Err(crossbeam::channel::RecvTimeoutError::Disconnected) => {
-                missed.note(u64::MAX, judge, sinks)?;
-                return inlet.closed().map_err(anyhow::Error::from);
+                return missed.note_end(inlet.closed(), judge, sinks);
             }
         };
         match delivery.item {
@@ -282,20 +281,11 @@ fn judge_all(
                 }
             }
             Item::Gap(gap) => tell_gap(&gap, judge, sinks)?,
-            Item::End(end) => {
-                let next_sequence = missed.next_sequence;
-                missed.note(u64::MAX, judge, sinks)?;
-                if let Some(gap) = end.as_ref().err().and_then(|failure| failure.gap(next_sequence)) {
-                    judge.gap(&gap);
-                }
-                return end.map_err(anyhow::Error::from);
-            }
+            Item::End(end) => return missed.note_end(end, judge, sinks),
         }
     }
-    if let Some(gap) = judge.outage.gap(missed.next_sequence) {
-        judge.gap(&gap);
-    }
-    missed.note(u64::MAX, judge, sinks)
+    let outage = judge.outage.gap(missed.next_sequence);
+    missed.note_last(outage, judge, sinks)
 }
 
 fn tell_gap(gap: &Gap, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
@@ -322,13 +312,34 @@ impl Missed<'_> {
         }
         Ok(())
     }
+
+    /// Notes the end of the stream, and the gap that a board leaves there that was lost. Returns the error of the stream, if it
+    /// has one.
+    fn note_end(&mut self, end: End, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
+        let gap = end.as_ref().err().and_then(|failure| failure.gap(self.next_sequence));
+        let noted = self.note_last(gap, judge, sinks);
+        end?;
+        noted
+    }
+
+    /// Notes the frames that were missed up to the end, and a gap that follows them.
+    fn note_last(
+        &mut self,
+        gap: Option<Gap>,
+        judge: &mut FrameClassifier,
+        sinks: &mut [Box<dyn Sink>],
+    ) -> anyhow::Result<()> {
+        self.note(u64::MAX, judge, sinks)?;
+        gap.map_or(Ok(()), |gap| tell_gap(&gap, judge, sinks))
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::cell::Cell;
+    use std::cell::{Cell, RefCell};
     use std::rc::Rc;
 
+    use radome_driver::BoardError;
     use radome_dsp::{SourceEvent, WaveformRequest, source_from_fn};
 
     use super::*;
@@ -384,6 +395,44 @@ mod tests {
         drop(pipeline);
         let error = run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect_err("no end was told");
         assert!(error.to_string().contains("without a result"), "{error}");
+    }
+
+    /// Sink that keeps the gaps that it receives.
+    struct Gaps(Rc<RefCell<Vec<Gap>>>);
+
+    impl Sink for Gaps {
+        fn answer(&mut self, _moment: &Moment) -> anyhow::Result<()> {
+            Ok(())
+        }
+
+        fn gap(&mut self, gap: &Gap, _health: &Health) -> anyhow::Result<()> {
+            self.0.borrow_mut().push(*gap);
+            Ok(())
+        }
+    }
+
+    /// Regression test: the gap was counted, but no sink was told of it.
+    #[test]
+    fn the_gap_that_a_lost_board_leaves_at_the_end_is_told() {
+        let mut pipeline = Pipeline::default();
+        let inlet = pipeline.consumer("classifier", 8, Policy::Wait);
+        let mut next = 0;
+        let source = source_from_fn(waveform(), move |frame| {
+            if next == 3 {
+                return Err(BoardError::Stopped.into());
+            }
+            frame.codes.fill(2048);
+            (frame.sequence, frame.time_ns) = (next, next * 100_000_000);
+            next += 1;
+            Ok(SourceEvent::Frame)
+        });
+        let _reader = pipeline.start(Box::new(source), None);
+        let told = Rc::<RefCell<Vec<Gap>>>::default();
+        let mut judge = judge();
+        let outcome = run(&inlet, &mut judge, Duration::from_secs(5), &mut [Box::new(Gaps(told.clone()))]);
+        assert!(outcome.is_err(), "the board is lost");
+        let expected = Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected };
+        assert_eq!((told.take(), judge.summary().gaps_of_unknown_length), (vec![expected], 1));
     }
 
     /// Regression test: of a stdout that nobody read while the recording ended, it was said that the source had gone.

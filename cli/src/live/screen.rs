@@ -27,7 +27,7 @@ const LAST_PATIENCE: Duration = Duration::from_secs(1);
 /// is updated in place.
 ///
 /// A thread prints, so that a reader that stops reading stops neither the classifier nor other sinks of a live board.
-/// Its answers are then lost, and counted. A recording or a simulation waits for the reader.
+/// Its answers are then lost, and counted. A recording or a simulation waits for the reader, and so does the summary.
 pub struct Screen {
     json: bool,
     is_terminal: bool,
@@ -37,6 +37,8 @@ pub struct Screen {
     thread: Option<JoinHandle<anyhow::Result<()>>>,
     /// Number of lines that were lost.
     unread: u64,
+    /// Time at which the wait for the reader at the end of the run noticed an interrupt.
+    interrupted: Option<Instant>,
 }
 
 impl Screen {
@@ -55,13 +57,12 @@ impl Screen {
         let print = move || receiver.iter().try_for_each(|line| output::text(&line));
         let thread = std::thread::Builder::new().name("stdout".into()).spawn(print)?;
         let (lines, thread) = (Some(lines), Some(thread));
-        Ok(Screen { json, is_terminal, is_live, last: None, lines, thread, unread: 0 })
+        Ok(Screen { json, is_terminal, is_live, last: None, lines, thread, unread: 0, interrupted: None })
     }
 
     /// Prints a JSON object on a line of its own.
     fn json_line(&mut self, value: &impl Serialize) -> anyhow::Result<()> {
-        let line = serde_json::to_string(value).context("cannot write the answer as JSON")?;
-        self.print(line + "\n")
+        self.print(json_text(value)?)
     }
 
     /// Passes text to the thread, and waits for room unless the source is live.
@@ -80,19 +81,42 @@ impl Screen {
         }
     }
 
-    /// Waits until all is printed. After an interrupt a reader that does not read is abandoned.
+    /// Passes the last text to the thread as soon as there is room, also for a live source, and waits until all is printed.
+    fn print_last(&mut self, mut text: String) -> anyhow::Result<()> {
+        while let Some(lines) = &self.lines {
+            match lines.send_timeout(text, CHECK) {
+                Ok(()) | Err(SendTimeoutError::Disconnected(_)) => break,
+                Err(SendTimeoutError::Timeout(back)) => text = back,
+            }
+            self.check_patience()?;
+        }
+        self.join()
+    }
+
+    /// Waits until all is printed.
     fn join(&mut self) -> anyhow::Result<()> {
         self.lines = None;
         let Some(thread) = self.thread.take() else { return Ok(()) };
-        let mut interrupted = None;
         while !thread.is_finished() {
-            if output::interrupted() && interrupted.get_or_insert_with(Instant::now).elapsed() > LAST_PATIENCE {
-                bail!("stdout is not read: the last answers are lost");
-            }
+            self.check_patience()?;
             std::thread::sleep(Duration::from_millis(2));
         }
         thread.join().unwrap_or_else(|payload| Err(Panicked::new(payload.as_ref()).into()))
     }
+
+    /// Fails if a reader that does not read has been awaited for long enough after an interrupt.
+    fn check_patience(&mut self) -> anyhow::Result<()> {
+        if output::interrupted() && self.interrupted.get_or_insert_with(Instant::now).elapsed() > LAST_PATIENCE {
+            bail!("stdout is not read: the last answers and the summary are lost");
+        }
+        Ok(())
+    }
+}
+
+/// Line of a JSON object.
+fn json_text(value: &impl Serialize) -> anyhow::Result<String> {
+    let line = serde_json::to_string(value).context("cannot write the answer as JSON")?;
+    Ok(line + "\n")
 }
 
 /// Message about lost frames. A gap of 0 frames is one of unknown length.
@@ -160,14 +184,12 @@ impl Sink for Screen {
             message!("{} answers were not printed, because stdout was not read", self.unread);
         }
         if self.json {
-            self.json_line(&json!({ "summary": summary }))?;
-            return self.join();
-        }
-        if self.is_terminal {
-            self.print("\n".to_owned())?;
+            return self.print_last(json_text(&json!({ "summary": summary }))?);
         }
         let more = lost_besides(summary.gaps_of_unknown_length);
-        let mut line = format!("{} frames, {} dropped{more}", summary.frames, summary.dropped);
+        // On a terminal the line of the last answer has no end.
+        let start = if self.is_terminal { "\n" } else { "" };
+        let mut line = format!("{start}{} frames, {} dropped{more}", summary.frames, summary.dropped);
         if let Some(accuracy) = summary.balanced_accuracy {
             line += &format!(", balanced accuracy {accuracy:.3}");
         }
@@ -178,8 +200,7 @@ impl Sink for Screen {
             );
         }
         line += &format!(", latency {:.1} ms median, {:.1} ms p99", summary.latency_ms.p50, summary.latency_ms.p99);
-        self.print(line + "\n")?;
-        self.join()
+        self.print_last(line + "\n")
     }
 }
 

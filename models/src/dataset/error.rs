@@ -25,6 +25,11 @@ pub enum DatasetError {
     /// The folder to create exists already.
     #[error("{path} exists already\n\nhint: choose another name or move it away")]
     Exists { path: PathBuf },
+    /// The folder in which the dataset is made until it is complete holds a file that no dataset writer made.
+    #[error(
+        "{path}: the dataset is made in this folder, which must be empty, but holds {name}\n\nhint: move the folder away, or choose another name for the dataset"
+    )]
+    InTheWay { path: PathBuf, name: String },
     /// Another process writes the same folder.
     #[error("{path}: another process is at work here\n\nhint: wait until it has ended, or end it")]
     Busy { path: PathBuf },

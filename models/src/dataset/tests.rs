@@ -275,6 +275,40 @@ mod hard_cases {
         assert_eq!(std::fs::read_dir(dir.path()).expect("list").count(), 1);
     }
 
+    /// A folder of a user that was called `NAME.partial` was emptied, and removed with the writer.
+    #[test]
+    fn files_of_others_in_the_folder_of_a_writer_stay() {
+        let dir = tempfile::tempdir().expect("folder");
+        let (path, partial) = (dir.path().join("set"), dir.path().join("set.partial"));
+        let refused_for = |expected: &str| {
+            let created = DatasetWriter::create(&path, &header());
+            assert!(matches!(created, Err(DatasetError::InTheWay { name, .. }) if name == expected), "{expected}");
+        };
+        let names = || {
+            let entries = std::fs::read_dir(&partial).expect("list").map(|entry| entry.expect("entry").file_name());
+            entries.map(|name| name.into_string().expect("text")).collect::<BTreeSet<_>>()
+        };
+        std::fs::create_dir(&partial).expect("folder");
+        std::fs::write(partial.join("notes.txt"), b"mine").expect("write");
+        refused_for("notes.txt");
+        assert_eq!(names(), BTreeSet::from(["notes.txt".to_owned()]));
+        std::fs::remove_dir_all(&partial).expect("removed");
+        // A whole dataset of this name is none that a killed writer left.
+        write(&partial, [row("a", 0, Occupancy::Empty)]);
+        let whole = names();
+        refused_for("dataset.json");
+        assert_eq!(names(), whole);
+        Dataset::open(&partial).expect("opens").verify().expect("whole");
+        std::fs::remove_dir_all(&partial).expect("removed");
+
+        let mut writer = DatasetWriter::create(&path, &header()).expect("create");
+        writer.push(&map(&header(), 0), row("a", 0, Occupancy::Empty)).expect("push");
+        writer.add_file("mirror.toml", b"").expect("added");
+        std::fs::write(partial.join("notes.txt"), b"mine").expect("write");
+        drop(writer);
+        assert_eq!(names(), BTreeSet::from(["notes.txt".to_owned()]));
+    }
+
     #[test]
     fn a_sequence_in_two_splits_is_refused() {
         let mut rows = vec![row("a", 0, Occupancy::Empty), row("b", 0, Occupancy::One), row("a", 1, Occupancy::Empty)];

@@ -1,11 +1,13 @@
 //! Writing of dataset folders.
 
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use npyz::WriterBuilder;
 use radome_dsp::{Rdm, RdmShape};
+use radome_files::with_suffix;
 use sha2::{Digest, Sha256};
 
 use super::error::DatasetError;
@@ -16,7 +18,8 @@ use super::manifest::ManifestRow;
 use crate::whole_file::sync_folder;
 
 /// Writer of a dataset, map by map. [`DatasetWriter::finish`] gives the folder its name. Until then it is called `NAME.partial`:
-/// the next writer removes the files of a killed one, and only one process at a time may write it.
+/// the next writer removes the files of a killed one, and only one process at a time may write it. A folder of this name that
+/// holds other files is refused.
 pub struct DatasetWriter {
     target: PathBuf,
     temporary: PathBuf,
@@ -26,6 +29,8 @@ pub struct DatasetWriter {
     manifest: BufWriter<File>,
     pending: Vec<f32>,
     maps: usize,
+    /// Names of the files that were added.
+    added: Vec<String>,
     finished: bool,
 }
 
@@ -52,23 +57,27 @@ impl DatasetWriter {
     /// Starts a dataset that will be at `dir`, which must not exist.
     ///
     /// # Errors
-    /// [`DatasetError::Exists`] if `dir` exists, [`DatasetError::Busy`] if another process writes it, and [`DatasetError::Io`] if
-    /// its files cannot be created.
+    /// [`DatasetError::Exists`] if `dir` exists, [`DatasetError::Busy`] if another process writes it, [`DatasetError::InTheWay`] if
+    /// `NAME.partial` holds a file that no writer made, and [`DatasetError::Io`] if its files cannot be created.
     pub fn create(dir: &Path, header: &DatasetHeader) -> Result<Self, DatasetError> {
         if dir.exists() {
             return Err(DatasetError::Exists { path: dir.to_owned() });
         }
-        let mut name = dir.file_name().unwrap_or_default().to_owned();
-        name.push(".partial");
-        let temporary = dir.with_file_name(name);
+        let temporary = with_suffix(dir, ".partial");
         fs::create_dir_all(&temporary).map_err(DatasetError::io(&temporary, "creating the folder"))?;
+        // The search comes before the lock, whose file tells the folder of a killed writer from a whole dataset.
+        let foreign = foreign_file(&temporary).map_err(DatasetError::io(&temporary, "listing"))?;
         let lock = lock_folder(&temporary)?;
+        if let Some(name) = foreign {
+            let _ = fs::remove_file(temporary.join(LOCK));
+            return Err(DatasetError::InTheWay { path: temporary, name });
+        }
         // The process that held the lock may have finished in the meantime.
         if dir.exists() {
-            let _ = fs::remove_dir_all(&temporary);
+            remove_folder(&temporary, &[]);
             return Err(DatasetError::Exists { path: dir.to_owned() });
         }
-        remove_leftovers(&temporary).map_err(DatasetError::io(&temporary, "removing what an earlier run left"))?;
+        remove_files(&temporary, &[]).map_err(DatasetError::io(&temporary, "removing what an earlier run left"))?;
         let path = temporary.join("manifest.jsonl");
         let manifest = File::create(&path).map_err(DatasetError::io(&path, "creating"))?;
         Ok(DatasetWriter {
@@ -79,6 +88,7 @@ impl DatasetWriter {
             manifest: BufWriter::new(manifest),
             pending: Vec::new(),
             maps: 0,
+            added: Vec::new(),
             finished: false,
         })
     }
@@ -117,6 +127,7 @@ impl DatasetWriter {
     /// [`DatasetError::Io`] if the file cannot be written.
     pub fn add_file(&mut self, name: &str, content: &[u8]) -> Result<(), DatasetError> {
         let path = self.temporary.join(name);
+        self.added.push(name.to_owned());
         let write = || File::create(&path).and_then(|mut f| f.write_all(content).and(f.sync_all()));
         write().map_err(DatasetError::io(&path, "writing"))
     }
@@ -164,11 +175,12 @@ impl DatasetWriter {
             source,
         })?;
         self.add_file("dataset.json", (text + "\n").as_bytes())?;
-        let lock = self.temporary.join(LOCK);
-        fs::remove_file(&lock).map_err(DatasetError::io(&lock, "removing"))?;
         sync_folder(&self.temporary).map_err(DatasetError::io(&self.temporary, "writing"))?;
         // Renaming succeeds over an empty folder only.
         fs::rename(&self.temporary, &self.target).map_err(DatasetError::io(&self.target, "renaming to"))?;
+        // Not before: a folder that a kill leaves under the temporary name has a lock, and no other process takes it. A lock that
+        // stays in the dataset does no harm.
+        let _ = fs::remove_file(self.target.join(LOCK));
         let parent = self.target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         sync_folder(parent).map_err(DatasetError::io(parent, "writing"))?;
         self.finished = true;
@@ -177,20 +189,52 @@ impl DatasetWriter {
 }
 
 impl Drop for DatasetWriter {
-    /// Removes the folder of a writer that was not finished.
+    /// Removes the files of a writer that was not finished, and its folder unless somebody has put other files into it.
     fn drop(&mut self) {
         if !self.finished {
-            let _ = fs::remove_dir_all(&self.temporary);
+            remove_folder(&self.temporary, &self.added);
         }
     }
 }
 
-fn remove_leftovers(folder: &Path) -> std::io::Result<()> {
+/// Returns whether every dataset writer makes a file of this name, beside its lock.
+fn is_own(name: &OsStr) -> bool {
+    let name = name.to_str().unwrap_or_default();
+    let shard = name.strip_prefix("maps-").and_then(|rest| rest.strip_suffix(".npy"));
+    ["dataset.json", "manifest.jsonl"].contains(&name) || shard.is_some_and(|number| number.parse::<usize>().is_ok())
+}
+
+/// Returns the name of a file in the folder that no killed writer left; `None` if there is none.
+fn foreign_file(folder: &Path) -> std::io::Result<Option<String>> {
+    let has = |name: &str| folder.join(name).exists();
+    // A whole dataset has no lock: somebody has given it this name.
+    if has("dataset.json") && !has(LOCK) {
+        return Ok(Some("dataset.json".to_owned()));
+    }
+    for entry in fs::read_dir(folder)? {
+        let name = entry?.file_name();
+        if name != LOCK && !is_own(&name) {
+            return Ok(Some(name.to_string_lossy().into_owned()));
+        }
+    }
+    Ok(None)
+}
+
+/// Removes the files of a writer except its lock.
+fn remove_files(folder: &Path, added: &[String]) -> std::io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
-        if entry.file_name() != LOCK {
+        let name = entry.file_name();
+        if is_own(&name) || added.iter().any(|added| name == added.as_str()) {
             fs::remove_file(entry.path())?;
         }
     }
     Ok(())
+}
+
+/// Removes the files of a writer, and its folder if nothing else is in it.
+fn remove_folder(folder: &Path, added: &[String]) {
+    let _ = remove_files(folder, added);
+    let _ = fs::remove_file(folder.join(LOCK));
+    let _ = fs::remove_dir(folder);
 }

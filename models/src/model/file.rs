@@ -35,16 +35,25 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
 }
 
 impl Model {
-    /// Writes the model under a temporary name and renames it, so that a file of this name is whole.
+    /// Writes the model under a temporary name and renames it, so that a file of this name is whole. An existing file is replaced.
+    ///
+    /// # Errors
+    /// Those of [`Model::to_bytes`], and [`ModelError::Io`] if the file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), ModelError> {
+        let data = self.to_bytes(path)?;
+        whole_file::write(path, &data).map_err(|source| ModelError::Io {
+            path: path.to_owned(),
+            action: "writing",
+            source,
+        })
+    }
+
+    /// Returns the bytes of the file `path` (used in errors only).
     ///
     /// # Errors
     /// [`ModelError::Card`] if the card cannot be written as JSON, [`ModelError::Network`] if the numbers cannot be read, and
-    /// [`ModelError::Io`] if the file cannot be written.
-    pub fn save(&self, path: &Path) -> Result<(), ModelError> {
-        let io = |action: &'static str| {
-            let path = path.to_owned();
-            move |source| ModelError::Io { path, action, source }
-        };
+    /// [`ModelError::NotSafetensors`] if they are too many for the format.
+    pub fn to_bytes(&self, path: &Path) -> Result<Vec<u8>, ModelError> {
         let values = self.network.values()?;
         let arrays = self.network.spec().layout().into_iter().map(|(name, shape)| {
             let numbers = values.get(&name).map(Vec::as_slice).unwrap_or_default();
@@ -60,8 +69,7 @@ impl Model {
         let card = array_hash::to_json(&self.card, hashed);
         let card = card.map_err(|source| ModelError::Card { path: path.to_owned(), source })?;
         let metadata = HashMap::from([(CARD_KEY.to_owned(), card)]);
-        let data = safetensors::serialize(views, Some(metadata)).map_err(|e| not_safetensors(path, 0, e))?;
-        whole_file::write(path, &data).map_err(io("writing"))
+        safetensors::serialize(views, Some(metadata)).map_err(|e| not_safetensors(path, 0, e))
     }
 
     /// Reads a model and checks that it is complete and consistent.

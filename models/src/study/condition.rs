@@ -10,12 +10,10 @@ use super::score::{Score, SeedMetrics, seed_metrics};
 use super::spec::StudySpec;
 use crate::dataset::{Dataset, Split};
 use crate::interval::{Interval, t_interval};
-use crate::metrics::{Confusion, Metrics, add_confusion};
+use crate::metrics::{CHANCE, Confusion, Metrics, add_confusion};
 
 /// Longest name of a condition or of its group, in characters: names are headings of tables, and parts of file names.
 const LONGEST_NAME: usize = 100;
-/// Balanced accuracy and accuracy of a guess among three classes.
-const CHANCE: f64 = 1.0 / 3.0;
 
 /// Set of maps on which the models of a study are evaluated. No model is trained on it.
 #[derive(Debug, Clone)]

@@ -12,7 +12,7 @@ use super::score::{Score, SeedMetrics, over_seeds, seed_metrics};
 use super::spec::StudySpec;
 use crate::dataset::Dataset;
 use crate::interval::{Interval, median, t_interval};
-use crate::metrics::{Confusion, Metrics, add_confusion};
+use crate::metrics::{CHANCE, Confusion, Metrics, add_confusion};
 use crate::train::EpochReport;
 
 /// One variant trained on one share of the maps.
@@ -198,7 +198,6 @@ fn test_scores<'a>(
 fn cell(spec: &StudySpec, group: &Group, trainings: usize) -> Cell {
     let Group { variant, label_fraction, learning_rate, outcomes: of } = group;
     let (label_fraction, learning_rate) = (*label_fraction, *learning_rate);
-    let chance = 1.0 / Occupancy::ALL.len() as f64;
     let interval = |f: &dyn Fn(&Outcome) -> Option<f64>| {
         over_seeds(of.iter().filter_map(|outcome| Some((outcome.job.seed, f(outcome)?))))
     };
@@ -225,9 +224,9 @@ fn cell(spec: &StudySpec, group: &Group, trainings: usize) -> Cell {
         learning_rate,
         done: of.len(),
         failed: of.iter().filter(|outcome| outcome.failed()).count(),
-        test: test(&|metrics| Some(metrics.balanced_accuracy), Some(chance)),
+        test: test(&|metrics| Some(metrics.balanced_accuracy), Some(CHANCE)),
         scores: scores.iter().map(SeedMetrics::score).collect(),
-        accuracy: test(&|metrics| Some(metrics.accuracy), Some(chance)),
+        accuracy: test(&|metrics| Some(metrics.accuracy), Some(CHANCE)),
         macro_f1: test(&|metrics| Some(metrics.macro_f1), Some(0.0)),
         populated_recall: test(&|metrics| metrics.populated_recall, None),
         training: interval(&|outcome| Some(outcome.training)),

@@ -27,6 +27,8 @@ use crate::whole_file;
 
 /// Longest `study.json` that is read: a spec as JSON is longer than as TOML.
 const IDENTITY_LIMIT_BYTES: u64 = 16 << 20;
+/// Longest result that is read: its curve has up to 100,000 epochs of about 400 bytes.
+const RESULT_LIMIT_BYTES: u64 = 64 << 20;
 /// Interval between two checks of jobs that other processes run.
 const OTHERS_WAIT: Duration = Duration::from_millis(200);
 /// Number of maps to warm up, least number of timed maps, and least timed duration: energy counters step every
@@ -485,7 +487,7 @@ impl<'a> Study<'a> {
 
 /// Reads a result, and checks that it is of the training that its file is named after.
 fn read_outcome(path: &Path) -> Result<Outcome, StudyError> {
-    let text = read_text(path, TEXT_LIMIT_BYTES).map_err(|e| file(path, e))?;
+    let text = read_text(path, RESULT_LIMIT_BYTES).map_err(|e| file(path, e))?;
     let damaged = |reason: String| StudyError::DamagedResult { path: path.to_owned(), reason };
     let outcome: Outcome = serde_json::from_str(&text).map_err(|e| damaged(format!("it is no result: {e}")))?;
     let own = name(&outcome.job);

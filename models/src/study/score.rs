@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::interval::{Interval, t_interval};
-use crate::metrics::{CLASSES, Confusion, Metrics, add_confusion};
+use crate::metrics::{CHANCE, Confusion, Metrics, add_confusion};
 
 /// Score of the model of one training, or of all trainings of a seed in studies that hold out each recording in turn.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -16,9 +16,6 @@ pub struct Score {
     /// Balanced accuracy; chance where the training broke off.
     pub balanced_accuracy: f64,
 }
-
-/// Balanced accuracy of a guess.
-const CHANCE: f64 = 1.0 / CLASSES as f64;
 
 /// Scores of a seed on a set of maps; `None` if a training broke off.
 pub(super) struct SeedMetrics {

@@ -57,7 +57,8 @@ pub struct Adaptation {
     pub model: Model,
     /// Entry of the card.
     pub adapted: Adapted,
-    /// Scores of each recording by a model that was adapted on others; absent if one of its classes is in no other recording.
+    /// Scores of each recording by a model that was adapted on others; absent if the others do not show one of its classes for long
+    /// enough to learn from.
     pub held_out: Vec<Option<BeforeAfter>>,
     /// Recordings that show empty, one and two.
     pub recordings_by_class: [usize; CLASSES],
@@ -185,8 +186,8 @@ impl Adapter {
     }
 
     /// Fits parameters to recordings. First, each recording, or each tenth of more than ten, is held out in turn, which gives the
-    /// scores. The strength with the best scores is chosen, so they are slightly optimistic. A recording with a class that is in no
-    /// other one is not held out, because the scores would be those of a model that never saw the class.
+    /// scores. The strength with the best scores is chosen, so they are slightly optimistic. A recording with a class that the others
+    /// do not show for long enough is not held out, because the scores would be those of a model that never saw the class.
     ///
     /// # Errors
     /// [`AdaptError::NoLabels`] if no frame has a label, [`AdaptError::NonFinite`] if the loss of the model is no number,
@@ -265,12 +266,13 @@ impl Adapter {
                 let all = by_recording.iter().enumerate().filter(|(index, _)| is_held_out(*index) == held_out);
                 all.map(|(_, seconds)| seconds[class]).sum()
             };
-            let shown = |class: &usize| is_labelled[*class] && seconds_of(*class, true) > 0.0;
-            let is_known = |class: usize| seconds_of(class, false) > 0.0;
-            if !(0..CLASSES).any(|class| shown(&class)) || !(0..CLASSES).filter(shown).all(is_known) {
+            let is_known = shown(std::array::from_fn(|class| seconds_of(class, false)));
+            let is_in_part = |class: &usize| is_labelled[*class] && seconds_of(*class, true) > 0.0;
+            let in_part: Vec<usize> = (0..CLASSES).filter(is_in_part).collect();
+            if in_part.is_empty() || !in_part.iter().all(|class| is_known[*class]) {
                 continue;
             }
-            (0..CLASSES).filter(shown).for_each(|class| is_measured[class] = true);
+            in_part.iter().for_each(|class| is_measured[*class] = true);
             let others = recordings.iter().enumerate().filter(|(index, _)| !is_held_out(*index));
             let others: Vec<&AdaptRecording> = others.map(|(_, recording)| recording).collect();
             let fits = tail.fit(&others, &self.simulated, strengths, &self.before)?;
@@ -463,6 +465,19 @@ mod tests {
             let held_out: Vec<bool> = adaptation.held_out.iter().map(Option::is_some).collect();
             assert_eq!((held_out, adaptation.is_measured), (vec![true, true, true, false], [true, true, false]));
             assert_eq!(adaptation.recordings_by_class, [2, 2, 1]);
+        }
+
+        /// Regression test: the score of a recording of two people was that of a model that had learnt nothing from the three seconds
+        /// of them in another one.
+        #[test]
+        fn a_recording_whose_class_the_others_show_for_seconds_is_not_held_out() {
+            let mut brief = recording(5, &[Occupancy::One, Occupancy::Two]);
+            brief.frames.truncate(95);
+            let recordings = [recording(3, &[Occupancy::One]), recording(4, &[Occupancy::One, Occupancy::Two]), brief];
+            assert_eq!(recordings[2].seconds(), [0.0, 60.0, 3.0]);
+            let adaptation = adapt("descriptor_linear", &recordings);
+            let held_out: Vec<bool> = adaptation.held_out.iter().map(Option::is_some).collect();
+            assert_eq!((held_out, adaptation.is_measured), (vec![true, false, true], [false, true, true]));
         }
 
         #[test]

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use radome_files::read;
+use radome_files::{read, with_suffix};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -42,9 +42,7 @@ impl CheckpointLock {
 
     /// Path of the lock's file, which is removed at the end.
     pub fn path_of(checkpoint: &Path) -> PathBuf {
-        let mut name = checkpoint.file_name().unwrap_or_default().to_owned();
-        name.push(".lock");
-        checkpoint.with_file_name(name)
+        with_suffix(checkpoint, ".lock")
     }
 }
 

@@ -511,6 +511,24 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
     assert_eq!((&summary["frames"], &summary["dropped"]), (&json!(frames), &json!(0)), "{summary}");
 }
 
+/// A step back behind the start of the open label discarded it without a word.
+#[test]
+fn a_step_back_ends_the_open_label_as_a_seek_does() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = walk(folder.path(), 2.0, 4.0, 20);
+    let served = replay(&recording, "0");
+    let mut socket = page(&served.address);
+    assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
+    socket.send(Message::text("{\"do\":\"label\",\"occupancy\":\"one\"}")).expect("sent");
+    assert!(until(&mut socket, |said| said.contains("\"open\":{")));
+    socket.send(Message::text("{\"do\":\"step\",\"frames\":-10}")).expect("sent");
+    assert!(until(&mut socket, |said| said.contains("\"at_end\":false")));
+    drop(socket);
+    assert!(served.stop(), "an orderly end");
+    let kept = labels(&recording);
+    assert!(kept.len() == 1 && kept[0].2 == "one", "{kept:?}");
+}
+
 #[test]
 fn labels_that_another_program_has_changed_are_not_overwritten() {
     let folder = tempfile::tempdir().expect("a folder");

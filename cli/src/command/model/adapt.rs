@@ -14,7 +14,7 @@ use self::frames::Frames;
 use super::evaluate::LabelledRecording;
 use crate::judge::{CFAR, Model};
 use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
-use crate::{output, source};
+use crate::{files, output, source};
 
 /// `radome model adapt`
 #[derive(clap::Args)]
@@ -99,7 +99,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let is_refused = adaptation.adapted.held_out.is_some_and(|scores| scores.is_worse()) && !arguments.force;
     let written = arguments.output.as_ref().filter(|_| !is_refused);
     if let Some(path) = written {
-        adaptation.model.save(path)?;
+        files::write_bytes(path, arguments.overwrite.existing(), &adaptation.model.to_bytes(path)?)?;
     }
     tell(arguments, &inputs, &recordings, &adaptation, written)?;
     if let Some(path) = arguments.output.as_ref().filter(|_| is_refused) {
@@ -158,7 +158,7 @@ fn tell(
         let why = match count {
             0 => "no recording shows it; it is told from its neighbour about as before",
             1 => "only one recording shows it; held out, nothing would be left to adapt to",
-            _ => "each recording that shows it also shows something that no other one shows",
+            _ => "each recording that shows it also shows a class that the others show too briefly, or not at all",
         };
         message!("warning: {class} cannot be measured: {why}");
         not_measured.push(json!({ "class": class, "recordings": count, "why": why }));

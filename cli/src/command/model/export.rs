@@ -1,4 +1,3 @@
-use std::io::Write;
 use std::path::PathBuf;
 
 use radome_models::onnx;
@@ -42,7 +41,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     check_ending(&arguments.output, &["onnx"], "end its name in .onnx")?;
     let model = judge::network(&arguments.model)?;
     let bytes = onnx::export(&model)?;
-    files::write_output(&arguments.output, arguments.overwrite.existing(), |file| Ok(file.write_all(&bytes)?))?;
+    files::write_bytes(&arguments.output, arguments.overwrite.existing(), &bytes)?;
     let file = arguments.output.display().to_string();
     if arguments.json {
         let input = model.card.input_shape;

@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
+use radome_driver::recording::Existing;
+use radome_files::with_suffix;
 use radome_models::dataset::{Dataset, DatasetError};
 use radome_models::study::{Judgement, Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
 use schemars::JsonSchema;
@@ -158,9 +160,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// or other sources is refused with the hint.
 fn make_dataset(maps: &Path, source: &Path, hint: &str, plan: impl Fn() -> anyhow::Result<Plan>) -> anyhow::Result<()> {
     const WAIT: Duration = Duration::from_millis(500);
-    let mut card = maps.file_name().unwrap_or_default().to_owned();
-    card.push(".plan.json");
-    let card = maps.with_file_name(card);
+    let card = with_suffix(maps, ".plan.json");
     let mut is_told = false;
     while !is_dataset(maps) {
         let plan = plan()?;
@@ -281,9 +281,7 @@ fn told_judgement(judgement: &Judgement) -> anyhow::Result<()> {
 }
 
 fn write(report: &Report, times: &Times, folder: &Path) -> anyhow::Result<()> {
-    let save = |name: &str, text: &str| {
-        files::write_atomically(&folder.join(name), |file| Ok(std::io::Write::write_all(file, text.as_bytes())?))
-    };
+    let save = |name: &str, text: &str| files::write_bytes(&folder.join(name), Existing::Replace, text.as_bytes());
     save("report.md", &report.markdown())?;
     save("report.json", &serde_json::to_string_pretty(report)?)?;
     save("times.md", &times.markdown())?;

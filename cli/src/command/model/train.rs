@@ -1,6 +1,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use radome_files::with_suffix;
 use radome_models::dataset::{Dataset, DatasetError};
 use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_with_checkpoint, training_warnings};
 use serde_json::json;
@@ -48,11 +49,7 @@ pub struct Arguments {
 
 impl Arguments {
     fn checkpoint(&self) -> PathBuf {
-        self.checkpoint.clone().unwrap_or_else(|| {
-            let mut name = self.output.file_name().unwrap_or_default().to_owned();
-            name.push(".checkpoint");
-            self.output.with_file_name(name)
-        })
+        self.checkpoint.clone().unwrap_or_else(|| with_suffix(&self.output, ".checkpoint"))
     }
 
     /// Returns the settings of the file, with those that the options override.
@@ -142,7 +139,13 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
         message!("warning: {warning}");
     }
     // The model is saved even if progress could not be printed.
-    outcome.model.save(&arguments.output)?;
+    let bytes = outcome.model.to_bytes(&arguments.output)?;
+    files::write_bytes(&arguments.output, arguments.overwrite.existing(), &bytes).inspect_err(|_| {
+        message!(
+            "the training is kept in {}; the same command writes the model as soon as it can",
+            checkpoint.display()
+        );
+    })?;
     // Not before: a kill would lose the training. A file that cannot be removed does no harm: a new training repeats the last step.
     let _ = std::fs::remove_file(checkpoint);
     if let Some(error) = trouble {

@@ -111,9 +111,6 @@ async fn report(
         Some(reports) if reports.send(Report { truth, by: "http" }) => {
             (StatusCode::ACCEPTED, "accepted; the log says whether it is kept\n")
         }
-        Some(_) => {
-            count(&served.latest.counters.reports_refused);
-            (StatusCode::TOO_MANY_REQUESTS, "another report is being saved\n")
-        }
+        Some(_) => (StatusCode::TOO_MANY_REQUESTS, "another report is being saved\n"),
     }
 }

@@ -64,12 +64,19 @@ const LEAST_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Sender of reports to the saving thread.
 #[derive(Clone)]
-pub struct Reports(Sender<Report>);
+pub struct Reports {
+    sender: Sender<Report>,
+    latest: Arc<Latest>,
+}
 
 impl Reports {
-    /// Sends a report; `false` if earlier ones still wait.
+    /// Sends a report; `false` if earlier ones still wait. It is then counted as refused.
     pub fn send(&self, report: Report) -> bool {
-        self.0.try_send(report).is_ok()
+        let is_sent = self.sender.try_send(report).is_ok();
+        if !is_sent {
+            count(&self.latest.counters.reports_refused);
+        }
+        is_sent
     }
 }
 
@@ -191,12 +198,13 @@ impl Keeper {
             folder: folder.clone(),
             most_disk_bytes: arguments.keep_disk_mib << 20,
             header: header.clone(),
-            latest,
+            latest: latest.clone(),
         };
         let stop = Arc::new(AtomicBool::new(false));
         let told = stop.clone();
         let thread = std::thread::spawn(move || saving.run(&receiver, &told));
-        Ok(Some((Keeper { ring, spare: Vec::new() }, Reports(sender), Saver { stop, thread: Some(thread) })))
+        let (keeper, saver) = (Keeper { ring, spare: Vec::new() }, Saver { stop, thread: Some(thread) });
+        Ok(Some((keeper, Reports { sender, latest }, saver)))
     }
 }
 
@@ -293,7 +301,7 @@ impl Saving {
             held >> 20
         );
         let now_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_nanos() as u64);
-        let path = self.free_name(now_ns / 1_000_000_000, report.truth);
+        let path = free_name(&self.folder, now_ns / 1_000_000_000, report.truth);
         let mut writer = RecordingWriter::create(&path, Format::Mcap, &self.header)?;
         let mut frame = Frame::zeroed(self.header.waveform.shape());
         for entry in &entries {
@@ -318,12 +326,13 @@ impl Saving {
         writer.finish()?;
         Ok(path)
     }
+}
 
-    /// Free file name `report-SECONDS-CLASS.mcap`, with a number appended if it exists.
-    fn free_name(&self, now_s: u64, truth: Occupancy) -> PathBuf {
-        let name = |n: u64| self.folder.join(format!("report-{}-{}.mcap", now_s + n, truth.name()));
-        (0..).map(name).find(|path| !path.exists()).unwrap_or_else(|| name(0))
-    }
+/// Free file name `report-SECONDS-CLASS.mcap`, with a number from 2 on behind the class if it exists.
+fn free_name(folder: &Path, now_s: u64, truth: Occupancy) -> PathBuf {
+    let name = |number: &str| folder.join(format!("report-{now_s}-{}{number}.mcap", truth.name()));
+    let numbered = (2..).map(|number: u64| name(&format!("-{number}")));
+    std::iter::once(name("")).chain(numbered).find(|path| !path.exists()).unwrap_or_else(|| name(""))
 }
 
 /// Interval from the start of the last wrong answers until the end; the whole buffer if no answer was wrong.
@@ -360,6 +369,26 @@ mod tests {
         let opened = Keeper::open(&arguments, &RecordingHeader::new(waveform), latest);
         assert!(opened.is_err_and(|error| error.is::<WrongUse>()));
         assert!(!folder.path().join("reports").exists(), "refused before anything is made");
+    }
+
+    #[test]
+    fn a_report_that_finds_no_room_is_counted() {
+        let latest = Latest::new(Instant::now(), Duration::from_secs(1));
+        let (sender, _receiver) = bounded(1);
+        let reports = Reports { sender, latest: latest.clone() };
+        let sent = [(); 2].map(|()| reports.send(Report { truth: Occupancy::Empty, by: "signal" }));
+        assert_eq!((sent, latest.counters.reports_refused.load(Ordering::Relaxed)), ([true, false], 1));
+    }
+
+    /// The seconds in the name were those of a later time where the name was taken.
+    #[test]
+    fn a_name_that_is_taken_gets_a_number_and_keeps_its_time() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for expected in ["report-1700-one.mcap", "report-1700-one-2.mcap", "report-1700-one-3.mcap"] {
+            let path = free_name(folder.path(), 1700, Occupancy::One);
+            assert_eq!(path, folder.path().join(expected));
+            std::fs::write(path, "").expect("writes");
+        }
     }
 
     fn results(people: &[u8]) -> Vec<FrameResult> {

@@ -79,6 +79,7 @@ impl Mqtt {
             tokio::select! {
                 () = teller.tell(&mut heard, &mut stop) => {}
                 _ = &mut connection => {
+                    self.latest.counters.mqtt_connected.store(false, Ordering::Relaxed);
                     tracing::error!("the connection to the MQTT broker {} ended unexpectedly; trying again", self.broker);
                     tokio::time::sleep(WAITS[1]).await;
                     continue;
@@ -365,12 +366,12 @@ impl Teller<'_> {
                     Some(Heard::Lost) => is_connected = false,
                     Some(Heard::HubOnline) => self.wants_hello = true,
                     Some(Heard::HubOffline) => {}
-                    Some(Heard::Report(truth)) => {
-                        let report = Report { truth, by: "mqtt" };
-                        if !self.mqtt.reports.as_ref().is_some_and(|reports| reports.send(report)) {
-                            count(&self.mqtt.latest.counters.reports_refused);
+                    Some(Heard::Report(truth)) => match &self.mqtt.reports {
+                        Some(reports) => {
+                            reports.send(Report { truth, by: "mqtt" });
                         }
-                    }
+                        None => count(&self.mqtt.latest.counters.reports_refused),
+                    },
                     None => std::future::pending().await,
                 },
                 _ = changes.changed() => {

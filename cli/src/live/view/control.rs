@@ -93,7 +93,13 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
         Command::Step { frames } if !(-100..=100).contains(&frames) => {
             bail!("a step of {frames} frames, expected -100 to 100")
         }
-        Command::Step { frames } => transport()?.step(frames),
+        Command::Step { frames } => {
+            let transport = transport()?;
+            if frames < 0 {
+                shared.labels.before_jump();
+            }
+            transport.step(frames);
+        }
         Command::Label { occupancy, who } => {
             let who = name(who)?;
             edit(shared, |book, now_s| book.press(occupancy, now_s, who))?;
