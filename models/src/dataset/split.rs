@@ -1,7 +1,7 @@
 //! Splits into training, validation and test, by whole sequences, subjects, scenes or seeds.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -129,6 +129,11 @@ impl SplitSpec {
             fixed.or_else(|| dealt.get(name).copied()).unwrap_or(Split::Train)
         };
         Ok(rows.iter().map(split).collect())
+    }
+
+    /// Alphabetically first sequence of each group. If each of them is held out in turn, each sequence is in one test split.
+    pub(crate) fn first_sequences<'a>(&self, rows: &'a [ManifestRow]) -> BTreeSet<&'a str> {
+        group_names(rows, self.by).into_values().collect()
     }
 
     /// Groups of the rows with their contents. Splits of rows count only if `rows_decide`.
