@@ -105,6 +105,11 @@ fn labelled_recordings_of_a_room_help_on_others_of_it_and_halls_are_not_forgotte
     assert!(after > before + 0.05, "{answer}");
     assert_eq!(answer["not_measured"].as_array().map(Vec::len), Some(0), "{answer}");
     assert!(answer["recordings"][2]["held_out"]["after"]["filtered"].is_number(), "{answer}");
+    let [seen, seen_before] =
+        [&adapted, &model].map(|path| ModelCard::load(path).expect("a model").training.seen_sequences);
+    // Of the simulated maps, those of the training split are mixed in, which the list has already.
+    assert_eq!(seen.difference(&seen_before).count(), ROOM.len());
+    assert!(seen.is_superset(&seen_before));
     let card = ModelCard::load(&adapted).expect("a model").adapted.expect("an entry");
     assert!(card.recordings == 6 && card.simulated_maps > 100, "{card:?}");
     assert!(card.seconds.iter().all(|seconds| (59.0..61.0).contains(seconds)), "{card:?}");

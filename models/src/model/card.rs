@@ -31,8 +31,8 @@ pub struct TrainingSummary {
     pub best_epoch: usize,
     /// Maps trained on.
     pub training_maps: usize,
-    /// Sequences of the maps that the model was trained or chosen on, by the first 16 hex digits of the SHA-256 of their names; empty
-    /// in old models.
+    /// Sequences of the maps that the model was trained or chosen on or adapted to, by the first 16 hex digits of the SHA-256 of their
+    /// names; empty in old models.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub seen_sequences: BTreeSet<String>,
     /// SHA-256 of the file of initial weights; absent if they were random.
@@ -175,8 +175,17 @@ impl ModelCard {
         self.split.as_ref().filter(|_| self.dataset_hash == dataset.hash())
     }
 
-    /// Sequences of a dataset that have the name of one which the model was trained or chosen on; `None` if the model's file does
-    /// not list those.
+    /// Rule that divides a dataset for this model: that of the model's training, and for another dataset the same rule without a
+    /// held-out sequence. It is the default rule if the model's file does not say by which rule the model was trained.
+    pub fn split_rule(&self, dataset: &Dataset) -> SplitSpec {
+        match self.split_of(dataset) {
+            Some(known) => known.clone(),
+            None => SplitSpec { held_out: None, ..self.split.clone().unwrap_or_default() },
+        }
+    }
+
+    /// Sequences of a dataset that have the name of one which the model was trained or chosen on or adapted to; `None` if the model's
+    /// file does not list those.
     pub fn seen_in<'a>(&self, dataset: &'a Dataset) -> Option<BTreeSet<&'a str>> {
         let seen = &self.training.seen_sequences;
         let sequences: BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();

@@ -24,10 +24,12 @@
 //!
 //! [`tail`] has the adapted layers and the samples.
 
+use std::collections::BTreeSet;
+
 use candle_core::{Device, Tensor};
 use radome_dsp::{Rdm, RdmShape};
 
-use crate::dataset::{Dataset, Split};
+use crate::dataset::{Dataset, Split, sequence_hash};
 use crate::metrics::CLASSES;
 use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
 use crate::network::{Layer, Mode, Network, Value, names};
@@ -88,6 +90,8 @@ pub struct Adapter {
     before: Vec<f64>,
     /// Features and classes of simulated maps.
     simulated: Vec<(Vec<f32>, usize)>,
+    /// Sequences of the simulated maps and of the recordings, by the short hashes of their names.
+    sequences: BTreeSet<String>,
 }
 
 impl Adapter {
@@ -105,8 +109,13 @@ impl Adapter {
         };
         let is_linear = last_node(&model.network).is_some_and(|node| matches!(node.layer, Layer::Linear { .. }));
         let given = given.filter(|_| is_linear).ok_or(AdaptError::Network { network: kind })?;
-        let mut adapter =
-            Adapter { classifier: Classifier::new(model), given, before: Vec::new(), simulated: Vec::new() };
+        let mut adapter = Adapter {
+            classifier: Classifier::new(model),
+            given,
+            before: Vec::new(),
+            simulated: Vec::new(),
+            sequences: BTreeSet::new(),
+        };
         adapter.before = adapter.tail()?.numbers()?;
         Ok(adapter)
     }
@@ -138,8 +147,9 @@ impl Adapter {
         self.classifier.network().ok_or(AdaptError::Network { network })
     }
 
-    /// Mixes in the maps of a dataset's training split, at most 2,000. Returns their number. The split is that of the model's
-    /// training if the model was trained on this dataset, and by the default rule otherwise.
+    /// Mixes in the maps of a dataset's training split, at most 2,000. Returns their number. The rule of the split is
+    /// [`ModelCard::split_rule`](crate::ModelCard::split_rule), and the card of the adapted model lists the sequences: the model is not
+    /// evaluated on maps that it was adapted to.
     ///
     /// # Errors
     /// [`AdaptError::Simulated`] if the maps are made of another waveform or by another map spec, [`AdaptError::Dataset`] if they
@@ -151,8 +161,7 @@ impl Adapter {
             ClassifyError::OtherMaps { what } => AdaptError::Simulated { what },
             other => AdaptError::Simulated { what: other.to_string() },
         })?;
-        let rule = self.classifier.card().split_of(dataset).cloned().unwrap_or_default();
-        let splits = dataset.splits(&rule)?;
+        let splits = dataset.splits(&self.classifier.card().split_rule(dataset))?;
         let rows = dataset.rows().iter().zip(&splits).enumerate();
         let wanted: Vec<usize> = rows
             .filter(|(_, (row, split))| **split == Split::Train && !row.transition)
@@ -163,9 +172,15 @@ impl Adapter {
         for &index in wanted.iter().step_by(step) {
             let Some(row) = dataset.rows().get(index) else { continue };
             simulated.push((self.features_of(&dataset.map(index)?, header.shape, row.frame)?, row.label.index()));
+            self.sequences.insert(sequence_hash(&row.sequence));
         }
         self.simulated = simulated;
         Ok(self.simulated.len())
+    }
+
+    /// Adds the name that a recording has as a sequence of a dataset. The card of the adapted model lists it.
+    pub fn add_sequence(&mut self, name: &str) {
+        self.sequences.insert(sequence_hash(name));
     }
 
     /// Adapts the model: runs [`fit`](Self::fit) and sets the fitted parameters.
@@ -181,6 +196,11 @@ impl Adapter {
         let network = self.classifier.card().network;
         let Some(mut model) = self.classifier.into_model() else { return Err(AdaptError::Network { network }) };
         model.card.adapted = Some(adapted.clone());
+        let seen = &mut model.card.training.seen_sequences;
+        // A list that lacks the sequences of the training would pass for a whole one.
+        if !seen.is_empty() {
+            seen.extend(self.sequences);
+        }
         Ok(Adaptation { model, adapted, held_out, recordings_by_class, is_measured, is_too_short })
     }
 
@@ -318,6 +338,7 @@ mod tests {
     use rand_distr::{Distribution, Normal};
 
     use super::*;
+    use crate::dataset::{DatasetHeader, Domain, ManifestRow, SplitSpec};
     use crate::layer::{DESCRIPTORS, KernelLevel};
     use crate::model::ModelCard;
     use crate::network::{NetworkKind, NetworkSpec};
@@ -403,6 +424,47 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+
+        /// Another dataset was divided by the default rule, and the card did not list what was mixed in, so that the adapted model was
+        /// scored on maps that it was adapted to.
+        #[test]
+        fn mixed_maps_are_of_the_models_training_split_and_listed() {
+            let mut model = model("descriptor_linear");
+            let held_out = Some("elsewhere".to_owned());
+            model.card.split = Some(SplitSpec { seed: 3, test: 0.5, held_out, ..SplitSpec::default() });
+            let header = DatasetHeader::new(model.card.waveform.clone(), model.card.rdm_spec).expect("a header");
+            let normal = Normal::new(-80.0f32, 5.0).expect("normal");
+            let mut rng = crate::random::stream(6, "cells", 0);
+            let maps = (0..12).map(|index| {
+                let label = Occupancy::ALL[index % 3];
+                let row = ManifestRow::new(Domain::Sim, "room", "run", &format!("room {index}"), 0, label);
+                let db = (0..header.shape.cells()).map(|_| normal.sample(&mut rng)).collect();
+                (header.rdm(db, 0), row)
+            });
+            let maps = maps.collect();
+            let dataset = Dataset::from_maps(header, maps).expect("a dataset");
+            let rule = SplitSpec { seed: 3, test: 0.5, ..SplitSpec::default() };
+            let splits = dataset.splits(&rule).expect("splits");
+            let of = |wanted: Split| -> BTreeSet<&str> {
+                let rows = dataset.rows().iter().zip(&splits).filter(|(_, split)| **split == wanted);
+                rows.map(|(row, _)| row.sequence.as_str()).collect()
+            };
+            let (mut train, test) = (of(Split::Train), of(Split::Test));
+
+            let listed = |card: ModelCard| {
+                let network = self::model("descriptor_linear").network;
+                let mut adapter = Adapter::new(Model { card, network }).expect("adaptable");
+                assert_eq!(adapter.mix(&dataset).expect("mixed"), of(Split::Train).len());
+                adapter.add_sequence(test.first().expect("a test map"));
+                adapter.adapt(&[recording(1, &Occupancy::ALL)]).expect("adapts").model.card
+            };
+            let card = listed(model.card.clone());
+            train.extend(test.first());
+            assert_eq!(card.seen_in(&dataset), Some(train));
+            // A file of an older program lists nothing.
+            model.card.training.seen_sequences.clear();
+            assert_eq!(listed(model.card).seen_in(&dataset), None);
+        }
 
         /// Regression test: recordings of one person alone made a model call the empty room one person.
         #[test]

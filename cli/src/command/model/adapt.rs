@@ -95,6 +95,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
+    for input in &inputs {
+        adapter.add_sequence(&source::name_of(&input.path).to_string_lossy());
+    }
     let adaptation = adapter.adapt(&recordings)?;
     let is_refused = adaptation.adapted.held_out.is_some_and(|scores| scores.is_worse()) && !arguments.force;
     let written = arguments.output.as_ref().filter(|_| !is_refused);
