@@ -136,6 +136,20 @@ impl SplitSpec {
         group_names(rows, self.by).into_values().collect()
     }
 
+    /// Warning that names the sequences that are held out with [`SplitSpec::held_out`] because they are of its group; `None` if there
+    /// are none.
+    pub(crate) fn group_warning(&self, rows: &[ManifestRow]) -> Option<String> {
+        let held_out = self.held_out.as_deref()?;
+        let names = group_names(rows, self.by);
+        let group = names.get(held_out)?;
+        let others = names.iter().filter(|(name, of)| **name != held_out && *of == group);
+        let others: Vec<&str> = others.map(|(name, _)| *name).collect();
+        (!others.is_empty()).then(|| {
+            let (by, others) = (self.by, named(others.iter().copied()));
+            format!("sequence '{held_out}' is held out with the other sequences of its {by}: {others}")
+        })
+    }
+
     /// Groups of the rows with their contents. Splits of rows count only if `rows_decide`.
     fn groups<'a>(
         &self,

@@ -34,7 +34,8 @@ pub struct Arguments {
     /// Seed of initial weights, order and augmentation
     #[arg(long)]
     seed: Option<u64>,
-    /// The only recording (sequence) of the test split
+    /// Recording (sequence) that alone is the test split. Where `split.by` of the spec is `subject`, `scene` or `seed`, the other
+    /// recordings of its subject, scene or seed are in the test split, too
     #[arg(long, value_name = "SEQUENCE")]
     hold_out: Option<String>,
     /// File that stores the training after each epoch; if it exists, the training resumes from it. It is removed when the model is
