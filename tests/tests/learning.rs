@@ -297,6 +297,20 @@ mod hard_cases {
         assert!(said.contains("warning: ") && said.contains("may be among those evaluated"), "{said}");
     }
 
+    /// Two of the scores went to stderr, so that a file of the output lacked them.
+    #[test]
+    fn all_scores_on_recordings_go_to_stdout() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let recording = folder.path().join("one.mcap");
+        simulate(&fixture("scenes/hall.toml"), "--people 1 --seed 9 --frames 6", &recording);
+        let labelled = format!("{}=one", recording.display());
+        let model = fixture("models/room-cnn.safetensors");
+        let (told, said) = success(command!("model evaluate --thermal-snr-db 20 --model", &model, &labelled));
+        for score in ["thermal noise, SNR +20 dB: balanced accuracy ", "without the filter: balanced accuracy "] {
+            assert!(told.contains(score) && !said.contains(score), "{told}{said}");
+        }
+    }
+
     /// Sequences were divided by seed, and then none of the seeds was in two splits.
     #[test]
     fn verify_finds_the_leak_that_a_training_makes() {

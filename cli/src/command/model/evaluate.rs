@@ -318,14 +318,15 @@ impl<'a> Answers<'a> {
             return output::json_line(&answer);
         }
         for of in &thermal {
-            message!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
+            let (snr_db, score) = (of.snr_db, of.balanced_accuracy);
+            output::text_line(&format!("thermal noise, SNR {snr_db:+} dB: balanced accuracy {score:.4}"))?;
         }
         self.judged.iter().try_for_each(Judged::print)?;
         for of in &self.refused {
             output::text_line(&format!("- {}: refused: {}", of.recording, of.reason))?;
         }
         if !arguments.no_smoothing {
-            message!("without the filter: balanced accuracy {alone:.4}");
+            output::text_line(&format!("without the filter: balanced accuracy {alone:.4}"))?;
         }
         print(&metrics)?;
         print_errors(&false_alarms, &metrics)?;
