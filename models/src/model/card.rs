@@ -135,7 +135,7 @@ pub enum ModelError {
     /// The numbers are not those that were written.
     #[error(
         "{path}: the numbers have SHA-256 {found}, the card says {expected}; the file was changed or damaged\n\nhint: copy it once more \
-         from where it comes, or train it again"
+         from where it comes, or train or export it again"
     )]
     Hash { path: PathBuf, expected: String, found: String },
     /// An ONNX network cannot be run.
