@@ -237,10 +237,14 @@ impl ModelCard {
         if let Some((name, value, expected)) = self.smoothing.fault() {
             return check(false, name, expected.to_owned(), value.to_string());
         }
-        let Standardisation { reference, mean_db, sigma_db, .. } = self.standardisation;
+        let Standardisation { reference, mean_db, sigma_db, ref label_leaking_cells } = self.standardisation;
         if let Some((name, value, expected)) = reference.fault() {
             return check(false, name, expected.to_owned(), value.to_string());
         }
+        let range = if self.is_transposed() { columns } else { rows };
+        let skipped = reference.skipped_range_bins().unwrap_or(0);
+        let expected = format!("fewer than the {range} range bins of a map");
+        check(skipped < range, "reference.over_noise.skip_range_bins", expected, skipped.to_string())?;
         let readable = self.network.check_maps(reference, self.is_transposed(), self.standardisation.needs_labels());
         if let Err(error) = readable {
             let expected = "dB over noise, range by velocity".to_owned();
@@ -250,8 +254,10 @@ impl ModelCard {
         let expected = "mean 0 dB, sigma 1 dB: descriptors are of levels in dB".to_owned();
         check(is_in_db, "standardisation", expected, format!("mean {mean_db} dB, sigma {sigma_db} dB"))?;
         let sigmas = sigma.iter().map(|&sigma| f64::from(sigma));
+        let sigmas = sigmas.chain(label_leaking_cells.iter().map(|cell| cell.sigma_db));
         let positive = [sigma_db, self.temperature].into_iter().chain(sigmas).all(|v| v.is_finite() && v > 0.0);
-        let is_finite = mean_db.is_finite() && mean.iter().all(|v| v.is_finite());
+        let cells_are_finite = label_leaking_cells.iter().all(|cell| cell.mean_db.is_finite());
+        let is_finite = mean_db.is_finite() && mean.iter().all(|v| v.is_finite()) && cells_are_finite;
         let found = format!("{:?}, {:?}, temperature {}", self.standardisation, self.latent, self.temperature);
         check(positive && is_finite, "constants", "finite means, sigmas and temperature above zero".to_owned(), found)
     }
