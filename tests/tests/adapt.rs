@@ -216,6 +216,20 @@ mod hard_cases {
         }
     }
 
+    /// The warning said that the class stays about as before.
+    #[test]
+    fn a_class_that_only_simulated_maps_show_is_said_to_be_learnt_from_them() {
+        let why = |command: &mut Command| {
+            let answer = json_lines(command).remove(0);
+            let two = answer["not_measured"].as_array().and_then(|all| all.iter().find(|of| of["class"] == "two"));
+            two.unwrap_or_else(|| panic!("{answer}"))["why"].as_str().expect("a reason").to_owned()
+        };
+        let shown = ["0-1=empty", "0-2=empty", "1-1", "1-2=one"];
+        let simulated = why(adapt(&shown).arg("--simulated").arg(made().join("maps")));
+        assert_eq!(simulated, "no recording shows it; it is learnt from simulated maps only");
+        assert_eq!(why(&mut adapt(&shown)), "no recording shows it; it is told from its neighbour about as before");
+    }
+
     /// With `--no-smoothing` the reliability was that of the filter, beside scores of single frames.
     #[test]
     fn reliability_is_of_the_predictions_that_are_scored() {

@@ -15,7 +15,7 @@
 //! The strength is chosen by cross-validation over recordings. With less labelled time fewer weak strengths are tried: all
 //! recordings of a minute show the same people, so held-out recordings do not show the loss on other people.
 //!
-//! A class that no recording shows is in the group of its neighbour, and only the groups are told apart: within a group, the fit aims at
+//! A class that neither a recording nor a simulated map shows is in the group of its neighbour, and only the groups are told apart: within a group, the fit aims at
 //! the ratios of the probabilities before. Where that class is one person or two, the logits are shifted only, because weights that are
 //! fitted without these frames move them: a network of two qubits that told the empty room from two people better called one
 //! person two. Then one shift of the logits of the classes that are shown is fitted, to frames weighted by the probability of the others: a model
@@ -68,6 +68,8 @@ pub struct Adaptation {
     /// Whether empty, one and two are labelled, but for too short a time to learn from: they count as classes without labels. The empty
     /// room never is.
     pub is_too_short: [bool; CLASSES],
+    /// Whether the simulated maps that were mixed in show empty, one and two. Such a class is learnt also without labels.
+    pub is_simulated: [bool; CLASSES],
 }
 
 /// Parameters fitted to recordings, with cross-validated scores.
@@ -192,6 +194,7 @@ impl Adapter {
     pub fn adapt(self, recordings: &[AdaptRecording]) -> Result<Adaptation, AdaptError> {
         let Fit { numbers, adapted, held_out, recordings_by_class, is_measured, is_too_short } =
             self.fit(recordings)?;
+        let is_simulated = self.is_simulated();
         self.tail()?.set(&numbers)?;
         let network = self.classifier.card().network;
         let Some(mut model) = self.classifier.into_model() else { return Err(AdaptError::Network { network }) };
@@ -201,7 +204,12 @@ impl Adapter {
         if !seen.is_empty() {
             seen.extend(self.sequences);
         }
-        Ok(Adaptation { model, adapted, held_out, recordings_by_class, is_measured, is_too_short })
+        Ok(Adaptation { model, adapted, held_out, recordings_by_class, is_measured, is_too_short, is_simulated })
+    }
+
+    /// Returns whether the simulated maps show empty, one and two.
+    fn is_simulated(&self) -> [bool; CLASSES] {
+        std::array::from_fn(|class| self.simulated.iter().any(|(_, label)| *label == class))
     }
 
     /// Fits parameters to recordings. First, each recording, or each tenth of more than ten, is held out in turn, which gives the
@@ -222,7 +230,8 @@ impl Adapter {
             std::array::from_fn(|class| by_recording.iter().filter(|s| s[class] > 0.0).count());
         let tail = self.tail()?;
         let is_labelled = shown(seconds);
-        let is_shown = is_labelled.map(|shown| shown || !self.simulated.is_empty());
+        let is_simulated = self.is_simulated();
+        let is_shown: [bool; CLASSES] = std::array::from_fn(|class| is_labelled[class] || is_simulated[class]);
         let is_too_short = std::array::from_fn(|class| seconds[class] > 0.0 && !is_labelled[class]);
         let by_time = WEAKEST_BY_TIME / total_s.powi(2);
         let from = |weakest: f64| STRENGTHS.into_iter().filter(|strength| *strength >= weakest).collect();

@@ -146,7 +146,7 @@ fn tell(
     adaptation: &Adaptation,
     written: Option<&PathBuf>,
 ) -> anyhow::Result<()> {
-    let Adaptation { adapted, held_out, recordings_by_class, is_measured, is_too_short, .. } = adaptation;
+    let Adaptation { adapted, held_out, recordings_by_class, is_measured, is_too_short, is_simulated, .. } = adaptation;
     let file = written.map(|path| path.display().to_string());
     for ((class, seconds), _) in
         Occupancy::ALL.into_iter().zip(adapted.seconds).zip(is_too_short).filter(|(_, short)| **short)
@@ -159,6 +159,7 @@ fn tell(
     let counts = Occupancy::ALL.into_iter().zip(*recordings_by_class).zip(*is_measured);
     for ((class, count), _) in counts.filter(|(_, is_measured)| !is_measured) {
         let why = match count {
+            0 if is_simulated[class.index()] => "no recording shows it; it is learnt from simulated maps only",
             0 => "no recording shows it; it is told from its neighbour about as before",
             1 => "only one recording shows it; held out, nothing would be left to adapt to",
             _ => "each recording that shows it also shows something that no other one shows",
