@@ -463,6 +463,20 @@ mod hard_cases {
         fails_with(other("hqnn"), &["`frozen_angles` is a network with a head", expected]);
     }
 
+    /// A file was checked by itself, and refused for epochs that the options replace.
+    #[test]
+    fn a_file_is_checked_together_with_the_options() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let text =
+            "linear_epochs = 16\nstarts = 1\nmost_training_maps = 40\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
+        let spec = write_file(folder.path(), "training.toml", text);
+        let output = folder.path().join("model.safetensors");
+        // Without the option there are 15 epochs.
+        let alone = command!("model train", maps(), "--spec", &spec, "-o", &output);
+        fails_with(alone, &["training.toml", "linear_epochs is 16"]);
+        success(train(folder.path(), &["--spec", &spec.display().to_string()]));
+    }
+
     /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability
     /// above one, and an unknown key.
     #[test]
