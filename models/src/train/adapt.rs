@@ -15,10 +15,10 @@
 //! The strength is chosen by cross-validation over recordings. With less labelled time fewer weak strengths are tried: all
 //! recordings of a minute show the same people, so held-out recordings do not show the loss on other people.
 //!
-//! A class that neither a recording nor a simulated map shows is in the group of its neighbour, and only the groups are told apart: within a group, the fit aims at
-//! the ratios of the probabilities before. Where that class is one person or two, the logits are shifted only, because weights that are
-//! fitted without these frames move them: a network of two qubits that told the empty room from two people better called one
-//! person two. Then one shift of the logits of the classes that are shown is fitted, to frames weighted by the probability of the others: a model
+//! A class that neither a recording nor a simulated map shows is in the group of its neighbour, and only the groups are told apart:
+//! within a group, the fit aims at the ratios of the probabilities before. Where that class is one person or two, the logits are shifted
+//! only, because weights that are fitted without these frames move them: a network of two qubits that told the empty room from two people
+//! better called one person two. Then one shift of the logits of the classes that are shown is fitted, to frames weighted by the probability of the others: a model
 //! that is right about the empty room stays as it is by recordings of the empty room alone. One or two people who are labelled
 //! for a few seconds only count as a class that is not shown.
 //!
