@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use radome_models::dataset::{Dataset, Split, SplitSpec};
+use radome_models::model::Adapted;
 use radome_tests::running::Running;
 use radome_tests::{
     command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success,
@@ -295,6 +296,30 @@ mod hard_cases {
         let (samples, said) = evaluated(&older_file);
         assert_eq!(samples, test.len(), "{said}");
         assert!(said.contains("warning: ") && said.contains("may be among those evaluated"), "{said}");
+    }
+
+    /// Maps of the dataset of the training counted, even if the model was adapted to them afterwards.
+    #[test]
+    fn a_model_is_not_evaluated_on_recordings_of_its_adaptation() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let trained = |name: &str, test: f64| {
+            let text = format!("epochs = 1\nstarts = 1\nsplit = {{ test = {test:.1} }}\n");
+            let spec = write_file(folder.path(), "training.toml", text);
+            let path = folder.path().join(name);
+            json_lines(command!("model train --json", undivided(), "--spec", &spec, "-o", &path));
+            radome_models::Model::load(&path).expect("a model")
+        };
+        let (mut model, of_all) = (trained("model.safetensors", 0.2), trained("of-all.safetensors", 0.0));
+        // The list of a model that was adapted to the sequences of its test split.
+        model.card.training.seen_sequences = of_all.card.training.seen_sequences;
+        let path = folder.path().join("adapted.safetensors");
+        let evaluate = || command!("model evaluate --json", &path, undivided());
+        model.save(&path).expect("writable");
+        success(evaluate());
+        model.card.adapted =
+            Some(Adapted { seconds: [9.0; 3], recordings: 3, strength: 1000.0, simulated_maps: 0, held_out: None });
+        model.save(&path).expect("writable");
+        fails_with(evaluate(), &["of sequences that the model was trained or chosen on or adapted to", "hint: "]);
     }
 
     /// Two of the scores went to stderr, so that a file of the output lacked them.
