@@ -134,8 +134,8 @@ fn one_wrong_byte_does_not_end_a_recording() {
                 assert!(!report.damage.is_empty(), "{at}: {report:?}");
                 let most_lost = if is_chunk(at) { 10 } else { 0 };
                 assert!(numbers.len() + most_lost >= 47, "{at}: {report:?}");
-                // The last chunk holds the label.
-                assert!(report.labels == 1 && report.was_finished || at == last, "{at}: {report:?}");
+                // The last chunk holds the label, and nothing behind it is sought.
+                assert!(report.labels == 1 && report.was_finished || at >= last, "{at}: {report:?}");
                 records += 1;
             }
         }

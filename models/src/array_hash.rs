@@ -1,5 +1,6 @@
-//! Hash of the arrays of a model file (`.safetensors`) or a checkpoint. It stands in the file's metadata, beside the other content, so
-//! that a flipped bit in a number of an array is noticed. The metadata themselves are not in the hash.
+//! Hash of the arrays of a model file (`.safetensors` or `.onnx`) or a checkpoint. It stands in the file's metadata, beside the other
+//! content, so that a flipped bit in a number of an array is noticed. The metadata themselves are not in the hash, nor are the operators
+//! of an ONNX file.
 
 use std::collections::BTreeMap;
 

@@ -75,6 +75,12 @@ mod hard_cases {
         refused("/rdm_spec/slow_time", &serde_json::json!({ "frames": { "frames": u64::MAX } }), "at most 32768");
         refused("/temperature", &serde_json::json!(0.0), "constants");
         refused("/standardisation/sigma_db", &serde_json::json!(-1.0), "constants");
+        let cell = serde_json::json!({ "scene": "hall", "class": "one", "mean_db": 0.0, "sigma_db": 0.0 });
+        let error = with(&|card| card["standardisation"]["label_leaking_cells"] = serde_json::json!([cell]));
+        assert!(error.contains("constants"), "{error}");
+        // Its maps have 128 range bins.
+        let reference = serde_json::json!({ "over_noise": { "skip_range_bins": 128 } });
+        refused("/standardisation/reference", &reference, "fewer than the 128 range bins of a map, found 128");
         refused("/smoothing", &serde_json::json!({ "dwell_s": 0.0 }), "smoothing.dwell_s");
         refused("/latent", &serde_json::json!({ "mean": vec![0.5; 1000], "sigma": vec![0.5; 1000] }), "latent");
         for (key, value) in

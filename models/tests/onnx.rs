@@ -213,6 +213,30 @@ mod hard_cases {
         );
     }
 
+    /// A damaged number was taken for one of the model, as long as it was finite.
+    #[test]
+    fn a_number_that_was_not_exported_is_refused() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/paper-hqnn.safetensors");
+        let mut bytes = onnx::export(&Model::load(&path).expect("a model")).expect("exported");
+        let folder = tempfile::tempdir().expect("folder");
+        let file = folder.path().join("some.onnx");
+        let load = |bytes: &[u8]| {
+            std::fs::write(&file, bytes).expect("writable");
+            ModelCard::load(&file)
+        };
+        load(&bytes).expect("whole");
+        let last = |bytes: &[u8], text: &[u8]| bytes.windows(text.len()).rposition(|window| window == text);
+        // Changes the last bit of the first number after the array's name, a tag, and a length of three bytes.
+        let name = last(&bytes, b"fc1.weight").expect("an array");
+        bytes[name + 14] ^= 1;
+        let error = load(&bytes).expect_err("damaged");
+        assert!(matches!(error, ModelError::Hash { .. }) && error.to_string().contains("hint: "), "{error}");
+        // A file of an earlier version has no hash.
+        let key = last(&bytes, b"arrays_sha256").expect("a hash");
+        bytes[key] = b'_';
+        load(&bytes).expect("without a hash");
+    }
+
     #[test]
     fn circuits_that_are_no_closed_form_are_refused() {
         let shots = Execution::Shots(Shots { count: 100, seed: 1, gradient: Default::default() });

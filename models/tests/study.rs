@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::SystemTime;
 
 use radome_dsp::Occupancy;
-use radome_models::dataset::{DatasetError, lock_folder};
+use radome_models::dataset::{DatasetError, SplitBy, SplitSpec, lock_folder};
 use radome_models::study::{
     Condition, Job, Outcome, Progress, Report, Study, StudyError, StudySpec, Variant, paired_difference,
 };
@@ -332,6 +332,45 @@ fn recordings_that_are_held_out_in_turn_are_scored_together() {
         text.contains("Each recording in turn is the test split") && text.contains("| hqnn | 0.001 | 3 |"),
         "{text}"
     );
+}
+
+/// Each sequence was held out with its whole group, so that every map counted as often as its group has sequences.
+#[test]
+fn groups_that_are_held_out_in_turn_count_each_map_once() {
+    let ungrouped = dataset(Maps { sequences: [6, 0, 0], ..FEW });
+    let header = ungrouped.header().clone();
+    // Six subjects, each with a sequence of each class.
+    let of_subject = |index: usize| {
+        let mut row = ungrouped.rows()[index].clone();
+        row.subject = Some(format!("subject {}", index / FEW.length % 6));
+        (header.rdm(ungrouped.map(index).expect("a map"), row.frame), row)
+    };
+    let all = (0..ungrouped.len()).map(of_subject).collect();
+    let maps = Dataset::from_maps(header.clone(), all).expect("dataset");
+    let by = |by: SplitBy| StudySpec {
+        variants: vec![variant("hqnn")],
+        seeds: vec![1],
+        label_fractions: vec![1.0],
+        learning_rates: Vec::new(),
+        snr_db: Vec::new(),
+        leave_one_recording_out: true,
+        train: TrainSpec { split: SplitSpec { by, ..SplitSpec::default() }, ..spec().train },
+        ..spec()
+    };
+    let spec = by(SplitBy::Subject);
+    let folder = tempfile::tempdir().expect("a folder");
+    assert_eq!(run(&spec, &maps, &folder.path().join("subjects"), (0, 1)).len(), 6);
+    let found = report(&spec, &maps, &folder.path().join("subjects"));
+    assert_eq!((found.done, found.planned, found.cells[0].scores.len()), (6, 6, 1));
+    assert_eq!(found.cells[0].confusion.iter().flatten().sum::<u64>(), maps.len() as u64);
+    assert!(found.markdown().contains("Each group of recordings of one subject in turn"), "{}", found.markdown());
+
+    // A folder of an earlier version has results of all sequences.
+    let earlier = folder.path().join("earlier");
+    assert_eq!(run(&by(SplitBy::Sequence), &maps, &earlier, (0, 1)).len(), 18);
+    std::fs::remove_file(earlier.join("study.json")).expect("removed");
+    let found = report(&spec, &maps, &earlier);
+    assert_eq!((found.done, found.planned, found.cells[0].scores.len()), (6, 6, 1));
 }
 
 /// Asserts that shares of the maps and noise levels repeat no training: each has one file.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
-use radome_models::dataset::{DatasetError, Domain, ManifestRow, Split, SplitSpec, merge};
+use radome_models::dataset::{DatasetError, Domain, ManifestRow, Split, SplitBy, SplitSpec, merge};
 use radome_models::layer::KernelLevel;
 use radome_models::network::NetworkKind;
 use radome_models::occupancy_filter::Smoothing;
@@ -493,6 +493,28 @@ mod hard_cases {
         {
             assert!(warnings.contains(expected), "{expected}: {warnings}");
         }
+    }
+
+    /// The other recordings of a subject, scene or seed were held out with the named one, and nothing said so.
+    #[test]
+    fn sequences_that_are_held_out_with_their_group_are_named() {
+        let (set, spec) = brief();
+        let maps = (0..set.len()).map(|index| {
+            let mut row = set.rows()[index].clone();
+            let is_of_a = ["s1", "s4", "s7"].contains(&row.sequence.as_str());
+            row.subject = Some(if is_of_a { "a".to_owned() } else { "b".to_owned() });
+            (set.header().rdm(set.map(index).expect("a map"), row.frame), row)
+        });
+        let set = Dataset::from_maps(set.header().clone(), maps.collect()).expect("a dataset");
+        let warnings = |by: SplitBy, held_out: &str| {
+            let split = SplitSpec { by, held_out: Some(held_out.to_owned()), ..SplitSpec::default() };
+            training_warnings(&set, &TrainSpec { split, ..spec.clone() }).expect("splits").join("\n")
+        };
+        let expected = "sequence 's4' is held out with the other sequences of its subject: 's1', 's7'";
+        let said = warnings(SplitBy::Subject, "s4");
+        assert!(said.contains(expected), "{said}");
+        let said = warnings(SplitBy::Sequence, "s4");
+        assert!(!said.contains("other sequences of its"), "{said}");
     }
 
     /// A damaged map of the test split was found when the training had ended, and the training was lost.

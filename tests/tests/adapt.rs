@@ -105,6 +105,11 @@ fn labelled_recordings_of_a_room_help_on_others_of_it_and_halls_are_not_forgotte
     assert!(after > before + 0.05, "{answer}");
     assert_eq!(answer["not_measured"].as_array().map(Vec::len), Some(0), "{answer}");
     assert!(answer["recordings"][2]["held_out"]["after"]["filtered"].is_number(), "{answer}");
+    let [seen, seen_before] =
+        [&adapted, &model].map(|path| ModelCard::load(path).expect("a model").training.seen_sequences);
+    // Of the simulated maps, those of the training split are mixed in, which the list has already.
+    assert_eq!(seen.difference(&seen_before).count(), ROOM.len());
+    assert!(seen.is_superset(&seen_before));
     let card = ModelCard::load(&adapted).expect("a model").adapted.expect("an entry");
     assert!(card.recordings == 6 && card.simulated_maps > 100, "{card:?}");
     assert!(card.seconds.iter().all(|seconds| (59.0..61.0).contains(seconds)), "{card:?}");
@@ -209,6 +214,20 @@ mod hard_cases {
                 assert!(before > 0.6 && after > before - 0.15, "{told}, {before} before");
             }
         }
+    }
+
+    /// The warning said that the class stays about as before.
+    #[test]
+    fn a_class_that_only_simulated_maps_show_is_said_to_be_learnt_from_them() {
+        let why = |command: &mut Command| {
+            let answer = json_lines(command).remove(0);
+            let two = answer["not_measured"].as_array().and_then(|all| all.iter().find(|of| of["class"] == "two"));
+            two.unwrap_or_else(|| panic!("{answer}"))["why"].as_str().expect("a reason").to_owned()
+        };
+        let shown = ["0-1=empty", "0-2=empty", "1-1", "1-2=one"];
+        let simulated = why(adapt(&shown).arg("--simulated").arg(made().join("maps")));
+        assert_eq!(simulated, "no recording shows it; it is learnt from simulated maps only");
+        assert_eq!(why(&mut adapt(&shown)), "no recording shows it; it is told from its neighbour about as before");
     }
 
     /// With `--no-smoothing` the reliability was that of the filter, beside scores of single frames.

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use radome_models::dataset::{Dataset, Split, SplitSpec};
+use radome_models::model::Adapted;
 use radome_tests::running::Running;
 use radome_tests::{
     command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand, success,
@@ -297,6 +298,44 @@ mod hard_cases {
         assert!(said.contains("warning: ") && said.contains("may be among those evaluated"), "{said}");
     }
 
+    /// Maps of the dataset of the training counted, even if the model was adapted to them afterwards.
+    #[test]
+    fn a_model_is_not_evaluated_on_recordings_of_its_adaptation() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let trained = |name: &str, test: f64| {
+            let text = format!("epochs = 1\nstarts = 1\nsplit = {{ test = {test:.1} }}\n");
+            let spec = write_file(folder.path(), "training.toml", text);
+            let path = folder.path().join(name);
+            json_lines(command!("model train --json", undivided(), "--spec", &spec, "-o", &path));
+            radome_models::Model::load(&path).expect("a model")
+        };
+        let (mut model, of_all) = (trained("model.safetensors", 0.2), trained("of-all.safetensors", 0.0));
+        // The list of a model that was adapted to the sequences of its test split.
+        model.card.training.seen_sequences = of_all.card.training.seen_sequences;
+        let path = folder.path().join("adapted.safetensors");
+        let evaluate = || command!("model evaluate --json", &path, undivided());
+        model.save(&path).expect("writable");
+        success(evaluate());
+        model.card.adapted =
+            Some(Adapted { seconds: [9.0; 3], recordings: 3, strength: 1000.0, simulated_maps: 0, held_out: None });
+        model.save(&path).expect("writable");
+        fails_with(evaluate(), &["of sequences that the model was trained or chosen on or adapted to", "hint: "]);
+    }
+
+    /// Two of the scores went to stderr, so that a file of the output lacked them.
+    #[test]
+    fn all_scores_on_recordings_go_to_stdout() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let recording = folder.path().join("one.mcap");
+        simulate(&fixture("scenes/hall.toml"), "--people 1 --seed 9 --frames 6", &recording);
+        let labelled = format!("{}=one", recording.display());
+        let model = fixture("models/room-cnn.safetensors");
+        let (told, said) = success(command!("model evaluate --thermal-snr-db 20 --model", &model, &labelled));
+        for score in ["thermal noise, SNR +20 dB: balanced accuracy ", "without the filter: balanced accuracy "] {
+            assert!(told.contains(score) && !said.contains(score), "{told}{said}");
+        }
+    }
+
     /// Sequences were divided by seed, and then none of the seeds was in two splits.
     #[test]
     fn verify_finds_the_leak_that_a_training_makes() {
@@ -468,6 +507,20 @@ mod hard_cases {
         write_file(folder.path(), "training.toml", "network = \"frozen_angles\"\n");
         let expected = "network = \"hqnn\" and head = { kind = \"circuit\", frozen = true }";
         fails_with(other("hqnn"), &["`frozen_angles` is a network with a head", expected]);
+    }
+
+    /// A file was checked by itself, and refused for epochs that the options replace.
+    #[test]
+    fn a_file_is_checked_together_with_the_options() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let text =
+            "linear_epochs = 16\nstarts = 1\nmost_training_maps = 40\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
+        let spec = write_file(folder.path(), "training.toml", text);
+        let output = folder.path().join("model.safetensors");
+        // Without the option there are 15 epochs.
+        let alone = command!("model train", maps(), "--spec", &spec, "-o", &output);
+        fails_with(alone, &["training.toml", "linear_epochs is 16"]);
+        success(train(folder.path(), &["--spec", &spec.display().to_string()]));
     }
 
     /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability

@@ -1,7 +1,7 @@
 //! Splits into training, validation and test, by whole sequences, subjects, scenes or seeds.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -129,6 +129,25 @@ impl SplitSpec {
             fixed.or_else(|| dealt.get(name).copied()).unwrap_or(Split::Train)
         };
         Ok(rows.iter().map(split).collect())
+    }
+
+    /// Alphabetically first sequence of each group. If each of them is held out in turn, each sequence is in one test split.
+    pub(crate) fn first_sequences<'a>(&self, rows: &'a [ManifestRow]) -> BTreeSet<&'a str> {
+        group_names(rows, self.by).into_values().collect()
+    }
+
+    /// Warning that names the sequences that are held out with [`SplitSpec::held_out`] because they are of its group; `None` if there
+    /// are none.
+    pub(crate) fn group_warning(&self, rows: &[ManifestRow]) -> Option<String> {
+        let held_out = self.held_out.as_deref()?;
+        let names = group_names(rows, self.by);
+        let group = names.get(held_out)?;
+        let others = names.iter().filter(|(name, of)| **name != held_out && *of == group);
+        let others: Vec<&str> = others.map(|(name, _)| *name).collect();
+        (!others.is_empty()).then(|| {
+            let (by, others) = (self.by, named(others.iter().copied()));
+            format!("sequence '{held_out}' is held out with the other sequences of its {by}: {others}")
+        })
     }
 
     /// Groups of the rows with their contents. Splits of rows count only if `rows_decide`.

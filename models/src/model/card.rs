@@ -31,8 +31,8 @@ pub struct TrainingSummary {
     pub best_epoch: usize,
     /// Maps trained on.
     pub training_maps: usize,
-    /// Sequences of the maps that the model was trained or chosen on, by the first 16 hex digits of the SHA-256 of their names; empty
-    /// in old models.
+    /// Sequences of the maps that the model was trained or chosen on or adapted to, by the first 16 hex digits of the SHA-256 of their
+    /// names; empty in old models.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub seen_sequences: BTreeSet<String>,
     /// SHA-256 of the file of initial weights; absent if they were random.
@@ -135,7 +135,7 @@ pub enum ModelError {
     /// The numbers are not those that were written.
     #[error(
         "{path}: the numbers have SHA-256 {found}, the card says {expected}; the file was changed or damaged\n\nhint: copy it once more \
-         from where it comes, or train it again"
+         from where it comes, or train or export it again"
     )]
     Hash { path: PathBuf, expected: String, found: String },
     /// An ONNX network cannot be run.
@@ -175,8 +175,17 @@ impl ModelCard {
         self.split.as_ref().filter(|_| self.dataset_hash == dataset.hash())
     }
 
-    /// Sequences of a dataset that have the name of one which the model was trained or chosen on; `None` if the model's file does
-    /// not list those.
+    /// Rule that divides a dataset for this model: that of the model's training, and for another dataset the same rule without a
+    /// held-out sequence. It is the default rule if the model's file does not say by which rule the model was trained.
+    pub fn split_rule(&self, dataset: &Dataset) -> SplitSpec {
+        match self.split_of(dataset) {
+            Some(known) => known.clone(),
+            None => SplitSpec { held_out: None, ..self.split.clone().unwrap_or_default() },
+        }
+    }
+
+    /// Sequences of a dataset that have the name of one which the model was trained or chosen on or adapted to; `None` if the model's
+    /// file does not list those.
     pub fn seen_in<'a>(&self, dataset: &'a Dataset) -> Option<BTreeSet<&'a str>> {
         let seen = &self.training.seen_sequences;
         let sequences: BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
@@ -228,10 +237,14 @@ impl ModelCard {
         if let Some((name, value, expected)) = self.smoothing.fault() {
             return check(false, name, expected.to_owned(), value.to_string());
         }
-        let Standardisation { reference, mean_db, sigma_db, .. } = self.standardisation;
+        let Standardisation { reference, mean_db, sigma_db, ref label_leaking_cells } = self.standardisation;
         if let Some((name, value, expected)) = reference.fault() {
             return check(false, name, expected.to_owned(), value.to_string());
         }
+        let range = if self.is_transposed() { columns } else { rows };
+        let skipped = reference.skipped_range_bins().unwrap_or(0);
+        let expected = format!("fewer than the {range} range bins of a map");
+        check(skipped < range, "reference.over_noise.skip_range_bins", expected, skipped.to_string())?;
         let readable = self.network.check_maps(reference, self.is_transposed(), self.standardisation.needs_labels());
         if let Err(error) = readable {
             let expected = "dB over noise, range by velocity".to_owned();
@@ -241,8 +254,10 @@ impl ModelCard {
         let expected = "mean 0 dB, sigma 1 dB: descriptors are of levels in dB".to_owned();
         check(is_in_db, "standardisation", expected, format!("mean {mean_db} dB, sigma {sigma_db} dB"))?;
         let sigmas = sigma.iter().map(|&sigma| f64::from(sigma));
+        let sigmas = sigmas.chain(label_leaking_cells.iter().map(|cell| cell.sigma_db));
         let positive = [sigma_db, self.temperature].into_iter().chain(sigmas).all(|v| v.is_finite() && v > 0.0);
-        let is_finite = mean_db.is_finite() && mean.iter().all(|v| v.is_finite());
+        let cells_are_finite = label_leaking_cells.iter().all(|cell| cell.mean_db.is_finite());
+        let is_finite = mean_db.is_finite() && mean.iter().all(|v| v.is_finite()) && cells_are_finite;
         let found = format!("{:?}, {:?}, temperature {}", self.standardisation, self.latent, self.temperature);
         check(positive && is_finite, "constants", "finite means, sigmas and temperature above zero".to_owned(), found)
     }

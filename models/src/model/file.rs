@@ -120,12 +120,7 @@ impl Model {
             values.insert(name, numbers);
         }
         let hashed = arrays.iter().map(|(name, bytes)| (name.as_str(), *bytes));
-        let damaged = array_hash::check(&text, hashed);
-        if let Some(Damaged { expected, found }) =
-            damaged.map_err(|source| ModelError::Card { path: path.to_owned(), source })?
-        {
-            return Err(ModelError::Hash { path: path.to_owned(), expected, found });
-        }
+        check_hash(path, &text, hashed)?;
         let mut network = Network::from_values(&spec, &values, KernelLevel::detect())?;
         network.set_latent_constants(card.latent.clone());
         Ok(Model { card, network })
@@ -144,6 +139,19 @@ fn card_text(path: &Path, data: &[u8]) -> Result<String, ModelError> {
     let (_, header) = SafeTensors::read_metadata(data).map_err(|e| not_safetensors(path, data.len(), e))?;
     let text = header.metadata().as_ref().and_then(|metadata| metadata.get(CARD_KEY));
     text.cloned().ok_or_else(|| ModelError::NoCard { path: path.to_owned() })
+}
+
+/// Compares the arrays of the file `path` (used in errors only) with the hash in its card, which files of earlier versions lack.
+pub(super) fn check_hash<'a>(
+    path: &Path,
+    card: &str,
+    arrays: impl IntoIterator<Item = (&'a str, &'a [u8])>,
+) -> Result<(), ModelError> {
+    let damaged = array_hash::check(card, arrays);
+    match damaged.map_err(|source| ModelError::Card { path: path.to_owned(), source })? {
+        Some(Damaged { expected, found }) => Err(ModelError::Hash { path: path.to_owned(), expected, found }),
+        None => Ok(()),
+    }
 }
 
 fn not_safetensors(path: &Path, length: usize, error: impl std::fmt::Display) -> ModelError {

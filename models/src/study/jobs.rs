@@ -9,12 +9,13 @@ use super::spec::StudySpec;
 use crate::dataset::Dataset;
 
 impl StudySpec {
-    /// Recordings that are held out in turn, or a single `None`.
+    /// Recordings that are held out in turn, or a single `None`. There is one for each group of the split, because the rest of the
+    /// group is held out with it.
     pub(super) fn held_out(&self, dataset: &Dataset) -> Vec<Option<String>> {
         if !self.leave_one_recording_out {
             return vec![None];
         }
-        let names: BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
+        let names = self.train.split.first_sequences(dataset.rows());
         names.into_iter().map(|name| Some(name.to_owned())).collect()
     }
 

@@ -20,7 +20,7 @@ pub struct Job {
     pub learning_rate: f64,
     /// Seed.
     pub seed: u64,
-    /// Recording that is the test split, in studies that hold out each in turn.
+    /// Recording that is the test split together with the rest of its group, in studies that hold out each group in turn.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<String>,
 }

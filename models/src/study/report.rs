@@ -10,7 +10,7 @@ use super::condition::ConditionReport;
 use super::outcome::{FAILED_BELOW, Job, Outcome};
 use super::score::{Score, SeedMetrics, over_seeds, seed_metrics};
 use super::spec::StudySpec;
-use crate::dataset::Dataset;
+use crate::dataset::{Dataset, SplitBy};
 use crate::interval::{Interval, median, t_interval};
 use crate::metrics::{CHANCE, Confusion, Metrics, add_confusion};
 use crate::train::EpochReport;
@@ -153,7 +153,7 @@ pub(super) fn groups<'a>(
 pub fn report(spec: &StudySpec, dataset: &Dataset, chosen: &BTreeMap<String, f64>, outcomes: &[Outcome]) -> Report {
     let trainings = spec.held_out(dataset).len();
     let cells: Vec<Cell> = groups(spec, chosen, outcomes).iter().map(|group| cell(spec, group, trainings)).collect();
-    let pooling = spec.leave_one_recording_out.then(|| POOLING.to_owned());
+    let pooling = spec.leave_one_recording_out.then(|| pooling(spec.train.split.by));
     Report {
         title: spec.title.clone(),
         remarks: spec.remarks.iter().cloned().chain(pooling).collect(),
@@ -179,9 +179,17 @@ fn failure(outcome: &Outcome) -> Option<Failure> {
     Some(Failure { job: outcome.job.clone(), reason })
 }
 
-/// Remark on studies that hold out each recording in turn.
-const POOLING: &str = "Each recording in turn is the test split. Test scores are computed once for each seed, from the predictions \
-                       on all recordings together; those of training and validation are means over the trainings of a seed.";
+/// Remark on studies that hold out each recording, or each group of a split, in turn.
+fn pooling(by: SplitBy) -> String {
+    let each = match by {
+        SplitBy::Sequence => "Each recording".to_owned(),
+        by => format!("Each group of recordings of one {by}"),
+    };
+    format!(
+        "{each} in turn is the test split. Test scores are computed once for each seed, from the predictions on all recordings \
+         together; those of training and validation are means over the trainings of a seed."
+    )
+}
 
 /// Test scores of each seed. `metrics` are those of an outcome; trainings that broke off have none.
 fn test_scores<'a>(

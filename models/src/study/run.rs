@@ -188,7 +188,8 @@ impl<'a> Study<'a> {
         Ok(chosen)
     }
 
-    /// All outcomes that exist, in the order of their file names.
+    /// All outcomes that exist, in the order of their file names. Earlier versions held out every sequence of a group in turn: outcomes
+    /// of the further sequences do not count.
     ///
     /// # Errors
     /// [`StudyError::File`] if the folder or a file of it cannot be read, and [`StudyError::DamagedResult`] if a file is no result, or
@@ -201,7 +202,10 @@ impl<'a> Study<'a> {
             .filter(|path| path.extension().is_some_and(|extension| extension == "json"))
             .collect();
         paths.sort();
-        paths.iter().map(|path| read_outcome(path)).collect()
+        let held_out = self.spec.held_out(self.dataset);
+        let mut outcomes = paths.iter().map(|path| read_outcome(path)).collect::<Result<Vec<_>, _>>()?;
+        outcomes.retain(|outcome| held_out.contains(&outcome.job.held_out));
+        Ok(outcomes)
     }
 
     /// Makes the report on the outcomes that exist.

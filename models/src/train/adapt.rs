@@ -15,19 +15,21 @@
 //! The strength is chosen by cross-validation over recordings. With less labelled time fewer weak strengths are tried: all
 //! recordings of a minute show the same people, so held-out recordings do not show the loss on other people.
 //!
-//! A class that no recording shows is in the group of its neighbour, and only the groups are told apart: within a group, the fit aims at
-//! the ratios of the probabilities before. Where that class is one person or two, the logits are shifted only, because weights that are
-//! fitted without these frames move them: a network of two qubits that told the empty room from two people better called one
-//! person two. Then one shift of the logits of the classes that are shown is fitted, to frames weighted by the probability of the others: a model
+//! A class that neither a recording nor a simulated map shows is in the group of its neighbour, and only the groups are told apart:
+//! within a group, the fit aims at the ratios of the probabilities before. Where that class is one person or two, the logits are shifted
+//! only, because weights that are fitted without these frames move them: a network of two qubits that told the empty room from two people
+//! better called one person two. Then one shift of the logits of the classes that are shown is fitted, to frames weighted by the probability of the others: a model
 //! that is right about the empty room stays as it is by recordings of the empty room alone. One or two people who are labelled
 //! for a few seconds only count as a class that is not shown.
 //!
 //! [`tail`] has the adapted layers and the samples.
 
+use std::collections::BTreeSet;
+
 use candle_core::{Device, Tensor};
 use radome_dsp::{Rdm, RdmShape};
 
-use crate::dataset::{Dataset, Split};
+use crate::dataset::{Dataset, Split, sequence_hash};
 use crate::metrics::CLASSES;
 use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
 use crate::network::{Layer, Mode, Network, Value, names};
@@ -67,6 +69,8 @@ pub struct Adaptation {
     /// Whether empty, one and two are labelled, but for too short a time to learn from: they count as classes without labels. The empty
     /// room never is.
     pub is_too_short: [bool; CLASSES],
+    /// Whether the simulated maps that were mixed in show empty, one and two. Such a class is learnt also without labels.
+    pub is_simulated: [bool; CLASSES],
 }
 
 /// Parameters fitted to recordings, with cross-validated scores.
@@ -89,6 +93,8 @@ pub struct Adapter {
     before: Vec<f64>,
     /// Features and classes of simulated maps.
     simulated: Vec<(Vec<f32>, usize)>,
+    /// Sequences of the simulated maps and of the recordings, by the short hashes of their names.
+    sequences: BTreeSet<String>,
 }
 
 impl Adapter {
@@ -106,8 +112,13 @@ impl Adapter {
         };
         let is_linear = last_node(&model.network).is_some_and(|node| matches!(node.layer, Layer::Linear { .. }));
         let given = given.filter(|_| is_linear).ok_or(AdaptError::Network { network: kind })?;
-        let mut adapter =
-            Adapter { classifier: Classifier::new(model), given, before: Vec::new(), simulated: Vec::new() };
+        let mut adapter = Adapter {
+            classifier: Classifier::new(model),
+            given,
+            before: Vec::new(),
+            simulated: Vec::new(),
+            sequences: BTreeSet::new(),
+        };
         adapter.before = adapter.tail()?.numbers()?;
         Ok(adapter)
     }
@@ -139,8 +150,9 @@ impl Adapter {
         self.classifier.network().ok_or(AdaptError::Network { network })
     }
 
-    /// Mixes in the maps of a dataset's training split, at most 2,000. Returns their number. The split is that of the model's
-    /// training if the model was trained on this dataset, and by the default rule otherwise.
+    /// Mixes in the maps of a dataset's training split, at most 2,000. Returns their number. The rule of the split is
+    /// [`ModelCard::split_rule`](crate::ModelCard::split_rule), and the card of the adapted model lists the sequences: the model is not
+    /// evaluated on maps that it was adapted to.
     ///
     /// # Errors
     /// [`AdaptError::Simulated`] if the maps are made of another waveform or by another map spec, [`AdaptError::Dataset`] if they
@@ -152,8 +164,7 @@ impl Adapter {
             ClassifyError::OtherMaps { what } => AdaptError::Simulated { what },
             other => AdaptError::Simulated { what: other.to_string() },
         })?;
-        let rule = self.classifier.card().split_of(dataset).cloned().unwrap_or_default();
-        let splits = dataset.splits(&rule)?;
+        let splits = dataset.splits(&self.classifier.card().split_rule(dataset))?;
         let rows = dataset.rows().iter().zip(&splits).enumerate();
         let wanted: Vec<usize> = rows
             .filter(|(_, (row, split))| **split == Split::Train && !row.transition)
@@ -164,9 +175,15 @@ impl Adapter {
         for &index in wanted.iter().step_by(step) {
             let Some(row) = dataset.rows().get(index) else { continue };
             simulated.push((self.features_of(&dataset.map(index)?, header.shape, row.frame)?, row.label.index()));
+            self.sequences.insert(sequence_hash(&row.sequence));
         }
         self.simulated = simulated;
         Ok(self.simulated.len())
+    }
+
+    /// Adds the name that a recording has as a sequence of a dataset. The card of the adapted model lists it.
+    pub fn add_sequence(&mut self, name: &str) {
+        self.sequences.insert(sequence_hash(name));
     }
 
     /// Adapts the model: runs [`fit`](Self::fit) and sets the fitted parameters.
@@ -178,11 +195,22 @@ impl Adapter {
     pub fn adapt(self, recordings: &[AdaptRecording]) -> Result<Adaptation, AdaptError> {
         let Fit { numbers, adapted, held_out, recordings_by_class, is_measured, is_too_short } =
             self.fit(recordings)?;
+        let is_simulated = self.is_simulated();
         self.tail()?.set(&numbers)?;
         let network = self.classifier.card().network;
         let Some(mut model) = self.classifier.into_model() else { return Err(AdaptError::Network { network }) };
         model.card.adapted = Some(adapted.clone());
-        Ok(Adaptation { model, adapted, held_out, recordings_by_class, is_measured, is_too_short })
+        let seen = &mut model.card.training.seen_sequences;
+        // A list that lacks the sequences of the training would pass for a whole one.
+        if !seen.is_empty() {
+            seen.extend(self.sequences);
+        }
+        Ok(Adaptation { model, adapted, held_out, recordings_by_class, is_measured, is_too_short, is_simulated })
+    }
+
+    /// Returns whether the simulated maps show empty, one and two.
+    fn is_simulated(&self) -> [bool; CLASSES] {
+        std::array::from_fn(|class| self.simulated.iter().any(|(_, label)| *label == class))
     }
 
     /// Fits parameters to recordings. First, each recording, or each tenth of more than ten, is held out in turn, which gives the
@@ -203,7 +231,8 @@ impl Adapter {
             std::array::from_fn(|class| by_recording.iter().filter(|s| s[class] > 0.0).count());
         let tail = self.tail()?;
         let is_labelled = shown(seconds);
-        let is_shown = is_labelled.map(|shown| shown || !self.simulated.is_empty());
+        let is_simulated = self.is_simulated();
+        let is_shown: [bool; CLASSES] = std::array::from_fn(|class| is_labelled[class] || is_simulated[class]);
         let is_too_short = std::array::from_fn(|class| seconds[class] > 0.0 && !is_labelled[class]);
         let by_time = WEAKEST_BY_TIME / total_s.powi(2);
         let from = |weakest: f64| STRENGTHS.into_iter().filter(|strength| *strength >= weakest).collect();
@@ -320,6 +349,7 @@ mod tests {
     use rand_distr::{Distribution, Normal};
 
     use super::*;
+    use crate::dataset::{DatasetHeader, Domain, ManifestRow, SplitSpec};
     use crate::layer::{DESCRIPTORS, KernelLevel};
     use crate::model::ModelCard;
     use crate::network::{NetworkKind, NetworkSpec};
@@ -405,6 +435,47 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+
+        /// Another dataset was divided by the default rule, and the card did not list what was mixed in, so that the adapted model was
+        /// scored on maps that it was adapted to.
+        #[test]
+        fn mixed_maps_are_of_the_models_training_split_and_listed() {
+            let mut model = model("descriptor_linear");
+            let held_out = Some("elsewhere".to_owned());
+            model.card.split = Some(SplitSpec { seed: 3, test: 0.5, held_out, ..SplitSpec::default() });
+            let header = DatasetHeader::new(model.card.waveform.clone(), model.card.rdm_spec).expect("a header");
+            let normal = Normal::new(-80.0f32, 5.0).expect("normal");
+            let mut rng = crate::random::stream(6, "cells", 0);
+            let maps = (0..12).map(|index| {
+                let label = Occupancy::ALL[index % 3];
+                let row = ManifestRow::new(Domain::Sim, "room", "run", &format!("room {index}"), 0, label);
+                let db = (0..header.shape.cells()).map(|_| normal.sample(&mut rng)).collect();
+                (header.rdm(db, 0), row)
+            });
+            let maps = maps.collect();
+            let dataset = Dataset::from_maps(header, maps).expect("a dataset");
+            let rule = SplitSpec { seed: 3, test: 0.5, ..SplitSpec::default() };
+            let splits = dataset.splits(&rule).expect("splits");
+            let of = |wanted: Split| -> BTreeSet<&str> {
+                let rows = dataset.rows().iter().zip(&splits).filter(|(_, split)| **split == wanted);
+                rows.map(|(row, _)| row.sequence.as_str()).collect()
+            };
+            let (mut train, test) = (of(Split::Train), of(Split::Test));
+
+            let listed = |card: ModelCard| {
+                let network = self::model("descriptor_linear").network;
+                let mut adapter = Adapter::new(Model { card, network }).expect("adaptable");
+                assert_eq!(adapter.mix(&dataset).expect("mixed"), of(Split::Train).len());
+                adapter.add_sequence(test.first().expect("a test map"));
+                adapter.adapt(&[recording(1, &Occupancy::ALL)]).expect("adapts").model.card
+            };
+            let card = listed(model.card.clone());
+            train.extend(test.first());
+            assert_eq!(card.seen_in(&dataset), Some(train));
+            // A file of an older program lists nothing.
+            model.card.training.seen_sequences.clear();
+            assert_eq!(listed(model.card).seen_in(&dataset), None);
+        }
 
         /// Regression test: recordings of one person alone made a model call the empty room one person.
         #[test]

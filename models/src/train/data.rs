@@ -237,7 +237,8 @@ fn split_warnings(indices: &Indices, rows: &[ManifestRow]) -> Vec<String> {
     warnings
 }
 
-/// Warnings about sequences that the rule of the splits cannot group, and about splits of rows that it overrides.
+/// Warnings about sequences that the rule of the splits cannot group, about those that it holds out beside the named one, and about
+/// splits of rows that it overrides.
 fn rule_warnings(rule: &SplitSpec, rows: &[ManifestRow]) -> Vec<String> {
     // Rows with a split of their own do not depend on the rule, unless it holds a sequence out.
     let ungrouped = rule.by.warning(rows.iter().filter(|row| row.split.is_none() || rule.held_out.is_some()));
@@ -249,7 +250,7 @@ fn rule_warnings(rule: &SplitSpec, rows: &[ManifestRow]) -> Vec<String> {
             rows.len()
         )
     });
-    ungrouped.into_iter().chain(overridden).collect()
+    ungrouped.into_iter().chain(rule.group_warning(rows)).chain(overridden).collect()
 }
 
 /// Weight of each class in the loss: `n / (k n_c)` over the k classes shown, so that the mean weight of a map is one, times the

@@ -95,6 +95,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         bar.inc(1);
     }
     bar.finish_and_clear();
+    for input in &inputs {
+        adapter.add_sequence(&source::name_of(&input.path).to_string_lossy());
+    }
     let adaptation = adapter.adapt(&recordings)?;
     let is_refused = adaptation.adapted.held_out.is_some_and(|scores| scores.is_worse()) && !arguments.force;
     let written = arguments.output.as_ref().filter(|_| !is_refused);
@@ -143,7 +146,7 @@ fn tell(
     adaptation: &Adaptation,
     written: Option<&PathBuf>,
 ) -> anyhow::Result<()> {
-    let Adaptation { adapted, held_out, recordings_by_class, is_measured, is_too_short, .. } = adaptation;
+    let Adaptation { adapted, held_out, recordings_by_class, is_measured, is_too_short, is_simulated, .. } = adaptation;
     let file = written.map(|path| path.display().to_string());
     for ((class, seconds), _) in
         Occupancy::ALL.into_iter().zip(adapted.seconds).zip(is_too_short).filter(|(_, short)| **short)
@@ -156,6 +159,7 @@ fn tell(
     let counts = Occupancy::ALL.into_iter().zip(*recordings_by_class).zip(*is_measured);
     for ((class, count), _) in counts.filter(|(_, is_measured)| !is_measured) {
         let why = match count {
+            0 if is_simulated[class.index()] => "no recording shows it; it is learnt from simulated maps only",
             0 => "no recording shows it; it is told from its neighbour about as before",
             1 => "only one recording shows it; held out, nothing would be left to adapt to",
             _ => "each recording that shows it also shows a class that the others show too briefly, or not at all",

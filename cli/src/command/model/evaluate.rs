@@ -318,14 +318,15 @@ impl<'a> Answers<'a> {
             return output::json_line(&answer);
         }
         for of in &thermal {
-            message!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
+            let (snr_db, score) = (of.snr_db, of.balanced_accuracy);
+            output::text_line(&format!("thermal noise, SNR {snr_db:+} dB: balanced accuracy {score:.4}"))?;
         }
         self.judged.iter().try_for_each(Judged::print)?;
         for of in &self.refused {
             output::text_line(&format!("- {}: refused: {}", of.recording, of.reason))?;
         }
         if !arguments.no_smoothing {
-            message!("without the filter: balanced accuracy {alone:.4}");
+            output::text_line(&format!("without the filter: balanced accuracy {alone:.4}"))?;
         }
         print(&metrics)?;
         print_errors(&false_alarms, &metrics)?;
@@ -477,14 +478,11 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
     ablation::print(&ablated.unwrap_or_default())
 }
 
-/// Returns the rule by which the model's training divided a dataset. For another dataset than that of the training, it is the same
-/// rule without a held-out sequence. Where no rule is known, returns the default rule. Says so if a split `is_wanted` that depends
-/// on it.
+/// Returns the rule that divides a dataset for the model. Says so if that is not known to be the rule of the model's training on this
+/// dataset, and a split `is_wanted` that depends on it.
 fn split_rule(card: &ModelCard, dataset: &Dataset, is_wanted: bool) -> SplitSpec {
-    if let Some(known) = card.split_of(dataset) {
-        return known.clone();
-    }
-    if is_wanted && dataset.rows().iter().any(|row| row.split.is_none()) {
+    let is_known = card.split_of(dataset).is_some();
+    if !is_known && is_wanted && dataset.rows().iter().any(|row| row.split.is_none()) {
         let why = match card.dataset_hash == dataset.hash() {
             true => "the model's file does not say how its training divided this dataset",
             false => "the model was trained on another dataset",
@@ -495,22 +493,24 @@ fn split_rule(card: &ModelCard, dataset: &Dataset, is_wanted: bool) -> SplitSpec
         };
         message!("{why}: the split is {rule}");
     }
-    SplitSpec { held_out: None, ..card.split.clone().unwrap_or_default() }
+    card.split_rule(dataset)
 }
 
-/// Takes maps of sequences that the model was trained or chosen on out of those of a test split. The test split of its own training
-/// has none.
+/// Takes maps of sequences that the model was trained or chosen on or adapted to out of those of a test split. The test split of its
+/// own training has none, unless the model was adapted to them.
 ///
 /// # Errors
 /// No map is left.
 fn leave_out_seen(card: &ModelCard, dataset: &Dataset, indices: &mut Vec<usize>) -> anyhow::Result<()> {
-    if card.dataset_hash == dataset.hash() {
+    let is_own = card.dataset_hash == dataset.hash();
+    if is_own && card.adapted.is_none() {
         return Ok(());
     }
     let Some(seen) = card.seen_in(dataset) else {
+        let what = if is_own { "adapted to recordings" } else { "trained on another dataset" };
         message!(
-            "warning: the model was trained on another dataset, and its file does not list the sequences: maps of its training may be \
-             among those evaluated"
+            "warning: the model was {what}, and its file does not list the sequences: maps of its training may be among those \
+             evaluated"
         );
         return Ok(());
     };
@@ -519,11 +519,13 @@ fn leave_out_seen(card: &ModelCard, dataset: &Dataset, indices: &mut Vec<usize>)
     let left_out = count - indices.len();
     ensure!(
         !indices.is_empty(),
-        "all {count} maps of the test split are of sequences that the model was trained or chosen on\n\nhint: name a dataset with \
-         other sequences; --split all takes all maps"
+        "all {count} maps of the test split are of sequences that the model was trained or chosen on or adapted to\n\nhint: name a \
+         dataset with other sequences; --split all takes all maps"
     );
     if left_out > 0 {
-        message!("{left_out} of {count} maps are left out: the model was trained or chosen on their sequences");
+        message!(
+            "{left_out} of {count} maps are left out: the model was trained or chosen on their sequences or adapted to them"
+        );
     }
     Ok(())
 }

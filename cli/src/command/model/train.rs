@@ -35,7 +35,8 @@ pub struct Arguments {
     /// Seed of initial weights, order and augmentation
     #[arg(long)]
     seed: Option<u64>,
-    /// The only recording (sequence) of the test split
+    /// Recording (sequence) that alone is the test split. Where `split.by` of the spec is `subject`, `scene` or `seed`, the other
+    /// recordings of its subject, scene or seed are in the test split, too
     #[arg(long, value_name = "SEQUENCE")]
     hold_out: Option<String>,
     /// File that stores the training after each epoch; if it exists, the training resumes from it. It is removed when the model is
@@ -70,6 +71,11 @@ impl Arguments {
         spec.weights = self.weights.clone().or(spec.weights);
         spec.seed = self.seed.unwrap_or(spec.seed);
         spec.split.held_out = self.hold_out.clone().or(spec.split.held_out);
+        if let Some(path) = &self.spec {
+            // The options may replace settings of the file that do not fit each other.
+            let of_file = || format!("{}, with the options of this command, is no training spec", path.display());
+            spec.check().with_context(of_file)?;
+        }
         Ok(spec)
     }
 }
@@ -158,11 +164,10 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
     output::text_line(&format!("{file} written"))
 }
 
-/// Reads the settings of a training from a TOML file; defaults without one.
+/// Reads the settings of a training from a TOML file, without a check of their values; defaults without one.
 fn read_spec(path: Option<&Path>) -> anyhow::Result<TrainSpec> {
     let Some(path) = path else { return Ok(TrainSpec::default()) };
     let mut spec: TrainSpec = files::toml(path, "training spec")?;
-    spec.check().with_context(|| format!("{} is no training spec", path.display()))?;
     if let Some(weights) = &spec.weights {
         spec.weights = Some(files::named(path.parent().unwrap_or(Path::new("")), weights)?);
     }

@@ -5,6 +5,7 @@ use prost::Message;
 use super::circuit;
 use super::proto::{self, FLOAT};
 use super::writer::{ExportError, Writer, int};
+use crate::array_hash;
 use crate::layer::{Activation, bin};
 use crate::model::card::CARD_KEY;
 use crate::model::file::Model;
@@ -20,8 +21,9 @@ const IR_VERSION: i64 = 8;
 /// [`ExportError`] if a layer has no ONNX form, or the card or the numbers cannot be read.
 pub fn export(model: &Model) -> Result<Vec<u8>, ExportError> {
     let [_, range, doppler] = model.card.input_shape;
-    let card = serde_json::to_string(&model.card)?;
     let graph = graph(&model.network, range, doppler)?;
+    let arrays = graph.initializer.iter().map(|array| (array.name.as_str(), array.raw_data.as_slice()));
+    let card = array_hash::to_json(&model.card, arrays)?;
     Ok(file(graph, vec![proto::Entry { key: CARD_KEY.to_owned(), value: card }]))
 }
 

@@ -1,4 +1,5 @@
-//! Checks of an ONNX file before a runtime gets it: that it is whole, that its numbers are finite, and its card.
+//! Checks of an ONNX file before a runtime gets it: that it is whole, that its numbers are finite and those that were written, and its
+//! card.
 
 use std::path::Path;
 
@@ -6,8 +7,10 @@ use prost::Message;
 
 use super::proto::{self, FLOAT};
 use crate::model::card::{CARD_KEY, ModelCard, ModelError};
+use crate::model::file::check_hash;
 
-/// The card in the bytes of the ONNX file `path` (used in errors only), whose numbers are checked to be finite.
+/// The card in the bytes of the ONNX file `path` (used in errors only), whose numbers are checked to be finite and to have the hash in
+/// the card, if there is one.
 pub(crate) fn read_card(path: &Path, data: &[u8]) -> Result<ModelCard, ModelError> {
     let damaged = |reason: String| ModelError::NotOnnx { path: path.to_owned(), reason, length: data.len() };
     // Decodes one message at a time: an empty one of two bytes takes a hundred bytes of memory, and there may be any number.
@@ -46,13 +49,31 @@ pub(crate) fn read_card(path: &Path, data: &[u8]) -> Result<ModelCard, ModelErro
             }
         }
     }
-    ModelCard::parse(path, &card)
+    let parsed = ModelCard::parse(path, &card)?;
+    check_hash(path, &card, arrays(data))?;
+    Ok(parsed)
 }
 
-/// Field numbers of `ModelProto` and `GraphProto`, as in [`proto`].
+/// Field numbers of `ModelProto`, `GraphProto` and `TensorProto`, as in [`proto`].
 const GRAPH: u64 = 7;
 const METADATA: u64 = 14;
 const INITIALIZER: u64 = 5;
+const NAME: u64 = 8;
+const RAW_DATA: u64 = 9;
+
+/// Names and bytes of the arrays of a file.
+fn arrays(data: &[u8]) -> impl Iterator<Item = (&str, &[u8])> {
+    let tensors = contents(data, GRAPH).flat_map(|graph| contents(graph, INITIALIZER));
+    tensors.map(|tensor| {
+        let last = |number| contents(tensor, number).last().unwrap_or_default();
+        (std::str::from_utf8(last(NAME)).unwrap_or_default(), last(RAW_DATA))
+    })
+}
+
+/// Contents of the fields of a message that have this number.
+fn contents(message: &[u8], number: u64) -> impl Iterator<Item = &[u8]> {
+    Fields(message).filter_map(Result::ok).filter(move |(found, _)| *found == number).map(|(_, content)| content)
+}
 
 /// Iterator over the fields of a protobuf message: field number, and content of length-delimited fields (empty for others). It ends
 /// at the first damaged field.
