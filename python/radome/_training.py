@@ -141,9 +141,8 @@ def adapt(
     :param recordings: sources, or pairs of a source and what is true of it: ``"empty"``, ``"one"``, ``"two"``, or a
         list of :class:`Label`. A source alone has the labels that it holds, or the truth of its frames. Two or more
         that show the same are held out in turn: that measures what is gained
-    :param simulated: dataset whose training split is mixed in, so that the model keeps what it knows of other rooms: that
-        of the model's training if this is its dataset, else by the default rule. A :class:`Dataset` with a rule of its own
-        is refused
+    :param simulated: dataset whose training split is mixed in, so that the model keeps what it knows of other rooms. It is
+        divided by the rule of the model's training. A :class:`Dataset` with a rule of its own is refused
 
     >>> result = radome.adapt("room-hqnn", [("empty.mcap", "empty"), ("me.mcap", "one")])
     >>> result.model.save("my-room.safetensors")

@@ -42,8 +42,8 @@ pub struct StudySpec {
     /// Balanced accuracy on the validation split whose first epoch is reported.
     #[serde(default = "target")]
     pub target: f64,
-    /// Whether each recording (sequence) in turn is the test split, for datasets of few recordings. The report scores the predictions
-    /// on all recordings together, once for each seed.
+    /// Whether each recording (sequence), or each group of them if `train.split` has `by`, in turn is the test split, for datasets of
+    /// few recordings. The report scores the predictions on all recordings together, once for each seed.
     #[serde(default)]
     pub leave_one_recording_out: bool,
     /// Settings of all trainings; its network and seed are those of the variants and seeds.
