@@ -56,7 +56,8 @@ pub struct DeepcraftStream {
 
 impl DeepcraftBoard {
     /// Configures the radar and starts frames. A waveform that equals a preset of the firmware selects that preset. Any
-    /// other waveform is sent as registers; the stream's waveform then has the chirp interval that they realise.
+    /// other waveform is sent as registers; the stream's waveform then has the chirp and frame intervals that they
+    /// realise.
     ///
     /// # Errors
     /// [`DeepcraftError::Frame`] if the firmware cannot hold a frame, [`BoardError::Chip`] if the registers cannot hold
@@ -81,10 +82,10 @@ impl DeepcraftStream {
         let frames = FIFO_LEVEL_CODES.div_ceil(shape.codes().max(1)).max(1) as f64;
         let now = Instant::now();
         let mut stream = DeepcraftStream {
-            resequencer: Resequencer::new(&setting.waveform, stream.next_number),
+            resequencer: Resequencer::new(&setting.realised, stream.next_number),
             stream_index: usize::try_from(stream.index).unwrap_or(0),
             parser,
-            deadline: Duration::from_secs_f64(1.0 + 3.0 * frames * setting.waveform.frame_interval_s()),
+            deadline: Duration::from_secs_f64(1.0 + 3.0 * frames * setting.realised.frame_interval_s()),
             setting,
             watchdog: board.watchdog,
             watchdog_reset: now,
@@ -281,7 +282,7 @@ impl Drop for DeepcraftStream {
 
 impl FrameSource for DeepcraftStream {
     fn waveform(&self) -> &Waveform {
-        &self.setting.waveform
+        &self.setting.realised
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {

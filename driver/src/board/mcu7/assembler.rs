@@ -171,7 +171,8 @@ impl Assembler {
         let to_previous_us = self.nominal_us(slice) - self.nominal_us(slice.saturating_sub(1).max(before));
         let to_next_us = self.nominal_us(slice + 1) - self.nominal_us(slice);
         let measured_us = time_us as f64 - before_us as f64;
-        // Over a long gap the error of the frame interval adds up. The registers hold the interval to a thousandth.
+        // Over a long gap the error of the frame interval adds up. The clocks of board and chip differ by less than a
+        // thousandth.
         let tolerance_us = 0.5 * to_previous_us.min(to_next_us) + 1e-3 * nominal_us;
         let agrees = (measured_us - nominal_us).abs() <= tolerance_us;
         if !agrees {
@@ -328,7 +329,9 @@ impl Assembler {
                 self.origin_us = None;
                 Some(self.next_sequence.saturating_sub(1) + intervals(elapsed_us))
             }
-            None => self.origin_us.map(|origin| intervals(start_us - origin)),
+            // From the last frame on: from the first one on, the difference between the clocks of board and chip would
+            // add up.
+            None => self.origin_us.map(|_| self.next_sequence.saturating_sub(1) + intervals(by_board_us)),
         };
         // At least the frame that was cut short is lost.
         let sequence = by_clock.map_or(self.next_sequence, |s| s.max(self.next_sequence + 1));
@@ -470,6 +473,22 @@ mod tests {
             let found = packets(&mut assembler, 4, &[0, 1], HOUR_US + 8 * FRAME_US);
             let gap = |first_sequence, frames| lost(first_sequence, frames, GapReason::PacketLost);
             assert_eq!(found, [gap(2, 4), frame(6), gap(7, 1), frame(8), frame(9)]);
+        }
+
+        /// Regression test: lost frames were counted from the first frame on, so that the count was wrong by more the
+        /// longer the stream had run.
+        #[test]
+        fn after_a_restart_lost_frames_are_counted_from_the_last_frame_on() {
+            // A slice holds one frame in four packets.
+            let mut assembler = assembler(64, 128);
+            // The board's clock is fast by a thousandth.
+            let at = |frame: u64| HOUR_US + frame * (FRAME_US + FRAME_US / 1000);
+            for sequence in 0..1000 {
+                assert_eq!(packets(&mut assembler, sequence, &[0, 1, 2, 3], at(sequence)).len(), 1);
+            }
+            assembler.restart(GapReason::FifoOverflow);
+            let found = packets(&mut assembler, 0, &[0, 1, 2, 3], at(1005));
+            assert_eq!(found[0], lost(1000, 5, GapReason::FifoOverflow));
         }
 
         /// Regression test, found by the test campaign: the board lost power twice and measured at once each time. The

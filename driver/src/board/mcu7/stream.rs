@@ -37,7 +37,8 @@ pub struct Mcu7Stream {
 }
 
 impl Mcu7Board {
-    /// Programs the chip and starts frames. The stream's waveform has the chirp interval that the registers realise.
+    /// Programs the chip and starts frames. The stream's waveform has the chirp and frame intervals that the registers
+    /// realise.
     ///
     /// # Errors
     /// [`BoardError::Chip`] if the registers cannot hold the waveform; else an error of the connection or of the board.
@@ -45,12 +46,10 @@ impl Mcu7Board {
         let slice = SliceLayout::for_frame_as(waveform.shape().codes(), self.link.framing());
         let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
         let registers = configuration.compile()?;
-        // The registers hold the chirp interval only approximately: the stream's waveform has the interval that they
-        // realise.
-        let mut realised = waveform.clone();
-        realised.chirp_interval_s = configuration.realised()?.chirp_interval_s;
+        // The registers hold intervals only approximately. Frames come at the interval that they realise.
+        let realised = configuration.with_realised_intervals()?;
         let assembler = Assembler::new(&realised, slice);
-        let deadline = Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s());
+        let deadline = Duration::from_secs_f64(1.0 + 3.0 * realised.frame_interval_s());
         let mut stream = Mcu7Stream {
             path: self.link.path.clone(),
             address: self.link.address.clone(),
