@@ -76,11 +76,13 @@ impl Mcu7Stream {
 
     fn program(&mut self) -> Result<(), BoardError> {
         let words: Vec<SpiWord> = self.registers.iter().map(|r| (*r).into()).collect();
-        let slice_samples = self.slice.samples as u16;
+        let slice = self.slice;
+        let slice_samples = slice.samples as u16;
         let link = &mut self.board()?.link;
         link.request_ok(&Command::StopData)?;
         link.request_ok(&Command::HardwareReset)?;
         link.request_ok(&Command::ConfigureData { slice_samples })?;
+        link.expect(Some(slice));
         link.request_ok(&Command::StartData)?;
         link.request_ok(&Command::Execute { words, answer: false })?;
         Ok(())
@@ -173,6 +175,7 @@ impl Mcu7Stream {
 fn halt(board: &mut Mcu7Board) -> Result<(), BoardError> {
     board.link.request_ok(&Command::StopData)?;
     board.link.request_ok(&Command::Execute { words: vec![STOP], answer: false })?;
+    board.link.expect(None);
     Ok(())
 }
 
