@@ -346,6 +346,20 @@ mod hard_cases {
         assert_eq!(gaps.iter().map(|gap| gap.reason).collect::<Vec<_>>(), [GapReason::FifoOverflow]);
     }
 
+    /// Regression test: a board whose FIFO overflows at every start was started hundreds of times, with a warning each
+    /// time, and then counted as stalled.
+    #[test]
+    fn a_board_that_overflows_at_every_start_ends_with_that_reason() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let faults: Vec<Fault> = (0..60).map(Fault::Overflow).collect();
+        let board = board(&waveform, u64::MAX, Kind::default(), &faults);
+        let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
+        let error = stream.next_frame(&mut Frame::zeroed(waveform.shape())).expect_err("no frame comes");
+        assert!(matches!(error.downcast_ref(), Some(BoardError::NoFrame { reason: "fifo_overflow", .. })), "{error}");
+        assert!(error.to_string().contains("fifo_overflow") && error.to_string().contains("hint:"), "{error}");
+        assert!(board.counts().overflows < 60, "{:?}", board.counts());
+    }
+
     /// Asserts that a host that does not read loses frames, gets a gap, and never gets a wrong frame.
     #[test]
     fn a_host_that_sleeps_overflows_the_board() {

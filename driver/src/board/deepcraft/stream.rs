@@ -8,6 +8,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 use super::board::{DeepcraftBoard, Setting};
 use super::resequencer::Resequencer;
 use crate::board::host::now_ns;
+use crate::board::patience::Patience;
 use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::board::{BoardError, DeepcraftError};
 use crate::chip::RegisterList;
@@ -146,8 +147,8 @@ impl DeepcraftStream {
     /// [`BoardError`] if the connection breaks, the board reports an error or refuses to start again, or the stream was
     /// stopped.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
-        let end = Instant::now() + timeout;
-        let mut tried = false;
+        let mut patience = Patience::new(timeout);
+        let mut is_renewed = false;
         loop {
             self.keep_alive()?;
             self.take_dropped_count();
@@ -161,6 +162,10 @@ impl DeepcraftStream {
                 tracing::warn!(reason = reason.name(), "the board is started anew");
                 self.resequencer.restart(reason);
                 self.begin_anew()?;
+                // A board that is started anew again and again counts as stalled.
+                if !std::mem::replace(&mut is_renewed, true) {
+                    patience.renew();
+                }
             }
             // Queued frames are handed out before the next chunk is parsed.
             let event = if self.asked_until.is_none() { self.parser.next_event() } else { None };
@@ -188,12 +193,8 @@ impl DeepcraftStream {
                 }
                 None => {}
             }
-            let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() && tried {
-                return Ok(None);
-            }
-            tried = true;
-            self.receive(left)?;
+            let Some(wait) = patience.next_read() else { return Ok(None) };
+            patience.has_read(self.receive(wait)?);
         }
     }
 
@@ -226,8 +227,8 @@ impl DeepcraftStream {
         }
     }
 
-    /// Reads bytes, waiting at most `timeout`, and notes silence.
-    fn receive(&mut self, timeout: Duration) -> Result<(), BoardError> {
+    /// Reads bytes, waiting at most `timeout`, and notes silence. Returns whether any came.
+    fn receive(&mut self, timeout: Duration) -> Result<bool, BoardError> {
         let longest = if self.parser.is_waiting() { SILENCE } else { Duration::from_millis(50) };
         let board = self.board.as_mut().ok_or(BoardError::Stopped)?;
         let bytes = board.link.receive(timeout.min(longest))?;
@@ -235,7 +236,7 @@ impl DeepcraftStream {
             trace::measured(bytes.len());
             self.last_byte = Instant::now();
             self.parser.push(bytes);
-            return Ok(());
+            return Ok(true);
         }
         if self.last_byte.elapsed() >= SILENCE {
             self.parser.on_silence();
@@ -243,7 +244,7 @@ impl DeepcraftStream {
         if self.last_byte.elapsed() >= LONG_SILENCE {
             self.parser.on_long_silence();
         }
-        Ok(())
+        Ok(false)
     }
 
     fn keep_alive(&mut self) -> Result<(), BoardError> {
