@@ -105,8 +105,8 @@ mod hard_cases {
 
     use super::*;
 
-    /// Pauses a recorder of an emulated board for longer than its patience with a silent board. Returns what it said, and
-    /// the number of frames lost.
+    /// Pauses a recorder of an emulated board for longer than its patience with a silent board. Returns the lines that
+    /// it wrote to stderr, and the number of frames lost.
     fn paused(protocol: &str, pause: Duration) -> (Vec<String>, Option<u64>) {
         let folder = tempfile::tempdir().expect("a folder");
         // A frame is longer than one read of the port, and the board holds those of some seconds.

@@ -74,8 +74,9 @@ pub enum BoardError {
     Acquisition { path: PathBuf, code: u32 },
     /// The board was started anew many times, and no frame came.
     #[error(
-        "{path}: the board has been started {restarts} times and sends no whole frame ({reason})\n\nhint: lengthen frame_interval_s, or take \
-         fewer chirps, samples or receivers, so that the connection carries the frames; or connect the board without a hub"
+        "{path}: the board has been started {restarts} times and sends no whole frame ({reason})\n\n\
+         hint: lengthen frame_interval_s or take fewer chirps, samples or receivers, so that the connection carries \
+         the frames; or connect the board without a hub"
     )]
     NoFrame { path: PathBuf, restarts: u32, reason: &'static str },
     /// No frame came within the deadline.
