@@ -45,6 +45,18 @@ fn frames_come_through_sample_for_sample() {
     }
 }
 
+/// Regression test: the times of frames followed the interval that was asked for instead of that of the registers.
+#[test]
+fn frames_have_the_times_of_the_registers() {
+    let w = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let board = board(&w, &[]);
+    let mut stream = start(&board, &w);
+    let expected = common::realised(&w).frame_interval_s();
+    assert!(expected > 1.0005 * w.frame_interval_s());
+    assert_eq!(stream.waveform().frame_interval_s(), expected);
+    assert!(read(&mut stream, 30).is_empty());
+}
+
 #[test]
 fn a_board_says_who_it_is_and_what_it_is_set_to() {
     let w = waveform(&[1, 2], 8, 64, 0.1);

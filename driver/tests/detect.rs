@@ -52,7 +52,14 @@ fn a_board_that_prints_is_heard_from_its_first_frame_on() {
 
 mod hard_cases {
     use std::error::Error;
+    use std::io::Write;
     use std::path::Path;
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::time::Duration;
+
+    use radome_driver::protocol::ascii;
+    use serialport::{SerialPort, TTYPort};
 
     use super::*;
 
@@ -87,6 +94,37 @@ mod hard_cases {
         };
         let error = stream.next_frame(&mut Frame::zeroed(w.shape())).expect_err("silent");
         assert!(error.to_string().contains("stalled"), "{error}");
+    }
+
+    /// Regression test: a board that was printing already, with frames further apart than the first listening lasts,
+    /// was not found. Unlike the emulated one it does not start anew when its port is opened.
+    #[test]
+    fn a_board_that_prints_rarely_is_found() {
+        let w = waveform(&[1], 4, 32, 0.8);
+        let (mut board, port) = TTYPort::pair().expect("a pty");
+        let path = port.name().expect("a path");
+        drop(port);
+        let is_over = Arc::new(AtomicBool::new(false));
+        let (ends, codes) = (is_over.clone(), vec![2048; w.shape().codes()]);
+        let printer = std::thread::spawn(move || {
+            let mut number = 0;
+            while !ends.load(Ordering::Relaxed) {
+                std::thread::sleep(Duration::from_millis(800));
+                let mut line = Vec::new();
+                ascii::encode(number, &codes, &mut line);
+                // Nobody may have the port open.
+                let _ = board.write_all(&line);
+                number += 1;
+            }
+        });
+        let found = Detected::open(&Address::Serial(path.into()), Some(&w));
+        let read = found.map(|found| {
+            let Detected::Esp32(mut stream) = found else { panic!("another kind of board") };
+            stream.next_frame(&mut Frame::zeroed(w.shape())).map_err(|error| error.to_string())
+        });
+        is_over.store(true, Ordering::Relaxed);
+        printer.join().expect("prints");
+        assert_eq!(read.expect("found"), Ok(SourceEvent::Frame));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform};
 
-use crate::common::{self, Pattern, board, in_folder, waveform};
+use crate::common::{self, Pattern, board, in_folder, read_frames, realised, waveform};
 
 /// Starts and stops a board three times; asserts that no frame of an earlier run appears in a later one.
 pub(crate) fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7Board {
@@ -70,7 +70,7 @@ fn frames_of_any_shape_arrive_bit_exact() {
         (&[1], 4, 83, 30),
         (&[3], 3, 33, 60),
     ] {
-        let waveform = waveform(antennas, chirps, samples, 0.1);
+        let waveform = realised(&waveform(antennas, chirps, samples, 0.1));
         let pattern = || Pattern::new(waveform.clone(), frames);
         for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
             let mut source = EmulatedSource::start(Box::new(pattern()), common::options(kind, &[])).expect("starts");
@@ -247,7 +247,7 @@ mod hard_cases {
 
     #[test]
     fn a_packet_lost_between_frames_that_share_slices_costs_both_neighbours() {
-        let odd = waveform(&[3], 3, 33, 0.1);
+        let odd = realised(&waveform(&[3], 3, 33, 0.1));
         let (sequences, gaps, _) = stream(&odd, 400, &[Fault::DropPacket(1)]);
         let missing: u64 = gaps.iter().map(|g| g.frames).sum();
         assert_eq!((gaps.len(), gaps[0].reason), (1, GapReason::PacketLost));
@@ -288,7 +288,7 @@ mod hard_cases {
         for (antennas, chirps, samples, packet) in
             [(&[1u8, 2, 3][..], 128, 256, 48 + 4), (&[1, 2, 3], 8, 64, 3), (&[1], 67, 67, 12)]
         {
-            let waveform = waveform(antennas, chirps, samples, 0.1);
+            let waveform = realised(&waveform(antennas, chirps, samples, 0.1));
             let frame_bytes = (waveform.shape().codes() * 3 / 2) as u64;
             let most_lost = 25 + LINE_BYTES / frame_bytes;
             let frames = 2 * most_lost;
@@ -324,6 +324,40 @@ mod hard_cases {
             assert!(gap.frames >= 1);
             assert_eq!(sequences, without(12, gap.first_sequence..gap.first_sequence + gap.frames));
         }
+    }
+
+    /// Regression test: lost frames were counted by the interval that was asked for. The registers hold another one,
+    /// here 0.06 % longer: after two thousand frames the count was one too high.
+    #[test]
+    fn lost_frames_are_counted_by_the_interval_of_the_registers() {
+        let nominal = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let real = realised(&nominal);
+        assert!(real.frame_interval_s() > 1.0005 * nominal.frame_interval_s());
+        let board = board(&real, u64::MAX, Kind::default(), &[Fault::Overflow(2000)]);
+        let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&nominal).expect("starts");
+        assert_eq!(stream.waveform().frame_interval_s(), real.frame_interval_s());
+        let pattern = Pattern::new(real, 0);
+        let gaps = read_frames(&mut stream, 2100, |frame| {
+            let mut expected = frame.clone();
+            pattern.fill(frame.sequence, &mut expected);
+            assert!(frame.codes == expected.codes, "frame {} has the codes of another", frame.sequence);
+            assert!(frame.time_ns.abs_diff(expected.time_ns) < 3_000, "frame {}", frame.sequence);
+        });
+        assert_eq!(gaps.iter().map(|gap| gap.reason).collect::<Vec<_>>(), [GapReason::FifoOverflow]);
+    }
+
+    /// Regression test: a board whose FIFO overflows at every start was started hundreds of times, with a warning each
+    /// time, and then counted as stalled.
+    #[test]
+    fn a_board_that_overflows_at_every_start_ends_with_that_reason() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let faults: Vec<Fault> = (0..60).map(Fault::Overflow).collect();
+        let board = board(&waveform, u64::MAX, Kind::default(), &faults);
+        let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
+        let error = stream.next_frame(&mut Frame::zeroed(waveform.shape())).expect_err("no frame comes");
+        assert!(matches!(error.downcast_ref(), Some(BoardError::NoFrame { reason: "fifo_overflow", .. })), "{error}");
+        assert!(error.to_string().contains("fifo_overflow") && error.to_string().contains("hint:"), "{error}");
+        assert!(board.counts().overflows < 60, "{:?}", board.counts());
     }
 
     /// Asserts that a host that does not read loses frames, gets a gap, and never gets a wrong frame.

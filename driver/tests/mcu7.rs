@@ -149,6 +149,43 @@ fn counters(bytes: &[u8], piece: usize) -> Vec<u16> {
     found
 }
 
+/// Regression test: a header with a wrong length hid the packets behind it until so many bytes had come. Small frames
+/// came too slowly for that, and the board counted as stalled.
+#[test]
+fn a_wrong_length_does_not_hide_the_packets_behind_it() {
+    let slice = SliceLayout::for_frame(32);
+    let payload = vec![7; slice.payload_length(0)];
+    let mut flipped = packet_bytes(1, &payload);
+    // The length becomes 2048 bytes longer.
+    flipped[5] ^= 0x08;
+    let stray_answer = [0x40, 0, 0xF9, 0x0F].to_vec();
+    let stray_packet = [0xD0, 0, 0, 0, 0xF0, 0x0F].to_vec();
+    let stray_error = [0xD8, 0, 0, 0, 0xF0, 0x0F].to_vec();
+    for garbage in [flipped, stray_answer, stray_packet, stray_error] {
+        let mut parser = BoardParser::default();
+        parser.expect(Some(slice));
+        parser.push(&garbage);
+        parser.push(&packet_bytes(2, &payload));
+        let mut found = Vec::new();
+        while let Some(event) = parser.next_event() {
+            if let BoardEvent::Packet(packet) = event {
+                found.push(packet.counter);
+            }
+        }
+        assert_eq!(found, [2], "{garbage:02x?}");
+    }
+    // Answers, error codes and texts still come between packets.
+    let mut bytes = Vec::new();
+    Response { kind_code: 0x40, status: Status::Ok, payload: &[] }.encode(&mut bytes);
+    let flags = PacketFlags { first: true, last: true, error: true, ..PacketFlags::default() };
+    Packet { flags, channel: 0, counter: 3, payload: b"a text" }.encode(&mut bytes);
+    let mut parser = BoardParser::default();
+    parser.expect(Some(slice));
+    parser.push(&bytes);
+    assert!(matches!(parser.next_event(), Some(BoardEvent::Response(_))));
+    assert!(matches!(parser.next_event(), Some(BoardEvent::Packet(packet)) if packet.error().is_none()));
+}
+
 proptest! {
     #[test]
     fn arbitrary_bytes_do_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..2000), piece in 1usize..300) {

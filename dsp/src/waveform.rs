@@ -230,6 +230,11 @@ fn within(name: &'static str, value: f64, (min, max): (f64, f64), unit: &'static
 }
 
 impl Waveform {
+    /// Longest chirp interval of a request, s.
+    pub const LONGEST_CHIRP_INTERVAL_S: f64 = 1.0;
+    /// Longest frame interval of a request, s.
+    pub const LONGEST_FRAME_INTERVAL_S: f64 = 100.0;
+
     /// Checks a request and computes the values that the chip realises.
     ///
     /// # Errors
@@ -249,8 +254,8 @@ impl Waveform {
         within("if_gain_db", r.if_gain_db, (18.0, 60.0), "dB")?;
         within("high_pass_cutoff_hz", r.high_pass_cutoff_hz, (20e3, 80e3), "Hz")?;
         within("anti_alias_cutoff_hz", r.anti_alias_cutoff_hz, (400e3, 700e3), "Hz")?;
-        within("chirp_interval_s", r.chirp_interval_s, (1e-6, 1.0), "s")?;
-        within("frame_interval_s", r.frame_interval_s, (1e-6, 100.0), "s")?;
+        within("chirp_interval_s", r.chirp_interval_s, (1e-6, Self::LONGEST_CHIRP_INTERVAL_S), "s")?;
+        within("frame_interval_s", r.frame_interval_s, (1e-6, Self::LONGEST_FRAME_INTERVAL_S), "s")?;
 
         let sample_rate_hz = REFERENCE_CLOCK_HZ / (REFERENCE_CLOCK_HZ / r.sample_rate_hz).round();
         let sampling_s = r.samples_per_chirp as f64 / sample_rate_hz;
@@ -269,7 +274,9 @@ impl Waveform {
                 given_s: chirp_interval_s,
             });
         }
-        let needed_s = r.chirps_per_frame as f64 * chirp_interval_s;
+        // The next frame may begin when the last chirp is over, before its interval is. The chip rounds the end of a
+        // chirp by less than one step.
+        let needed_s = (r.chirps_per_frame as f64 - 1.0) * chirp_interval_s + needed_s - CHIRP_INTERVAL_STEP_S;
         if needed_s > r.frame_interval_s {
             return Err(WaveformError::DoesNotFit {
                 what: "the chirps of a frame",
@@ -437,6 +444,17 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+
+        /// The registers realise frames that end with the last chirp, without the rest of its interval.
+        #[test]
+        fn the_rest_of_the_last_chirp_is_not_part_of_the_frame() {
+            // 128 chirps take 64 ms; the last of them needs 264 us of its 500 us.
+            let paper = WaveformRequest::paper();
+            let with = |frame_interval_s| Waveform::realise(WaveformRequest { frame_interval_s, ..paper.clone() });
+            assert!(with(0.0638).is_ok());
+            let error = with(0.0637).expect_err("the last chirp is cut short").to_string();
+            assert!(error.contains("the chirps of a frame take 0.06376"), "{error}");
+        }
 
         #[test]
         fn values_out_of_range_name_field_and_interval() {

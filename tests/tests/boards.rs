@@ -101,7 +101,49 @@ fn frames_of_an_esp32_are_judged_on_the_axes_that_it_states() {
 }
 
 mod hard_cases {
+    use std::time::Duration;
+
     use super::*;
+
+    /// Pauses a recorder of an emulated board for longer than its patience with a silent board. Returns the lines that
+    /// it wrote to stderr, and the number of frames lost.
+    fn paused(protocol: &str, pause: Duration) -> (Vec<String>, Option<u64>) {
+        let folder = tempfile::tempdir().expect("a folder");
+        // A frame is longer than one read of the port, and the board holds those of some seconds.
+        let text = "start_frequency_hz = 60e9\nend_frequency_hz = 62e9\nsamples_per_chirp = 64\nchirps_per_frame = 32\n\
+            sample_rate_hz = 2e6\nchirp_interval_s = 600e-6\nframe_interval_s = 0.2\n";
+        let waveform = write_file(folder.path(), "slow.toml", text);
+        let (_board, port) = emulated_board(&fixture("scenes/desk.toml"), &["--protocol", protocol]);
+        let recorded = folder.path().join("recorded.mcap");
+        let port = format!("serial:{port}");
+        let record = command!("record --allow-loss --frames 30 -o", &recorded, port, "--waveform", &waveform);
+        let mut recorder = Running::start(record);
+        wait_for("a recording that grows", || {
+            std::fs::metadata(&recorded).ok().filter(|file| file.len() > 30_000).map(|_| ())
+        });
+        recorder.signal("STOP");
+        std::thread::sleep(pause);
+        recorder.signal("CONT");
+        recorder.wait();
+        let copy = convert(&recorded, &folder.path().join("copy"));
+        (recorder.stderr.all(), copy["lost"].as_u64())
+    }
+
+    /// Regression test: the board counted as stalled, and the frames that it still held were lost.
+    #[test]
+    fn a_recorder_that_is_paused_loses_no_frame_that_the_board_holds() {
+        let (said, lost) = paused("mcu7-4", Duration::from_millis(2500));
+        assert!(!said.iter().any(|line| line.contains("the board is")), "{said:?}");
+        assert_eq!(lost, Some(0), "{said:?}");
+    }
+
+    /// Regression test: a board that its watchdog had stopped was started anew, and counted as stalled at once.
+    #[test]
+    fn a_board_that_stopped_while_its_recorder_was_paused_is_started_once() {
+        let (said, _) = paused("deepcraft", Duration::from_millis(3500));
+        assert_eq!(said.iter().filter(|line| line.contains("the board is started anew")).count(), 1, "{said:?}");
+        assert!(!said.iter().any(|line| line.contains("the board is lost")), "{said:?}");
+    }
 
     /// Regression test: each line was told, several a second, until the deadline.
     #[test]

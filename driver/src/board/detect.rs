@@ -13,10 +13,14 @@ use crate::chip::RegisterList;
 use crate::transport::serial::read_more;
 use crate::transport::{Address, trace};
 
-/// Longest silence of a board that prints by itself.
+/// Time for which a port is listened to before it is asked.
 const LISTEN: Duration = Duration::from_millis(300);
-/// Number of bytes that suffices to decide whether they are text.
-const ENOUGH: usize = 256;
+/// Time for which a port that has not answered is listened to again, in addition to three frame intervals.
+const LISTEN_AGAIN: Duration = Duration::from_secs(1);
+/// Most bytes that are listened to.
+const MOST_HEARD: usize = 1 << 18;
+/// Shortest line that is taken for text, bytes.
+const SHORTEST_LINE: usize = 16;
 
 /// Board found on a serial port.
 ///
@@ -76,10 +80,18 @@ impl Detected {
     /// The requests sent do not harm a board of another protocol.
     pub fn open(address: &Address, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
         let Address::Serial(path) = address else { return Detected::mcu7(address) };
-        if let Some((port, heard)) = printing(path)? {
-            return Ok(Detected::Esp32(Box::new(Esp32Stream::listen(path, port, heard, waveform)?)));
+        let printer = |(port, heard): (TTYPort, Vec<u8>)| {
+            Esp32Stream::listen(path, port, heard, waveform).map(|stream| Detected::Esp32(Box::new(stream)))
+        };
+        if let Some(heard) = printing(path, LISTEN)? {
+            return printer(heard);
         }
-        asked_in_turn(path, Detected::mcu7, |board| Detected::Deepcraft(Box::new(board)))
+        match asked_in_turn(path, Detected::mcu7, |board| Detected::Deepcraft(Box::new(board))) {
+            Err(silent @ BoardError::NoAnswer { .. }) => {
+                printing(path, listen_again(waveform))?.map_or(Err(silent), printer)
+            }
+            answer => answer,
+        }
     }
 
     /// Returns the waveform that the board has already: the one that it was left with, is set to, or prints.
@@ -136,23 +148,37 @@ impl Detected {
 /// # Errors
 /// Those of [`Detected::open`].
 pub(crate) fn identity_on(path: &Path) -> Result<Option<BoardIdentity>, BoardError> {
-    if printing(path)?.is_some() {
+    if printing(path, LISTEN)?.is_some() {
         return Ok(None);
     }
-    asked_in_turn(path, Mcu7Board::identity_at, |board| board.identity().clone()).map(Some)
+    match asked_in_turn(path, Mcu7Board::identity_at, |board| board.identity().clone()) {
+        Err(silent @ BoardError::NoAnswer { .. }) => match printing(path, listen_again(None))? {
+            Some(_) => Ok(None),
+            None => Err(silent),
+        },
+        answer => answer.map(Some),
+    }
 }
 
-/// Opens a port and listens. Returns the port and the received bytes if they are text.
-fn printing(path: &Path) -> Result<Option<(TTYPort, Vec<u8>)>, BoardError> {
+/// Returns the time for which a port that has not answered is listened to: its frames may be far apart.
+fn listen_again(waveform: Option<&Waveform>) -> Duration {
+    let interval_s = waveform.map_or(0.0, Waveform::frame_interval_s);
+    LISTEN_AGAIN + Duration::from_secs_f64(3.0 * interval_s)
+}
+
+/// Opens a port and listens until it has received text. Returns the port and the received bytes, or `None` after
+/// `timeout` without text.
+fn printing(path: &Path, timeout: Duration) -> Result<Option<(TTYPort, Vec<u8>)>, BoardError> {
     let mut port = open_port(path)?;
     let mut heard = Vec::new();
     let began = Instant::now();
-    while began.elapsed() < LISTEN && heard.len() < ENOUGH {
+    while began.elapsed() < timeout && heard.len() < MOST_HEARD {
+        let before = heard.len();
         read_more(&mut port, &mut heard).map_err(lost(path))?;
-    }
-    if is_text(&heard) {
-        trace::received(&heard);
-        return Ok(Some((port, heard)));
+        if heard.len() > before && is_text(&heard) {
+            trace::received(&heard);
+            return Ok(Some((port, heard)));
+        }
     }
     trace::measured(heard.len());
     Ok(None)
@@ -175,10 +201,13 @@ fn asked_in_turn<T>(
     }
 }
 
-/// Returns whether bytes are text. Packets of samples hold bytes that text does not.
+/// Returns whether the last bytes are text: the newest whole line or the beginning of the next one. Packets of samples
+/// hold bytes that text does not. A boot loader that prints at another rate sends such bytes before the first line.
 fn is_text(bytes: &[u8]) -> bool {
-    let is_printable = |b: &u8| matches!(b, b' '..=b'~' | b'\t' | b'\r' | b'\n');
-    bytes.len() >= 8 && bytes.iter().filter(|b| is_printable(b)).count() * 100 >= bytes.len() * 95
+    let is_printable = |b: &&u8| matches!(b, b' '..=b'~' | b'\t' | b'\r');
+    let is_line =
+        |line: &[u8]| line.len() >= SHORTEST_LINE && line.iter().filter(is_printable).count() * 100 >= line.len() * 95;
+    bytes.rsplit(|b| *b == b'\n').take(2).any(is_line)
 }
 
 #[cfg(test)]
@@ -193,5 +222,9 @@ mod tests {
         assert!(is_text(b"I (312) main: radar started\r\nFrame 0: [1, 2, 3"));
         let boot = [&b"\xfe\x80ets Jun  8 2016 00:22:57\r\n"[..], &[b'x'; 100]].concat();
         assert!(is_text(&boot));
+        // A boot loader at another rate.
+        let garbage: Vec<u8> = ramp.iter().chain(&ramp).map(|byte| byte | 0x80).collect();
+        assert!(!is_text(&garbage));
+        assert!(is_text(&[&garbage[..], b"\nI (312) main: radar started\r\n"].concat()));
     }
 }

@@ -72,6 +72,13 @@ pub enum BoardError {
     /// The board stopped measuring by itself.
     #[error("{path}: the board stopped measuring with error code {code}")]
     Acquisition { path: PathBuf, code: u32 },
+    /// The board was started anew many times, and no frame came.
+    #[error(
+        "{path}: the board has been started {restarts} times and sends no whole frame ({reason})\n\n\
+         hint: lengthen frame_interval_s or take fewer chirps, samples or receivers, so that the connection carries \
+         the frames; or connect the board without a hub"
+    )]
+    NoFrame { path: PathBuf, restarts: u32, reason: &'static str },
     /// No frame came within the deadline.
     #[error("{path}: no frame for {waited:.1?}; the board has stalled")]
     Stalled { path: PathBuf, waited: Duration },
@@ -125,6 +132,7 @@ impl BoardError {
             | BoardError::Malformed { .. }
             | BoardError::ChipSilent { .. }
             | BoardError::Acquisition { .. }
+            | BoardError::NoFrame { .. }
             | BoardError::Stalled { .. } => true,
             BoardError::Deepcraft { source, .. } => source.is_passing(),
             BoardError::Protocol { .. }

@@ -8,6 +8,7 @@ mod esp32;
 mod host;
 mod identity;
 mod mcu7;
+mod patience;
 mod reconnect;
 
 pub use deepcraft::{DeepcraftBoard, DeepcraftStream};

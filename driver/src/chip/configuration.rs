@@ -428,6 +428,20 @@ impl ChipConfiguration {
         Ok(ChipConfiguration::decode(&self.programmed()?)?.waveform)
     }
 
+    /// Returns the waveform with the chirp and frame intervals that the registers realise. Everything else is as
+    /// requested.
+    ///
+    /// # Errors
+    /// Those of [`ChipConfiguration::realised`].
+    pub fn with_realised_intervals(&self) -> Result<Waveform, ChipError> {
+        let realised = self.realised()?;
+        let mut waveform = self.waveform.clone();
+        waveform.chirp_interval_s = realised.chirp_interval_s;
+        waveform.request.chirp_interval_s = realised.request.chirp_interval_s;
+        waveform.request.frame_interval_s = realised.request.frame_interval_s;
+        Ok(waveform)
+    }
+
     /// Decodes the waveform of a chip with these registers. The anti-alias filter, which they do not hold, is taken as
     /// 500 kHz.
     ///
@@ -456,9 +470,6 @@ impl ChipConfiguration {
         let wake_up = if registers.field(CCR1::PD_MODE) >= 2 { WAKE_UP_CYCLES } else { 0 };
         let frame_delay = u64::from(registers.field(CCR1::TFED)) << registers.field(CCR1::TFED_MUL) << 3;
         let frame = chirp * chirps as u64 - end_delay + wake_up + frame_delay;
-        // If the frame's delay could not make up for the last chirp's end delay, the chirps alone determine the
-        // interval.
-        let frame = frame.max(chirp * chirps as u64);
 
         let mask = registers.field(CS1_U_1::BBCH_SEL) & 7;
         let antennas: Vec<u8> = (1..=3).filter(|a| mask >> (a - 1) & 1 == 1).collect();
@@ -477,14 +488,18 @@ impl ChipConfiguration {
             inside(start_frequency_hz, [RF_BAND_HZ.0, RF_BAND_HZ.1 - LEAST_BAND_HZ], FREQUENCY_STEP_HZ);
         let most_hz = 0.5 * SLOPE_STEP_HZ_PER_S * ramp_s + FREQUENCY_STEP_HZ;
         let end_frequency_hz = inside(end_frequency_hz, [start_frequency_hz + LEAST_BAND_HZ, RF_BAND_HZ.1], most_hz);
+        // The longest intervals may be rounded up by half a step of their delay, and by 8 cycles for their overheads.
+        let longest = |cycles: u64, exponent: Field, longest_s: f64| {
+            inside(seconds(cycles), [0.0, longest_s], seconds((4u64 << registers.field(exponent)) + 8))
+        };
         let request = WaveformRequest {
             start_frequency_hz,
             end_frequency_hz,
             samples_per_chirp: samples,
             chirps_per_frame: chirps,
             sample_rate_hz,
-            chirp_interval_s: seconds(chirp),
-            frame_interval_s: seconds(frame),
+            chirp_interval_s: longest(chirp, PLL1_7::T_SED_MUL, Waveform::LONGEST_CHIRP_INTERVAL_S),
+            frame_interval_s: longest(frame, CCR1::TFED_MUL, Waveform::LONGEST_FRAME_INTERVAL_S),
             rx_antennas: RxMask::from_antennas(&antennas).map_err(|e| wrong(e.to_string()))?,
             tx_power_level: registers.field(CS1_U_1::TX1_DAC) as u8,
             if_gain_db: high_pass_db + 5.0 * f64::from(vga).min(6.0),
@@ -581,6 +596,45 @@ mod tests {
             let waveform = Waveform::realise(request).expect("valid");
             let realised = ChipConfiguration { waveform, slice_samples: 8192 }.realised();
             assert!(realised.is_ok(), "{samples_per_chirp}: {realised:?}");
+        }
+    }
+
+    /// Asserts that a waveform and the one that its registers realise compile to the same registers.
+    fn assert_steady(request: WaveformRequest) -> Waveform {
+        let waveform = Waveform::realise(request).expect("valid");
+        let configuration = ChipConfiguration { waveform, slice_samples: 8192 };
+        let realised = configuration.realised().expect("a waveform");
+        let again = ChipConfiguration { waveform: realised.clone(), slice_samples: 8192 };
+        assert_eq!(again.compile(), configuration.compile(), "{:?}", configuration.waveform.request);
+        realised
+    }
+
+    /// Regression test: the interval of frames that follow each other without a pause was read as too long, and the
+    /// next program to use it programmed other registers.
+    #[test]
+    fn frames_without_a_pause_are_read_back_as_they_are() {
+        for chirp_interval_us in [310, 395, 405, 580, 600, 777, 1000] {
+            let chirp_interval_s = f64::from(chirp_interval_us) * 1e-6;
+            let frame_interval_s = 128.0 * chirp_interval_s;
+            let paper = WaveformRequest::paper();
+            let realised = assert_steady(WaveformRequest { chirp_interval_s, frame_interval_s, ..paper });
+            let error_s = (realised.request.frame_interval_s - frame_interval_s).abs();
+            assert!(error_s < 10e-6, "{chirp_interval_us} us: {error_s} s");
+        }
+    }
+
+    /// Regression test: intervals that the registers round up beyond the longest one of a request were an internal
+    /// error.
+    #[test]
+    fn the_longest_intervals_are_realised() {
+        let paper = WaveformRequest::paper();
+        for (chirps_per_frame, chirp_interval_s, frame_interval_s) in
+            [(4, 0.99, 10.0), (4, 1.0, 10.0), (128, 2e-3, 99.8), (128, 2e-3, 99.9), (128, 2e-3, 100.0)]
+        {
+            let intervals = WaveformRequest { chirp_interval_s, frame_interval_s, ..paper.clone() };
+            let realised = assert_steady(WaveformRequest { chirps_per_frame, ..intervals }).request;
+            assert!((realised.chirp_interval_s / chirp_interval_s - 1.0).abs() < 4e-3, "{realised:?}");
+            assert!((realised.frame_interval_s / frame_interval_s - 1.0).abs() < 4e-3, "{realised:?}");
         }
     }
 

@@ -116,7 +116,7 @@ fn waveform(random: &mut Random, board: Board, kind: Kind) -> Waveform {
         Kind::SlowHost => (&[1u8, 2, 3][..], 64, 128),
         _ => std::iter::repeat_with(|| random.one_of(&SHAPES)).find(|s| takes(board, *s)).expect("one of them"),
     };
-    common::waveform(antennas, chirps, samples, 500e-6 * chirps as f64 + 5e-3)
+    common::realised(&common::waveform(antennas, chirps, samples, 500e-6 * chirps as f64 + 5e-3))
 }
 
 fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f64, u64)) -> Fault {

@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use proptest::prelude::ProptestConfig;
-use radome_driver::protocol::mcu7::Protocol;
+use radome_driver::chip::ChipConfiguration;
+use radome_driver::protocol::mcu7::{Protocol, SliceLayout};
 use radome_driver::{
     BoardError, DeepcraftBoard, EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Kind, LabelSpan, Mcu7Board, Pace,
     Reconnect, Recorder, RecordingHeader,
@@ -44,6 +45,13 @@ pub fn transcript(protocol: Protocol) -> Option<Vec<(bool, Vec<u8>)>> {
 /// Configuration with this number of cases; fifty times as many where `RADOME_LONG` is set.
 pub fn cases(count: u32) -> ProptestConfig {
     ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
+}
+
+/// Waveform with the intervals that the chip's registers realise. An emulated board measures when its source does, and
+/// the client expects what the registers say.
+pub fn realised(waveform: &Waveform) -> Waveform {
+    let slice_samples = SliceLayout::for_frame(waveform.shape().codes()).samples;
+    ChipConfiguration { waveform: waveform.clone(), slice_samples }.with_realised_intervals().expect("fits")
 }
 
 /// Options of an emulated board with these faults that sends as fast as it is read.

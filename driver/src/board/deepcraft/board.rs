@@ -7,10 +7,10 @@ use radome_dsp::Waveform;
 
 use super::link::Link;
 use crate::board::{BoardError, BoardIdentity, DeepcraftError};
-use crate::chip::{CHIP_ID_BGT60TR13C, RegisterList, chip_name};
+use crate::chip::{CHIP_ID_BGT60TR13C, ChipConfiguration, RegisterList, chip_name};
 use crate::protocol::deepcraft::{
-    Board, CUSTOM, CUSTOM_DATA, Command, ConfigureRequest, Custom, Device, OptionKind, OptionValue, PROTOCOL_VERSION,
-    Preset, StreamConfig, USE_CASE, Value, Version, data_type, device_status, device_type, direction,
+    Board, CUSTOM, CUSTOM_DATA, Command, ConfigureRequest, Custom, Device, FIFO_LEVEL_CODES, OptionKind, OptionValue,
+    PROTOCOL_VERSION, Preset, StreamConfig, USE_CASE, Value, Version, data_type, device_status, device_type, direction,
     stated_frequency_hz,
 };
 use crate::transport::trace;
@@ -54,6 +54,8 @@ pub struct DeepcraftBoard {
 /// Waveform with the registers and options that set the radar to it.
 pub(super) struct Setting {
     pub(super) waveform: Waveform,
+    /// The waveform with the intervals that the registers realise.
+    pub(super) realised: Waveform,
     pub(super) registers: RegisterList,
     options: Vec<OptionValue>,
 }
@@ -122,14 +124,16 @@ impl DeepcraftBoard {
         };
         if let Some(preset) = Preset::of(waveform).and_then(|preset| item(preset.name())) {
             let (waveform, registers) = (waveform.clone(), RegisterList::new());
-            return Ok(Setting { waveform, registers, options: vec![preset] });
+            return Ok(Setting { realised: waveform.clone(), waveform, registers, options: vec![preset] });
         }
         let custom = Custom::compile(waveform)?;
+        let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: FIFO_LEVEL_CODES };
+        let realised = configuration.with_realised_intervals()?;
         let blob = OptionValue { option_id: CUSTOM_DATA, value: Some(Value::Blob(custom.encode())) };
         let use_case = item(CUSTOM).ok_or_else(|| {
             self.link.wrong(DeepcraftError::NoOption { what: "use case for a waveform of one's own" })
         })?;
-        Ok(Setting { waveform: custom.waveform, registers: custom.registers, options: vec![blob, use_case] })
+        Ok(Setting { waveform: custom.waveform, realised, registers: custom.registers, options: vec![blob, use_case] })
     }
 
     /// Stops and configures the radar, then checks the stream that the radar reports.

@@ -8,6 +8,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 use super::board::{DeepcraftBoard, Setting};
 use super::resequencer::Resequencer;
 use crate::board::host::now_ns;
+use crate::board::patience::Patience;
 use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::board::{BoardError, DeepcraftError};
 use crate::chip::RegisterList;
@@ -56,7 +57,8 @@ pub struct DeepcraftStream {
 
 impl DeepcraftBoard {
     /// Configures the radar and starts frames. A waveform that equals a preset of the firmware selects that preset. Any
-    /// other waveform is sent as registers; the stream's waveform then has the chirp interval that they realise.
+    /// other waveform is sent as registers; the stream's waveform then has the chirp and frame intervals that they
+    /// realise.
     ///
     /// # Errors
     /// [`DeepcraftError::Frame`] if the firmware cannot hold a frame, [`BoardError::Chip`] if the registers cannot hold
@@ -81,10 +83,10 @@ impl DeepcraftStream {
         let frames = FIFO_LEVEL_CODES.div_ceil(shape.codes().max(1)).max(1) as f64;
         let now = Instant::now();
         let mut stream = DeepcraftStream {
-            resequencer: Resequencer::new(&setting.waveform, stream.next_number),
+            resequencer: Resequencer::new(&setting.realised, stream.next_number),
             stream_index: usize::try_from(stream.index).unwrap_or(0),
             parser,
-            deadline: Duration::from_secs_f64(1.0 + 3.0 * frames * setting.waveform.frame_interval_s()),
+            deadline: Duration::from_secs_f64(1.0 + 3.0 * frames * setting.realised.frame_interval_s()),
             setting,
             watchdog: board.watchdog,
             watchdog_reset: now,
@@ -145,8 +147,8 @@ impl DeepcraftStream {
     /// [`BoardError`] if the connection breaks, the board reports an error or refuses to start again, or the stream was
     /// stopped.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
-        let end = Instant::now() + timeout;
-        let mut tried = false;
+        let mut patience = Patience::new(timeout);
+        let mut is_renewed = false;
         loop {
             self.keep_alive()?;
             self.take_dropped_count();
@@ -160,6 +162,10 @@ impl DeepcraftStream {
                 tracing::warn!(reason = reason.name(), "the board is started anew");
                 self.resequencer.restart(reason);
                 self.begin_anew()?;
+                // A board that is started anew again and again counts as stalled.
+                if !std::mem::replace(&mut is_renewed, true) {
+                    patience.renew();
+                }
             }
             // Queued frames are handed out before the next chunk is parsed.
             let event = if self.asked_until.is_none() { self.parser.next_event() } else { None };
@@ -187,12 +193,8 @@ impl DeepcraftStream {
                 }
                 None => {}
             }
-            let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() && tried {
-                return Ok(None);
-            }
-            tried = true;
-            self.receive(left)?;
+            let Some(wait) = patience.next_read() else { return Ok(None) };
+            patience.has_read(self.receive(wait)?);
         }
     }
 
@@ -225,8 +227,8 @@ impl DeepcraftStream {
         }
     }
 
-    /// Reads bytes, waiting at most `timeout`, and notes silence.
-    fn receive(&mut self, timeout: Duration) -> Result<(), BoardError> {
+    /// Reads bytes, waiting at most `timeout`, and notes silence. Returns whether any came.
+    fn receive(&mut self, timeout: Duration) -> Result<bool, BoardError> {
         let longest = if self.parser.is_waiting() { SILENCE } else { Duration::from_millis(50) };
         let board = self.board.as_mut().ok_or(BoardError::Stopped)?;
         let bytes = board.link.receive(timeout.min(longest))?;
@@ -234,7 +236,7 @@ impl DeepcraftStream {
             trace::measured(bytes.len());
             self.last_byte = Instant::now();
             self.parser.push(bytes);
-            return Ok(());
+            return Ok(true);
         }
         if self.last_byte.elapsed() >= SILENCE {
             self.parser.on_silence();
@@ -242,7 +244,7 @@ impl DeepcraftStream {
         if self.last_byte.elapsed() >= LONG_SILENCE {
             self.parser.on_long_silence();
         }
-        Ok(())
+        Ok(false)
     }
 
     fn keep_alive(&mut self) -> Result<(), BoardError> {
@@ -281,7 +283,7 @@ impl Drop for DeepcraftStream {
 
 impl FrameSource for DeepcraftStream {
     fn waveform(&self) -> &Waveform {
-        &self.setting.waveform
+        &self.setting.realised
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {

@@ -41,8 +41,10 @@ pub(super) struct Assembler {
     shape: FrameShape,
     timing: SampleTiming,
     frame_interval_us: f64,
-    /// Number of the next packet since the start: the counter, unwrapped.
+    /// Number of the next packet with data since the start: the counter, unwrapped, less the packets with texts.
     next_packet: u64,
+    /// Packets with texts since the start, modulo 2^16.
+    texts: u16,
     /// Stream offset up to which bytes have been received or given up.
     received: u64,
     /// Contiguous bytes of the stream from `buffer_start` on.
@@ -86,6 +88,7 @@ impl Assembler {
             timing: SampleTiming::new(waveform),
             frame_interval_us: waveform.frame_interval_s() * 1e6,
             next_packet: 0,
+            texts: 0,
             received: 0,
             buffer: Vec::with_capacity(frame_bytes + 2 * slice.data_bytes()),
             buffer_start: 0,
@@ -116,6 +119,7 @@ impl Assembler {
     /// Restarts the stream from packet 0; the board's clock will tell the number of lost frames.
     pub fn restart(&mut self, reason: GapReason) {
         (self.next_packet, self.received, self.buffer_start, self.next_frame) = (0, 0, 0, 0);
+        self.texts = 0;
         self.buffer.clear();
         self.stamps.clear();
         (self.last_stamp, self.check_until, self.duplicates) = (None, 0, 0);
@@ -171,7 +175,8 @@ impl Assembler {
         let to_previous_us = self.nominal_us(slice) - self.nominal_us(slice.saturating_sub(1).max(before));
         let to_next_us = self.nominal_us(slice + 1) - self.nominal_us(slice);
         let measured_us = time_us as f64 - before_us as f64;
-        // Over a long gap the error of the frame interval adds up. The registers hold the interval to a thousandth.
+        // Over a long gap the error of the frame interval adds up. The clocks of board and chip differ by less than a
+        // thousandth.
         let tolerance_us = 0.5 * to_previous_us.min(to_next_us) + 1e-3 * nominal_us;
         let agrees = (measured_us - nominal_us).abs() <= tolerance_us;
         if !agrees {
@@ -184,7 +189,13 @@ impl Assembler {
         if let Some(error) = packet.error() {
             return Outcome::Stopped(error);
         }
-        let ahead = packet.counter.wrapping_sub(self.next_packet as u16);
+        let ahead = packet.counter.wrapping_sub(self.texts).wrapping_sub(self.next_packet as u16);
+        if packet.flags.error {
+            if ahead < 0x8000 {
+                self.take_text(packet);
+            }
+            return Outcome::Taken;
+        }
         if ahead >= 0x8000 {
             // Before the first packet: the counter has been set back.
             if u64::from(ahead.wrapping_neg()) > self.next_packet {
@@ -239,6 +250,15 @@ impl Assembler {
             self.complete();
         }
         Outcome::Taken
+    }
+
+    /// Takes a packet with a text, which counts among the packets but carries no byte of the stream. On a transport
+    /// without CRC it may have been a packet with data: the slices' times must agree until a whole frame has been seen.
+    fn take_text(&mut self, packet: &Packet<'_>) {
+        let text = String::from_utf8_lossy(packet.payload);
+        tracing::warn!(text = text.trim_end_matches(['\0', '\n', '\r']), "the board sent a text among its data");
+        self.texts = self.texts.wrapping_add(1);
+        self.check_until = self.end_slice(self.next_frame) + 1;
     }
 
     /// Continues the stream at this byte; frames that reach into the skipped bytes are lost.
@@ -328,7 +348,9 @@ impl Assembler {
                 self.origin_us = None;
                 Some(self.next_sequence.saturating_sub(1) + intervals(elapsed_us))
             }
-            None => self.origin_us.map(|origin| intervals(start_us - origin)),
+            // From the last frame on: from the first one on, the difference between the clocks of board and chip would
+            // add up.
+            None => self.origin_us.map(|_| self.next_sequence.saturating_sub(1) + intervals(by_board_us)),
         };
         // At least the frame that was cut short is lost.
         let sequence = by_clock.map_or(self.next_sequence, |s| s.max(self.next_sequence + 1));
@@ -470,6 +492,50 @@ mod tests {
             let found = packets(&mut assembler, 4, &[0, 1], HOUR_US + 8 * FRAME_US);
             let gap = |first_sequence, frames| lost(first_sequence, frames, GapReason::PacketLost);
             assert_eq!(found, [gap(2, 4), frame(6), gap(7, 1), frame(8), frame(9)]);
+        }
+
+        /// Regression test: the first four bytes of a text were taken for a fatal error code.
+        #[test]
+        fn a_text_of_the_firmware_ends_nothing() {
+            let mut assembler = assembler(64, 128);
+            let flags = PacketFlags { first: true, last: true, error: true, ..PacketFlags::default() };
+            assert_eq!(packets(&mut assembler, 0, &[0, 1, 2, 3], HOUR_US), [frame(0)]);
+            for payload in [&b"hello"[..], b"ab", b"a longer text of the firmware\n"] {
+                let text = Packet { flags, channel: 0, counter: 4, payload };
+                // The second and third ones come from the past.
+                assert_eq!(assembler.packet(&text), Outcome::Taken);
+            }
+            let layout = assembler.slice;
+            let bytes = [vec![0; layout.data_bytes()], (HOUR_US + FRAME_US).to_le_bytes().to_vec()].concat();
+            for index in 0..4 {
+                let (first, last) = (index == 0, index == 3);
+                let flags = PacketFlags { first, last, timestamp: last, error: false };
+                let start = layout.offset(index);
+                let payload = bytes.get(start..start + layout.payload_length(index)).expect("a slice");
+                let packet = Packet { flags, channel: 0, counter: 5 + index as u16, payload };
+                assert_eq!(assembler.packet(&packet), Outcome::Taken);
+            }
+            let mut next = Frame::zeroed(assembler.shape);
+            assert_eq!(assembler.pop(&mut next), Some(SourceEvent::Frame));
+            assert_eq!((next.sequence, next.time_ns), (1, FRAME_NS));
+            let code = Packet { flags, channel: 0, counter: 9, payload: &5u32.to_le_bytes() };
+            assert_eq!(assembler.packet(&code), Outcome::Stopped(DataError::Other(5)));
+        }
+
+        /// Regression test: lost frames were counted from the first frame on, so that the count was wrong by more the
+        /// longer the stream had run.
+        #[test]
+        fn after_a_restart_lost_frames_are_counted_from_the_last_frame_on() {
+            // A slice holds one frame in four packets.
+            let mut assembler = assembler(64, 128);
+            // The board's clock is fast by a thousandth.
+            let at = |frame: u64| HOUR_US + frame * (FRAME_US + FRAME_US / 1000);
+            for sequence in 0..1000 {
+                assert_eq!(packets(&mut assembler, sequence, &[0, 1, 2, 3], at(sequence)).len(), 1);
+            }
+            assembler.restart(GapReason::FifoOverflow);
+            let found = packets(&mut assembler, 0, &[0, 1, 2, 3], at(1005));
+            assert_eq!(found[0], lost(1000, 5, GapReason::FifoOverflow));
         }
 
         /// Regression test, found by the test campaign: the board lost power twice and measured at once each time. The

@@ -10,6 +10,7 @@ use super::board::Mcu7Board;
 use super::link::Incoming;
 use crate::board::BoardError;
 use crate::board::host::now_ns;
+use crate::board::patience::Patience;
 use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::chip::{ChipConfiguration, RegisterList, SpiWord};
 use crate::protocol::mcu7::{Command, DataError, SliceLayout};
@@ -17,6 +18,9 @@ use crate::transport::Address;
 
 /// MAIN with FIFO and state machine reset, as the vendor's client stops.
 const STOP: SpiWord = SpiWord { address: 0, write: true, value: 0x1E_827C };
+
+/// Most times that the board is started anew without a frame in between.
+const MOST_RESTARTS: u32 = 20;
 
 /// A running acquisition. It ends with [`Mcu7Stream::stop`] or when dropped.
 pub struct Mcu7Stream {
@@ -28,6 +32,8 @@ pub struct Mcu7Stream {
     /// Longest silence between two packets, from the frame interval.
     deadline: Duration,
     restart: Option<GapReason>,
+    /// Number of restarts since the last frame.
+    restarts: u32,
     path: PathBuf,
     address: Address,
     uuid: String,
@@ -37,7 +43,8 @@ pub struct Mcu7Stream {
 }
 
 impl Mcu7Board {
-    /// Programs the chip and starts frames. The stream's waveform has the chirp interval that the registers realise.
+    /// Programs the chip and starts frames. The stream's waveform has the chirp and frame intervals that the registers
+    /// realise.
     ///
     /// # Errors
     /// [`BoardError::Chip`] if the registers cannot hold the waveform; else an error of the connection or of the board.
@@ -45,12 +52,10 @@ impl Mcu7Board {
         let slice = SliceLayout::for_frame_as(waveform.shape().codes(), self.link.framing());
         let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
         let registers = configuration.compile()?;
-        // The registers hold the chirp interval only approximately: the stream's waveform has the interval that they
-        // realise.
-        let mut realised = waveform.clone();
-        realised.chirp_interval_s = configuration.realised()?.chirp_interval_s;
+        // The registers hold intervals only approximately. Frames come at the interval that they realise.
+        let realised = configuration.with_realised_intervals()?;
         let assembler = Assembler::new(&realised, slice);
-        let deadline = Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s());
+        let deadline = Duration::from_secs_f64(1.0 + 3.0 * realised.frame_interval_s());
         let mut stream = Mcu7Stream {
             path: self.link.path.clone(),
             address: self.link.address.clone(),
@@ -64,6 +69,7 @@ impl Mcu7Board {
             assembler,
             deadline,
             restart: None,
+            restarts: 0,
         };
         stream.program()?;
         Ok(stream)
@@ -77,11 +83,13 @@ impl Mcu7Stream {
 
     fn program(&mut self) -> Result<(), BoardError> {
         let words: Vec<SpiWord> = self.registers.iter().map(|r| (*r).into()).collect();
-        let slice_samples = self.slice.samples as u16;
+        let slice = self.slice;
+        let slice_samples = slice.samples as u16;
         let link = &mut self.board()?.link;
         link.request_ok(&Command::StopData)?;
         link.request_ok(&Command::HardwareReset)?;
         link.request_ok(&Command::ConfigureData { slice_samples })?;
+        link.expect(Some(slice));
         link.request_ok(&Command::StartData)?;
         link.request_ok(&Command::Execute { words, answer: false })?;
         Ok(())
@@ -108,23 +116,30 @@ impl Mcu7Stream {
     /// Reads the next frame or gap; `None` if none is there within `timeout`.
     ///
     /// # Errors
-    /// [`BoardError`] if the connection breaks, the board refuses to start again or stops by itself, or the stream was
-    /// stopped.
+    /// [`BoardError`] if the connection breaks, the board refuses to start again, stops by itself or sends no frame
+    /// after many restarts, or the stream was stopped.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
-        let end = Instant::now() + timeout;
-        let mut tried = false;
+        let mut patience = Patience::new(timeout);
         'next: loop {
             if let Some(event) = self.assembler.pop(frame) {
                 if event == SourceEvent::Frame {
                     frame.host_time_ns = now_ns();
                     self.last_frame = Instant::now();
+                    self.restarts = 0;
                 }
                 return Ok(Some(event));
             }
             if let Some(reason) = self.restart.take() {
-                tracing::warn!(reason = reason.name(), "the board is started anew");
+                self.restarts += 1;
+                let (restarts, reason_name) = (self.restarts, reason.name());
+                match restarts {
+                    1 => tracing::warn!(reason = reason_name, "the board is started anew"),
+                    2..=MOST_RESTARTS => tracing::debug!(reason = reason_name, restarts, "the board is started anew"),
+                    _ => return Err(BoardError::NoFrame { path: self.path.clone(), restarts, reason: reason_name }),
+                }
                 self.assembler.restart(reason);
                 self.program()?;
+                patience.renew();
             }
             let link = &mut self.board.as_mut().ok_or(BoardError::Stopped)?.link;
             while let Some(incoming) = link.next_incoming() {
@@ -151,12 +166,8 @@ impl Mcu7Stream {
                     continue 'next;
                 }
             }
-            let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() && tried {
-                return Ok(None);
-            }
-            tried = true;
-            link.receive(left.min(Duration::from_millis(50)))?;
+            let Some(wait) = patience.next_read() else { return Ok(None) };
+            patience.has_read(link.receive(wait.min(Duration::from_millis(50)))?);
         }
     }
 
@@ -174,6 +185,7 @@ impl Mcu7Stream {
 fn halt(board: &mut Mcu7Board) -> Result<(), BoardError> {
     board.link.request_ok(&Command::StopData)?;
     board.link.request_ok(&Command::Execute { words: vec![STOP], answer: false })?;
+    board.link.expect(None);
     Ok(())
 }
 

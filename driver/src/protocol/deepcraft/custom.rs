@@ -130,10 +130,13 @@ impl Custom {
             }
         }
         let frequency_hz = |low: u32, high: u32| (u64::from(high) << 32 | u64::from(low)) as f64;
+        // The settings round the rate to a whole number, which may lie below the lowest rate of the chip.
+        let is_rounded = chip.sample_rate_hz.round() == f64::from(rate);
+        let sample_rate_hz = if is_rounded { chip.sample_rate_hz } else { f64::from(rate) };
         let mut waveform = Waveform::realise(WaveformRequest {
             start_frequency_hz: frequency_hz(s0, s1),
             end_frequency_hz: frequency_hz(e0, e1),
-            sample_rate_hz: f64::from(rate),
+            sample_rate_hz,
             chirp_interval_s: shortest(f32::from_bits(chirp_s)),
             frame_interval_s: shortest(f32::from_bits(frame_s)),
             ..chip.request.clone()
@@ -198,6 +201,24 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+
+        /// Regression test: the lowest sample rate, 78201.37 Hz, was read back as 78201 Hz, which was refused.
+        #[test]
+        fn the_lowest_and_the_highest_sample_rate_are_read_back() {
+            for sample_rate_hz in [80e6 / 1023.0, 80e6 / 1022.0, 80e6 / 34.0, 4e6] {
+                let request = WaveformRequest {
+                    samples_per_chirp: 64,
+                    chirps_per_frame: 4,
+                    sample_rate_hz,
+                    chirp_interval_s: 2e-3,
+                    ..WaveformRequest::paper()
+                };
+                let custom = Custom::compile(&Waveform::realise(request).expect("valid")).expect("fits");
+                let back = Custom::decode(&custom.encode()).expect("decodes");
+                assert_eq!(back.waveform.sample_rate_hz, sample_rate_hz);
+                assert_eq!(back.registers, custom.registers);
+            }
+        }
 
         #[test]
         fn what_contradicts_itself_is_refused_with_both_figures() {

@@ -12,7 +12,7 @@ pub struct PacketFlags {
     pub last: bool,
     /// The last eight bytes are the board's clock in microseconds.
     pub timestamp: bool,
-    /// The payload is an error code.
+    /// The payload is an error code or a text.
     pub error: bool,
 }
 
@@ -104,9 +104,11 @@ impl<'a> Packet<'a> {
         }
     }
 
-    /// Decodes the error of an error packet.
+    /// Decodes the error of an error packet: a code, and the timestamp if its flag is set. An error packet of another
+    /// length holds a text of the firmware.
     pub fn error(&self) -> Option<DataError> {
-        let code = self.payload.first_chunk().filter(|_| self.flags.error).map(|c| u32::from_le_bytes(*c))?;
+        let code = <[u8; 4]>::try_from(self.split_timestamp().0).ok().filter(|_| self.flags.error);
+        let code = u32::from_le_bytes(code?);
         Some(if code == 7 { DataError::FifoOverflow } else { DataError::Other(code) })
     }
 }

@@ -1,6 +1,8 @@
 //! Parsers of messages in a stream of bytes that may hold garbage.
 
-use super::{Framing, MAX_MESSAGE, Packet, Protocol, REQUEST_HEADER_LENGTH, Request, RequestKind, Response, Status};
+use super::{
+    Framing, MAX_MESSAGE, Packet, Protocol, REQUEST_HEADER_LENGTH, Request, RequestKind, Response, SliceLayout, Status,
+};
 use crate::protocol::crc::crc16;
 
 /// Message of a board.
@@ -26,7 +28,14 @@ enum Candidate {
     Message(usize),
 }
 
-fn candidate(bytes: &[u8]) -> Candidate {
+/// Longest answer while data run, bytes of payload: no request of a running stream asks for data.
+const MAX_ANSWER: usize = 16;
+/// Longest error code or text while data run, bytes.
+const MAX_TEXT: usize = 256;
+
+/// Returns what begins with these bytes. While slices of a layout are sent, a header counts only with a length that a
+/// message can then have.
+fn candidate(bytes: &[u8], slice: Option<SliceLayout>) -> Candidate {
     let Some(&first) = bytes.first() else { return Candidate::Incomplete };
     let length = if first & 0xF0 == 0xD0 {
         let Some(header) = bytes.first_chunk() else {
@@ -37,12 +46,16 @@ fn candidate(bytes: &[u8]) -> Candidate {
             };
         };
         match Packet::header(Framing::Serial, header) {
-            Some((_, length)) => Packet::HEADER_LENGTH + length + 2,
-            None => return Candidate::No,
+            Some((flags, length)) if is_expected(slice, flags.error, length) => Packet::HEADER_LENGTH + length + 2,
+            _ => return Candidate::No,
         }
     } else if RequestKind::from_code(first).is_some() {
         let Some(&[_, _, l0, l1]) = bytes.first_chunk() else { return Candidate::Incomplete };
-        Response::HEADER_LENGTH + usize::from(u16::from_le_bytes([l0, l1])) + 2
+        let length = usize::from(u16::from_le_bytes([l0, l1]));
+        if slice.is_some() && length > MAX_ANSWER {
+            return Candidate::No;
+        }
+        Response::HEADER_LENGTH + length + 2
     } else {
         return Candidate::No;
     };
@@ -51,6 +64,15 @@ fn candidate(bytes: &[u8]) -> Candidate {
         None => Candidate::Incomplete,
         Some(message) if crc16(message) == 0 => Candidate::Message(length),
         Some(_) => Candidate::No,
+    }
+}
+
+/// Returns whether the payload of a packet can have this length.
+fn is_expected(slice: Option<SliceLayout>, is_error: bool, length: usize) -> bool {
+    match slice {
+        None => true,
+        Some(_) if is_error => length <= MAX_TEXT,
+        Some(slice) => (0..slice.packets()).any(|packet| slice.payload_length(packet) == length),
     }
 }
 
@@ -64,6 +86,8 @@ pub struct BoardParser {
     /// Length of the message after them, if it is whole and its CRC has been checked: the CRC need not be computed
     /// again.
     checked: Option<usize>,
+    /// Layout of the slices that the board sends.
+    slice: Option<SliceLayout>,
 }
 
 impl BoardParser {
@@ -71,6 +95,12 @@ impl BoardParser {
     /// messages are taken out in between.
     pub fn with_capacity(bytes: usize) -> Self {
         BoardParser { buffer: Vec::with_capacity(bytes + MAX_MESSAGE), ..Self::default() }
+    }
+
+    /// Sets the layout of the slices that the board sends; `None` while it sends none. A header with a length that no
+    /// message then has is garbage: without the layout it would hide the messages behind it until so many bytes came.
+    pub fn expect(&mut self, slice: Option<SliceLayout>) {
+        (self.slice, self.checked) = (slice, None);
     }
 
     /// Takes received bytes.
@@ -92,7 +122,7 @@ impl BoardParser {
         let mut at = start;
         loop {
             let rest = self.buffer.get(at..).unwrap_or(&[]);
-            match candidate(rest) {
+            match candidate(rest, self.slice) {
                 Candidate::No => at += 1,
                 _ if at > start => {
                     self.used = at;
@@ -112,7 +142,7 @@ impl BoardParser {
         let rest = self.buffer.get(self.used..).unwrap_or(&[]);
         let candidate = match self.checked {
             Some(length) => Candidate::Message(length),
-            None => candidate(rest),
+            None => candidate(rest, self.slice),
         };
         match candidate {
             Candidate::Incomplete => None,

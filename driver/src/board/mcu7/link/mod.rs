@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::board::BoardError;
-use crate::protocol::mcu7::{Command, Framing, Packet, Protocol, Request, Status};
+use crate::protocol::mcu7::{Command, Framing, Packet, Protocol, Request, SliceLayout, Status};
 use crate::transport::{Address, trace};
 use bulk::Bulk;
 use serial::Serial;
@@ -65,6 +65,15 @@ impl Link {
         match self.carrier {
             Carrier::Serial(_) => Framing::Serial,
             Carrier::Bulk(_) => Framing::Bulk,
+        }
+    }
+
+    /// Sets the layout of the slices that the board sends; `None` while it sends none.
+    pub fn expect(&mut self, slice: Option<SliceLayout>) {
+        match &mut self.carrier {
+            Carrier::Serial(serial) => serial.expect(slice),
+            // The end of a transfer is the end of a packet.
+            Carrier::Bulk(_) => {}
         }
     }
 

@@ -9,7 +9,7 @@ use serialport::{SerialPort, TTYPort};
 use super::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
 use crate::board::BoardError;
 use crate::board::host::open_port;
-use crate::protocol::mcu7::{BoardEvent, BoardParser, Request, Status};
+use crate::protocol::mcu7::{BoardEvent, BoardParser, Request, SliceLayout, Status};
 use crate::transport::serial::{BUFFER, read_within};
 use crate::transport::trace;
 
@@ -28,6 +28,11 @@ impl Serial {
             buffer: vec![0; BUFFER],
             last_byte: Instant::now(),
         })
+    }
+
+    /// Sets the layout of the slices that the board sends.
+    pub fn expect(&mut self, slice: Option<SliceLayout>) {
+        self.parser.expect(slice);
     }
 
     pub fn receive(&mut self, timeout: Duration) -> Result<bool, Failure> {
