@@ -140,6 +140,30 @@ mod hard_cases {
         }
     }
 
+    /// Goals beyond a slanted wall were accepted without a warning on the lines of the boxes that cover it, and elsewhere
+    /// taken for furniture.
+    #[test]
+    fn goals_beyond_slanted_walls_lie_outside_the_room() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let scene = folder.path().join("scene.toml");
+        let text = fixture_text("scenes/l-corridor.toml");
+        let (room, _) = text.split_once("[[people.actor]]").expect("an actor");
+        let room = room.replace("[8.0, 2.0], [2.0, 2.0], [2.0, 6.0], [0.0, 6.0]]", "[8.0, 2.0], [4.0, 6.0]]");
+        let says = |steps: &str| {
+            std::fs::write(&scene, format!("{room}[[people.actor]]\nstep = [{steps}]\n")).expect("written");
+            success(command!("scene simulate --frames 1", &scene)).1
+        };
+        for goal in ["7.00, 4.00", "1.00, 3.00", "7.10, 4.10"] {
+            let said = says(&format!("{{ walk_to_m = [6.0, 1.2] }}, {{ walk_to_m = [{goal}] }}"));
+            let expected = format!("person 0 goes straight to [{goal}] m, which lies outside the room");
+            assert!(said.contains(&expected), "{said}");
+        }
+        let said = says("{ walk_to_m = [7.0, 4.0] }, { stand_s = 9.0 }");
+        assert!(said.contains("person 0 stands at [7.00, 4.00] m, which lies outside the room"), "{said}");
+        let said = says("{ walk_to_m = [6.0, 1.2] }, { walk_to_m = [4.0, 4.0] }");
+        assert!(!said.contains("person 0"), "{said}");
+    }
+
     /// Walls that meet in a T were told of as faces that lie on each other.
     #[test]
     fn only_faces_that_lie_on_each_other_are_told_of() {
