@@ -180,6 +180,21 @@ mod hard_cases {
         }
     }
 
+    /// A metal plate of 9 cm in a file lost its mirror echo without a warning.
+    #[test]
+    fn metal_faces_too_small_to_mirror_are_told_of_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let text = fixture_text("scenes/room-mesh.toml").replace("plaster = ", "steel = \"metal\", plaster = ");
+        let scene = write_file(folder.path(), "scene.toml", text);
+        let room = fixture_text("scenes/room-mesh.obj");
+        for (y_m, is_told) in [(0.09, true), (0.12, false)] {
+            let plate = format!("v 1 0 1\nv 1 {y_m} 1\nv 1 {y_m} 1.09\nv 1 0 1.09\nf -4 -3 -2 -1\n");
+            write_file(folder.path(), "room-mesh.obj", format!("{room}o plate\nusemtl steel\n{plate}"));
+            let (_, said) = success(command!("scene paths --people 0", &scene));
+            assert_eq!(said.matches("corners: 1, the largest of 0.0081 m^2").count(), usize::from(is_told), "{said}");
+        }
+    }
+
     /// A recording of MCAP bytes got a name by which it was taken for text.
     #[test]
     fn a_text_name_is_refused() {

@@ -143,8 +143,8 @@ pub struct Outline {
     pub edges: Vec<[DVec3; 2]>,
 }
 
-/// Least angle of edges that are drawn, rad.
-const CREASE_RAD: f64 = 0.35;
+/// Least angle of edges that are drawn, rad. Surfaces that turn less are curved.
+pub(super) const CREASE_RAD: f64 = 0.35;
 
 fn outline(piece: &Piece, corner: DVec3) -> Outline {
     let place = |v: u32| piece.mesh.vertices.get(v as usize).map_or(DVec3::ZERO, |v| *v - corner);
