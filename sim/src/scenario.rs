@@ -474,8 +474,16 @@ impl Visits {
         for _ in 0..PLACES {
             at = [draw(rng, [low[0], high[0]]), draw(rng, [low[1], high[1]])];
             if self.is_in_view(at) && self.is_free(at) {
-                break;
+                return at;
             }
+        }
+        let name = &self.scene.name;
+        if is_first_warning(&["pace", name]) {
+            tracing::warn!(
+                "{name}: {PLACES} attempts found no place to pace, so people go where they should not, perhaps all to one place: \
+                 widen pace_range_m, pace_off_boresight_deg or the area (pace_area_m, pace_margin_m) under [people.visits], or turn \
+                 the radar (azimuth_deg)"
+            );
         }
         at
     }

@@ -141,7 +141,7 @@ mod hard_cases {
     }
 
     /// Goals beyond a slanted wall were accepted without a warning on the lines of the boxes that cover it, and elsewhere
-    /// taken for furniture.
+    /// they were taken for furniture.
     #[test]
     fn goals_beyond_slanted_walls_lie_outside_the_room() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -162,6 +162,22 @@ mod hard_cases {
         assert!(said.contains("person 0 stands at [7.00, 4.00] m, which lies outside the room"), "{said}");
         let said = says("{ walk_to_m = [6.0, 1.2] }, { walk_to_m = [4.0, 4.0] }");
         assert!(!said.contains("person 0"), "{said}");
+    }
+
+    /// People stood anywhere, and inside each other, where no place fits the keys of pacing.
+    #[test]
+    fn visitors_without_a_place_to_pace_are_told_of_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let text = fixture_text("scenes/corridor.toml");
+        let (room, _) = text.split_once("[people.visits]").expect("a program of visits");
+        for (range_m, told) in [("[90.0, 99.0]", 1), ("[0.5, 12.0]", 0)] {
+            let visits = format!(
+                "[people.visits]\nfirst_absence_s = [0.0, 0.1]\npace_probability = 1.0\npace_range_m = {range_m}\n"
+            );
+            let scene = write_file(folder.path(), "scene.toml", format!("{room}{visits}"));
+            let (_, said) = success(command!("scene simulate --frames 1 --people 2", &scene));
+            assert_eq!(said.matches("attempts found no place to pace").count(), told, "{said}");
+        }
     }
 
     /// Walls that meet in a T were told of as faces that lie on each other.
