@@ -396,11 +396,11 @@ fn check_actor(file: &SceneFile, actor: &ActorFile) -> Result<(), Fault> {
         check_step(step, height_m)?;
         index("enter_door", step.enter_door, "door", file.door.len())?;
         index("leave_door", step.leave_door, "door", file.door.len())?;
-        if step.enter_door.is_some() && number > 0 {
-            return fault("enter_door", number, "it in the first step only");
+        if let Some(door) = step.enter_door.filter(|_| number > 0) {
+            return fault("enter_door", door, "it in the first step only");
         }
-        if step.leave_door.is_some() && number + 1 < actor.step.len() {
-            return fault("leave_door", number, "it in the last step only");
+        if let Some(door) = step.leave_door.filter(|_| number + 1 < actor.step.len()) {
+            return fault("leave_door", door, "it in the last step only");
         }
         index("bed", step.lie_s.and(step.bed.or(Some(0))), "bed", file.bed.len())?;
         index("seat", step.seat, "seat", file.seat.len())?;
