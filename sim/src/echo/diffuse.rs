@@ -14,7 +14,7 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::{Snapshot, inside_room};
-use crate::diffuse::{AntennaPaths, LEAST_LEG_M, WallPoint};
+use crate::diffuse::{AntennaPaths, BEFORE_M, GOLDEN, LEAST_LEG_M, WallPoint};
 use crate::em::fresnel;
 use crate::em::image::Element;
 use crate::geometry::shape::ellipsoid_area_m2;
@@ -26,13 +26,9 @@ use crate::tracks::RECEIVERS;
 
 /// Part of the threshold of a single path below which paths are inaudible even together.
 const HEARD: f64 = 0.1;
-/// Offset of points before their walls in visibility tests, m.
-const BEFORE_M: f64 = 1e-4;
 /// Smallest number of points for a segment, if there are as many. Fewer and stronger echoes would appear in maps as
 /// individual detections, like a second person.
 const LEAST_POINTS: usize = 64;
-/// Fractional part of the golden ratio, whose multiples are evenly distributed between 0 and 1.
-const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// Returns the number of the walls' points that each segment of a body takes at a tolerance: all of them up to 0.5 dB,
 /// a quarter at 1 dB.
