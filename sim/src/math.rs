@@ -1,4 +1,4 @@
-//! Small numerical functions: smooth steps, Hermite polynomials, angles, medians, disjoint sets.
+//! Small numerical functions: smooth steps, Hermite polynomials, angles, medians, interpolation, disjoint sets.
 
 use std::f64::consts::{PI, TAU};
 
@@ -45,6 +45,15 @@ pub fn median(mut values: Vec<f64>) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
+/// Neighbours of a position, 0 to 1, among evenly spaced values, and the part of the way from the first to the second;
+/// `None` for an empty list.
+pub fn neighbours<T>(values: &[T], at: f64) -> Option<(&T, &T, f64)> {
+    let place = at.clamp(0.0, 1.0) * values.len().saturating_sub(1) as f64;
+    let whole = place as usize;
+    let here = values.get(whole)?;
+    Some((here, values.get(whole + 1).unwrap_or(here), place - whole as f64))
+}
+
 /// Disjoint sets (union-find) of the numbers from 0. The lowest number of each set represents it.
 pub struct Sets(Vec<usize>);
 
@@ -67,5 +76,19 @@ impl Sets {
     pub fn join(&mut self, a: usize, b: usize) {
         let (a, b) = (self.lowest(a), self.lowest(b));
         self.0[a.max(b)] = a.min(b);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_are_interpolated_between_their_neighbours() {
+        let between = |values: &[f64], at: f64| neighbours(values, at).map(|(a, b, part)| a + (b - a) * part);
+        assert_eq!(between(&[], 0.4), None);
+        assert_eq!(between(&[0.3], 0.9), Some(0.3));
+        assert_eq!(between(&[1.0, 0.0, 0.5], 0.75), Some(0.25));
+        assert_eq!(between(&[1.0, 0.0, 0.5], 1.0), Some(0.5));
     }
 }

@@ -15,7 +15,7 @@ use crate::people::route::Ground;
 use crate::people::wander;
 use crate::random::{Purpose, draw, generator};
 use crate::scene::Scene;
-use crate::scene::ground::{Floor, blocks, walls};
+use crate::scene::ground::{Floor, blocks, is_outside, walls};
 use crate::scene_file::{ActorFile, BedFile, DeskFile, DoorFile, SceneFile, SeatFile, StepFile, VisitsFile};
 
 /// The people of a scene over all time.
@@ -170,12 +170,12 @@ impl Script<'_> {
         if let Some(to) = step.walk_to_m {
             let is_within =
                 |[low, high]: &[[f64; 2]; 2]| (0..2).all(|axis| to[axis] > low[axis] && to[axis] < high[axis]);
-            if blocks(self.scene).iter().any(is_within) {
+            // A place beyond the walls of a plan may lie within the boxes that stand for them.
+            let is_outside = self.tell_if_outside(to, if is_first { "stands at" } else { "goes straight to" });
+            if !is_outside && blocks(self.scene).iter().any(is_within) {
                 self.tell(to, "stands at", "lies within furniture or a wall");
             }
-            if is_first {
-                self.tell_if_outside(to, "stands at");
-            } else {
+            if !is_first {
                 path = self.go(path, to, speed);
             }
         }
@@ -224,7 +224,7 @@ impl Script<'_> {
 
     /// Says that a place lies outside the room, unless people go there on purpose. Returns whether it lies outside.
     fn tell_if_outside(&self, place: [f64; 2], what: &str) -> bool {
-        let is_outside = !(0..2).all(|axis| (0.0..=self.file.room.size_m[axis]).contains(&place[axis]));
+        let is_outside = is_outside(self.scene, place);
         if is_outside && !is_meant_outside(self.file, place) {
             self.tell(place, what, "lies outside the room");
         }
@@ -254,7 +254,11 @@ fn is_meant_outside(file: &SceneFile, place: [f64; 2]) -> bool {
         let (out_m, along_m) = (off[0] * nx + off[1] * ny, off[0] * ny - off[1] * nx);
         out_m.hypot((along_m.abs() - 0.5 * door.width_m).max(0.0)) <= AT_DOOR_M
     });
-    let beyond = [place[0] < 0.0, place[0] > size_m[0], place[1] < 0.0, place[1] > size_m[1]];
+    let mut beyond = [place[0] < 0.0, place[0] > size_m[0], place[1] < 0.0, place[1] > size_m[1]];
+    if !beyond.contains(&true) {
+        // In the box around a plan, the place is beyond walls that may face any way.
+        beyond = [true; 4];
+    }
     let mut walls = beyond.into_iter().zip(file.room.passable_walls());
     is_at_door || walls.all(|(is_beyond, is_passable)| !is_beyond || is_passable)
 }
@@ -470,8 +474,16 @@ impl Visits {
         for _ in 0..PLACES {
             at = [draw(rng, [low[0], high[0]]), draw(rng, [low[1], high[1]])];
             if self.is_in_view(at) && self.is_free(at) {
-                break;
+                return at;
             }
+        }
+        let name = &self.scene.name;
+        if is_first_warning(&["pace", name]) {
+            tracing::warn!(
+                "{name}: {PLACES} attempts found no place to pace, so people go where they should not, perhaps all to one place: \
+                 widen pace_range_m, pace_off_boresight_deg or the area (pace_area_m, pace_margin_m) under [people.visits], or turn \
+                 the radar (azimuth_deg)"
+            );
         }
         at
     }
@@ -599,10 +611,11 @@ mod tests {
         ] {
             assert_eq!(is_meant_outside(&file, place), is_meant, "{place:?}");
         }
+        assert!(!is_meant_outside(&file, [5.0, 1.0]), "in the box around a plan");
         file.room.y_high.material = "open".to_owned();
         assert!(is_meant_outside(&file, [5.0, 2.75]));
         assert!(!is_meant_outside(&file, [-1.2, 2.75]), "one of the two walls is closed");
         file.room.transmission = true;
-        assert!(is_meant_outside(&file, [-1.2, 2.75]));
+        assert!(is_meant_outside(&file, [-1.2, 2.75]) && is_meant_outside(&file, [5.0, 1.0]));
     }
 }

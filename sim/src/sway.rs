@@ -16,6 +16,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::diffraction::{self, Column};
+use crate::math::neighbours;
 use crate::path_segment::{PathDerivatives, PathSample};
 use crate::paths::Surroundings;
 use crate::prepared_scene::PreparedScene;
@@ -135,11 +136,9 @@ impl SwayingReflectors {
             for path in &reflector.paths {
                 let shades: Vec<f64> =
                     columns.iter().map(|people| diffraction::along(&path.polyline, people, wavelength_m)).collect();
-                let keys: Vec<Vec<(PathSample, PathDerivatives)>> = motion
-                    .iter()
-                    .enumerate()
-                    .map(|(end, x)| path.keys(x, between(&shades, end as f64 / parts as f64)))
-                    .collect();
+                let shade = |at: f64| neighbours(&shades, at).map_or(1.0, |(a, b, part)| a + (b - a) * part);
+                let keys: Vec<Vec<(PathSample, PathDerivatives)>> =
+                    motion.iter().enumerate().map(|(end, x)| path.keys(x, shade(end as f64 / parts as f64))).collect();
                 for (place, ends) in keys.windows(2).enumerate() {
                     if let [a, b] = ends
                         && let Some(track) = Track::between(a, b, interval_s)
@@ -173,16 +172,6 @@ fn halvings(span_s: f64, fastest_hz: f64) -> u32 {
     (0..MOST_HALVINGS)
         .find(|&h| span_s * fastest_hz <= PERIODS_AN_INTERVAL * f64::from(1u32 << h))
         .unwrap_or(MOST_HALVINGS)
-}
-
-/// Interpolates between values evenly spread over 0..1; 1 for an empty list.
-fn between(values: &[f64], at: f64) -> f64 {
-    let Some(last) = values.len().checked_sub(1) else { return 1.0 };
-    let place = at.clamp(0.0, 1.0) * last as f64;
-    let whole = place as usize;
-    let here = values.get(whole).copied().unwrap_or(1.0);
-    let next = values.get(whole + 1).copied().unwrap_or(here);
-    here + (next - here) * (place - whole as f64)
 }
 
 /// Draws a value of an interval, uniformly in its logarithm.
@@ -333,13 +322,5 @@ mod tests {
                 }
             }
         }
-    }
-
-    #[test]
-    fn shades_are_interpolated_and_one_where_there_are_none() {
-        assert_eq!(between(&[], 0.4), 1.0);
-        assert_eq!(between(&[0.3], 0.9), 0.3);
-        assert!((between(&[1.0, 0.0, 0.5], 0.75) - 0.25).abs() < 1e-12);
-        assert_eq!(between(&[1.0, 0.0, 0.5], 1.0), 0.5);
     }
 }

@@ -289,6 +289,30 @@ mod hard_cases {
         wrong_collada("<vcount>1 ", "<vcount>900 ", &["vcount asks for 979 weights", "160 indices"]);
     }
 
+    /// Keys in any order were sorted away from their values, and a stepped curve beside another one became a ramp.
+    #[test]
+    fn collada_curves_that_would_be_changed_are_refused() {
+        let times = "<source id=\"hips-in\"><float_array>";
+        wrong_collada(times, &times.replace("<float_array>", "<float_array>9"), &["line ", "key times do not ascend"]);
+        let kinds = |id: &str, kinds: &str| format!("<source id=\"{id}\"><Name_array>{kinds}</Name_array></source>");
+        let by = |id: &str| format!("<input semantic=\"INTERPOLATION\" source=\"#{id}\"/>");
+        let sampler = "<sampler id=\"hips-sampler\">";
+        let mixed = format!("{}{sampler}{}", kinds("hips-kinds", "LINEAR STEP"), by("hips-kinds"));
+        wrong_collada(sampler, &mixed, &["line ", "STEP for some keys"]);
+        let numbers = |id: &str, list: &str| format!("<source id=\"{id}\"><float_array>{list}</float_array></source>");
+        let curve = format!(
+            "<animation>{}{}{}<sampler id=\"s\"><input semantic=\"INPUT\" source=\"#s-in\"/>\
+             <input semantic=\"OUTPUT\" source=\"#s-out\"/>{}</sampler>\
+             <channel source=\"#s\" target=\"hips/at.X\"/></animation>\n",
+            numbers("s-in", "0 1"),
+            numbers("s-out", "0 0"),
+            kinds("s-kinds", "STEP STEP"),
+            by("s-kinds"),
+        );
+        let animation = "<animation><source id=\"hips-in\">";
+        wrong_collada(animation, &format!("{curve}{animation}"), &["line ", "hips/turn.ANGLE", "another curve"]);
+    }
+
     /// Offsets and counts beyond the lists: earlier code added them up and allocated memory before checking them.
     #[test]
     fn collada_offsets_and_counts_beyond_the_lists_are_refused() {

@@ -399,8 +399,11 @@ mod hard_cases {
         }
         let door = "[[door]]\nposition_m = [0.0, 10.0]\n";
         for (steps, expected) in [
-            (format!("{place}, {{ enter_door = 0 }}"), "first step"),
-            (format!("{{ enter_door = 0 }}, {{ leave_door = 0 }}, {place}"), "last step"),
+            (format!("{place}, {{ enter_door = 0 }}"), "enter_door is 0, expected it in the first step only"),
+            (
+                format!("{{ enter_door = 0 }}, {{ leave_door = 0 }}, {place}"),
+                "leave_door is 0, expected it in the last step only",
+            ),
         ] {
             let message = refusal(&hall(&format!("{door}{}", script(&steps))));
             assert!(message.contains(expected), "{steps}: {message}");

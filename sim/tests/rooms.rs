@@ -175,7 +175,8 @@ mod hard_cases {
             told(scene(&folder, MESHES), expected);
         };
         let all = faces([-1.0, -2.0, 0.0], [4.0, 2.0, 2.5]);
-        wrong("walls.stl", &|_| stl(&all[1..4], 1000.0), &["x_low is missing", "hint: "]);
+        let missing = ["x_low is missing", "hint: ", "x_low = { material = \"open\" }"];
+        wrong("walls.stl", &|_| stl(&all[1..4], 1000.0), &missing);
         wrong("ceiling.stl", &|_| stl(&all[4..5], 1.0), &["ceiling is missing", "hint: "]);
         wrong("walls.stl", &|t| t.replacen("vertex -1000", "vertex nan", 1), &["walls.stl", "hint: "]);
         wrong("walls.stl", &|t| t[..t.len() / 2].to_owned(), &["walls.stl", "line ", "hint: "]);

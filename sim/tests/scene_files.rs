@@ -128,6 +128,19 @@ mod hard_cases {
         assert!(message.starts_with(&format!("a/b.toml:{line}: {expected}")), "{message}");
     }
 
+    /// People of a margin of half the room or more all stood in its middle.
+    #[test]
+    fn a_margin_leaves_room_to_pace() {
+        let door = "[[door]]\nposition_m = [0.0, 3.0]\n";
+        let visits = |margin: &str| format!("{door}[people.visits]\npace_margin_m = {margin}\n");
+        assert!(Scene::parse(&hall(&visits("9.9")), Path::new("a")).is_ok());
+        for margin in ["10.0", "-0.1", "nan"] {
+            let message = refusal(&hall(&visits(margin)));
+            let expected = "expected 0 to less than 10 m, half of the room's shorter side";
+            assert!(message.contains("pace_margin_m") && message.contains(expected), "{margin}: {message}");
+        }
+    }
+
     /// Surplus values of lists were ignored.
     #[test]
     fn lists_with_too_many_values_are_refused() {

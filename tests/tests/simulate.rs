@@ -140,6 +140,46 @@ mod hard_cases {
         }
     }
 
+    /// Goals beyond a slanted wall were accepted without a warning on the lines of the boxes that cover it, and elsewhere
+    /// they were taken for furniture.
+    #[test]
+    fn goals_beyond_slanted_walls_lie_outside_the_room() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let scene = folder.path().join("scene.toml");
+        let text = fixture_text("scenes/l-corridor.toml");
+        let (room, _) = text.split_once("[[people.actor]]").expect("an actor");
+        let room = room.replace("[8.0, 2.0], [2.0, 2.0], [2.0, 6.0], [0.0, 6.0]]", "[8.0, 2.0], [4.0, 6.0]]");
+        let says = |steps: &str| {
+            std::fs::write(&scene, format!("{room}[[people.actor]]\nstep = [{steps}]\n")).expect("written");
+            success(command!("scene simulate --frames 1", &scene)).1
+        };
+        for goal in ["7.00, 4.00", "1.00, 3.00", "7.10, 4.10"] {
+            let said = says(&format!("{{ walk_to_m = [6.0, 1.2] }}, {{ walk_to_m = [{goal}] }}"));
+            let expected = format!("person 0 goes straight to [{goal}] m, which lies outside the room");
+            assert!(said.contains(&expected), "{said}");
+        }
+        let said = says("{ walk_to_m = [7.0, 4.0] }, { stand_s = 9.0 }");
+        assert!(said.contains("person 0 stands at [7.00, 4.00] m, which lies outside the room"), "{said}");
+        let said = says("{ walk_to_m = [6.0, 1.2] }, { walk_to_m = [4.0, 4.0] }");
+        assert!(!said.contains("person 0"), "{said}");
+    }
+
+    /// People stood anywhere, and inside each other, where no place fits the keys of pacing.
+    #[test]
+    fn visitors_without_a_place_to_pace_are_told_of_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let text = fixture_text("scenes/corridor.toml");
+        let (room, _) = text.split_once("[people.visits]").expect("a program of visits");
+        for (range_m, told) in [("[90.0, 99.0]", 1), ("[0.5, 12.0]", 0)] {
+            let visits = format!(
+                "[people.visits]\nfirst_absence_s = [0.0, 0.1]\npace_probability = 1.0\npace_range_m = {range_m}\n"
+            );
+            let scene = write_file(folder.path(), "scene.toml", format!("{room}{visits}"));
+            let (_, said) = success(command!("scene simulate --frames 1 --people 2", &scene));
+            assert_eq!(said.matches("attempts found no place to pace").count(), told, "{said}");
+        }
+    }
+
     /// Walls that meet in a T were told of as faces that lie on each other.
     #[test]
     fn only_faces_that_lie_on_each_other_are_told_of() {
@@ -153,6 +193,21 @@ mod hard_cases {
             write_file(folder.path(), "room-mesh.obj", mesh);
             let (_, said) = success(command!("scene paths --people 0", &scene));
             assert_eq!(said.contains("faces that lie on each other"), is_told, "{said}");
+        }
+    }
+
+    /// A metal plate of 9 cm in a file lost its mirror echo without a warning.
+    #[test]
+    fn metal_faces_too_small_to_mirror_are_told_of_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let text = fixture_text("scenes/room-mesh.toml").replace("plaster = ", "steel = \"metal\", plaster = ");
+        let scene = write_file(folder.path(), "scene.toml", text);
+        let room = fixture_text("scenes/room-mesh.obj");
+        for (y_m, is_told) in [(0.09, true), (0.12, false)] {
+            let plate = format!("v 1 0 1\nv 1 {y_m} 1\nv 1 {y_m} 1.09\nv 1 0 1.09\nf -4 -3 -2 -1\n");
+            write_file(folder.path(), "room-mesh.obj", format!("{room}o plate\nusemtl steel\n{plate}"));
+            let (_, said) = success(command!("scene paths --people 0", &scene));
+            assert_eq!(said.matches("corners: 1, the largest of 0.0081 m^2").count(), usize::from(is_told), "{said}");
         }
     }
 

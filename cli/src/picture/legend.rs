@@ -24,6 +24,7 @@ pub(super) fn legend(scene: &Scene, people: &[(usize, f64)]) -> Vec<(Sign, Strin
     let walls = [&room.x_low, &room.x_high, &room.y_low, &room.y_high, &room.floor, &room.ceiling];
     let mut names: Vec<&str> = walls.iter().map(|s| s.material.as_str()).collect();
     names.extend(file.furniture.iter().filter_map(|f| f.material.as_deref()));
+    names.extend(room.plan.iter().flat_map(|plan| &plan.wall).map(|wall| wall.material.as_str()));
     names.extend(scene.outlines().iter().map(|o| o.material.as_str()));
     names.sort_unstable();
     names.dedup();

@@ -7,44 +7,28 @@ use std::sync::Arc;
 use glam::DVec3;
 use radome_sim::Scene;
 use radome_sim::em::specular::Ellipsoid;
-use radome_sim::people::body::PELVIS;
-use radome_sim::people::motion::Motion;
 use radome_sim::people::skin::EDGE_M;
 use radome_sim::people::walking_mesh::WalkingMesh;
-use radome_sim::scenario::Scenario;
-use radome_sim::scene_file::{BodyFile, FurnitureFile, SurfaceFile};
+use radome_sim::scene_file::{BodyFile, FurnitureFile};
 
-use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
+use super::canvas::{Canvas, Labels, Letters, Line, Pixel};
 use super::legend::{draw_sign, legend, legend_rows};
-use super::palette::{BEAM, GREY, INK, LEFT, MOVING, STATIC, UNSAID, material_ink, person_ink, ring};
+use super::palette::{BEAM, GREY, INK, LEFT, MOVING, STATIC, UNSAID, material_ink, ring};
+use super::room::{WALL, draw_room};
 use super::theme::Theme;
+use super::view::View;
+use super::ways::{Way, draw_way, label_times, ways};
 
 /// Room below each view, above it, and to the right of it, pixels; below there are numbers and the axis's name.
 const BELOW: f64 = 62.0;
 const TOP: f64 = 64.0;
 const RIGHT: f64 = 30.0;
-/// Thickness of walls, pixels.
-const WALL: f64 = 9.0;
 /// Pixels of a metre: no more than this, and so many that views fill this width, or one of them this height.
 const MOST_PER_M: f64 = 200.0;
 const WIDTH: f64 = 1480.0;
 const HEIGHT: f64 = 860.0;
 /// Rooms this many times as long as wide have their views one above the other.
 const LONG: f64 = 2.2;
-/// Ways are looked at so often, s.
-const STEP_S: f64 = 0.05;
-/// Between times that are written on ways, pixels and s, and between arrows, pixels.
-const BETWEEN_TIMES: f64 = 130.0;
-const BETWEEN_TIMES_S: f64 = 1.2;
-const BETWEEN_ARROWS: f64 = 100.0;
-/// Ways are drawn this far out of the room, m.
-const OUTSIDE_M: f64 = 0.15;
-/// Least distance between points of a line along a way, pixels, and upper limit of its sections. The time to draw a line
-/// grows with the square of the number of its sections that cross or touch.
-const LEAST_SECTION: f64 = 0.5;
-const MOST_SECTIONS: usize = 300;
-/// Bodies drawn of everybody after the first.
-const LATER: usize = 3;
 
 /// Scene and options of its picture.
 pub struct Preview<'a> {
@@ -69,58 +53,6 @@ pub struct DrawnPath {
     pub strength: f64,
 }
 
-/// One of the views: which axes of the room are to the right and up, and where.
-struct View {
-    across: usize,
-    up: usize,
-    /// Upper left corner of the room, pixels.
-    corner: Pixel,
-    per_m: f64,
-    size_m: DVec3,
-}
-
-impl View {
-    fn at(&self, p: DVec3) -> Pixel {
-        [
-            self.corner[0] + p[self.across] * self.per_m,
-            self.corner[1] + (self.size_m[self.up] - p[self.up]) * self.per_m,
-        ]
-    }
-
-    fn width(&self) -> f64 {
-        self.size_m[self.across] * self.per_m
-    }
-
-    fn height(&self) -> f64 {
-        self.size_m[self.up] * self.per_m
-    }
-
-    fn is_plan(&self) -> bool {
-        self.up == 1
-    }
-
-    fn frame(&self) -> [Pixel; 2] {
-        [self.corner, [self.corner[0] + self.width(), self.corner[1] + self.height()]]
-    }
-
-    fn rectangle(&self, low: DVec3, high: DVec3) -> Vec<Pixel> {
-        let ([x0, y1], [x1, y0]) = (self.at(low), self.at(high));
-        vec![[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
-    }
-}
-
-/// Somebody's way while they are there.
-struct Way {
-    /// Number of the person, as in lists of paths.
-    slot: usize,
-    motion: Arc<Motion>,
-    ink: Ink,
-    /// Times, s, and places of the hips.
-    places: Vec<(f64, DVec3)>,
-    /// Times at which the body is drawn, s.
-    bodies: Vec<f64>,
-}
-
 /// Draws a scene.
 ///
 /// # Errors
@@ -128,7 +60,7 @@ struct Way {
 pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     let scene = preview.scene;
     let views = views(scene);
-    let ways = ways(preview);
+    let ways = ways(scene, preview.seed, preview.people, preview.until_s);
     let people: Vec<(usize, f64)> = ways.iter().map(|way| (way.slot, way.motion.person.build.height_m)).collect();
     let legend = legend(scene, &people);
     let [right, below] = [0, 1].map(|axis| views.iter().map(|view| view.frame()[1][axis]).fold(0.0, f64::max));
@@ -201,159 +133,6 @@ fn draw_view(canvas: &mut Canvas, view: &View, preview: &Preview, ways: &[Way]) 
     }
     label_furniture(canvas, view, scene, &mut labels);
     draw_axes(canvas, view);
-}
-
-/// Everybody who is there up to the end.
-fn ways(preview: &Preview) -> Vec<Way> {
-    let program = Scenario::new(preview.scene, preview.seed, preview.people);
-    let mut all = program.between(0.0, preview.until_s);
-    all.sort_by(|a, b| a.1.start_s.total_cmp(&b.1.start_s).then(a.0.cmp(&b.0)));
-    let one = |(slot, motion): (usize, Arc<Motion>)| {
-        let (begin, end) = (motion.start_s.max(0.0), motion.end_s.min(preview.until_s));
-        let steps = ((end - begin) / STEP_S).ceil().max(1.0) as usize;
-        let at = |i: usize| begin + (end - begin) * i as f64 / steps as f64;
-        let places: Vec<(f64, DVec3)> = (0..=steps).map(|i| (at(i), motion.body(at(i))[PELVIS].centre)).collect();
-        let bodies = body_times(preview.scene, &places);
-        Way { slot, motion, ink: person_ink(slot), places, bodies }
-    };
-    all.into_iter().map(one).collect()
-}
-
-/// Time at which somebody is first in the room, and a few later ones at which they are elsewhere or in another posture.
-fn body_times(scene: &Scene, places: &[(f64, DVec3)]) -> Vec<f64> {
-    let size = scene.room().size_m;
-    let in_room = |p: DVec3| p.x > 0.2 && p.y > 0.2 && p.x < size.x - 0.2 && p.y < size.y - 0.2;
-    let there: Vec<&(f64, DVec3)> = places.iter().filter(|(_, p)| in_room(*p)).collect();
-    let Some(&&(first_s, first)) = there.first() else { return Vec::new() };
-    // By how far they have moved, up and down too, so that who sits for long is not drawn again and again.
-    let mut moved = 0.0;
-    let mut last = first;
-    let lengths: Vec<(f64, f64)> = there
-        .iter()
-        .map(|(t, p)| {
-            moved += p.distance(last);
-            last = *p;
-            (*t, moved)
-        })
-        .collect();
-    let mut times = vec![first_s];
-    for i in 1..=LATER {
-        let wanted = moved * i as f64 / LATER as f64;
-        if moved > 0.3
-            && let Some((t, _)) = lengths.iter().find(|(_, length)| *length >= wanted - 1e-9)
-        {
-            times.push(*t);
-        }
-    }
-    times
-}
-
-/// The four surfaces around a view, in the order lower end across, higher end across, lower end up, higher end up.
-fn surfaces<'a>(view: &View, scene: &'a Scene) -> [&'a SurfaceFile; 4] {
-    let room = &scene.file().room;
-    let ends = |axis: usize| match axis {
-        0 => [&room.x_low, &room.x_high],
-        1 => [&room.y_low, &room.y_high],
-        _ => [&room.floor, &room.ceiling],
-    };
-    let ([a, b], [c, d]) = (ends(view.across), ends(view.up));
-    [a, b, c, d]
-}
-
-fn draw_room(canvas: &mut Canvas, view: &View, scene: &Scene) {
-    let [[x0, y0], [x1, y1]] = view.frame();
-    let area = vec![[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
-    let back = if view.is_plan() {
-        material_ink(scene, &scene.file().room.floor.material).faint(0.10)
-    } else {
-        GREY.faint(0.05)
-    };
-    canvas.fill(&[area], back);
-    let w = WALL;
-    let walls = [
-        [[x0 - w, y0 - w], [x0, y1 + w]],
-        [[x1, y0 - w], [x1 + w, y1 + w]],
-        [[x0 - w, y1], [x1 + w, y1 + w]],
-        [[x0 - w, y0 - w], [x1 + w, y0]],
-    ];
-    for (surface, [low, high]) in surfaces(view, scene).into_iter().zip(walls) {
-        let wall = vec![low, [high[0], low[1]], high, [low[0], high[1]]];
-        if surface.material == "open" {
-            canvas.around(&[wall], &Line { ink: GREY.faint(0.7), width: 1.0, is_dashed: true });
-        } else {
-            canvas.fill(&[wall], material_ink(scene, &surface.material));
-        }
-    }
-    for outline in scene.outlines() {
-        let line = Line { ink: material_ink(scene, &outline.material).darker(0.35), width: 1.4, is_dashed: false };
-        for edge in &outline.edges {
-            canvas.line(&edge.map(|p| view.at(p)), &line);
-        }
-    }
-    if view.is_plan() {
-        draw_openings(canvas, view, scene, back);
-    }
-    for door in &scene.file().door {
-        draw_door(canvas, view, door.position_m, door.width_m);
-    }
-}
-
-/// Draws openings of a plan from above: a gap in the wall, and in it the pane or the door leaf. `back` is the colour of the floor.
-fn draw_openings(canvas: &mut Canvas, view: &View, scene: &Scene, back: Ink) {
-    /// Width of the strip in which a wall's line is taken away, pixels.
-    const STRIP: f64 = 4.0;
-    let size = view.size_m;
-    let sides = [(0, 0.0, [-1.0, 0.0]), (0, size.x, [1.0, 0.0]), (1, 0.0, [0.0, 1.0]), (1, size.y, [0.0, -1.0])];
-    let openings = scene.openings();
-    for opening in &openings {
-        let [a, b] = opening.ends.map(|end| view.at(end.extend(0.0)));
-        // Paper takes the line away; the floor goes on over it.
-        for ink in [Ink::solid([255, 255, 255]), back] {
-            canvas.line(&[a, b], &Line { ink, width: STRIP, is_dashed: false });
-        }
-        let is_on = |axis: usize, at_m: f64| opening.ends.iter().all(|end| (end[axis] - at_m).abs() < 1e-6);
-        if let Some((.., outward)) = sides.into_iter().find(|(axis, at_m, _)| is_on(*axis, *at_m)) {
-            draw_gap(canvas, [a, b], outward);
-        }
-    }
-    // After all gaps, for a leaf may stand before another opening.
-    for opening in &openings {
-        let leaf = opening.leaf.zip(opening.file.door.as_ref()).map(|(ends, door)| (ends, &door.material));
-        let pane = opening.file.material.as_ref().map(|material| (opening.ends, material));
-        if let Some((ends, material)) = leaf.or(pane).filter(|(_, material)| *material != "open") {
-            let ink = material_ink(scene, material).darker(0.35);
-            let ends: [Pixel; 2] = ends.map(|end| view.at(end.extend(0.0)));
-            canvas.line(&ends, &Line { ink, width: 1.4, is_dashed: false });
-        }
-    }
-}
-
-/// Draws a gap in the thick wall around a room, beside a line along its inner side.
-fn draw_gap(canvas: &mut Canvas, [a, b]: [Pixel; 2], outward: Pixel) {
-    let out = |[x, y]: Pixel| [x + outward[0] * (WALL + 1.0), y + outward[1] * (WALL + 1.0)];
-    canvas.fill(&[vec![a, b, out(b), out(a)]], Ink::solid([255, 255, 255]));
-    for end in [a, b] {
-        canvas.line(&[end, out(end)], &Line { ink: INK, width: 2.0, is_dashed: false });
-    }
-}
-
-fn draw_door(canvas: &mut Canvas, view: &View, [x, y]: [f64; 2], width_m: f64) {
-    /// Height of a door, m.
-    const HEIGHT_M: f64 = 2.0;
-    let in_x_wall = x < 1e-6 || x > view.size_m.x - 1e-6;
-    let half = 0.5 * width_m;
-    let along = if in_x_wall { DVec3::Y } else { DVec3::X } * half;
-    let middle = DVec3::new(x, y, 0.0);
-    if view.is_plan() {
-        // A gap in the wall, with both leaves' ends.
-        let outward =
-            if in_x_wall { [if x < 1e-6 { -1.0 } else { 1.0 }, 0.0] } else { [0.0, if y < 1e-6 { 1.0 } else { -1.0 }] };
-        draw_gap(canvas, [view.at(middle - along), view.at(middle + along)], outward);
-    } else if in_x_wall == (view.across == 1) {
-        let high = middle + along + DVec3::Z * HEIGHT_M.min(view.size_m.z);
-        let door = view.rectangle(middle - along, high);
-        canvas.around(&[door], &Line { ink: GREY.faint(0.6), width: 1.2, is_dashed: true });
-    }
 }
 
 /// Directions of the beam's cut through the boresight in which the pattern is at least half as strong, in the room.
@@ -508,93 +287,6 @@ fn draw_bodies(canvas: &mut Canvas, view: &View, scene: &Scene, way: &Way) {
     }
 }
 
-/// Whether a place is in the room, or just out of it.
-fn is_about(view: &View, p: DVec3) -> bool {
-    p.min_element() > -OUTSIDE_M && p.x < view.size_m.x + OUTSIDE_M && p.y < view.size_m.y + OUTSIDE_M
-}
-
-/// Lines along a way, as few and as short as the picture needs. Each one begins with the last section of the one before, so
-/// that the corner between them is round as well.
-fn lines_along(places: &[Pixel]) -> Vec<Vec<Pixel>> {
-    let mut kept: Vec<Pixel> = Vec::new();
-    for &[x, y] in places {
-        if kept.last().is_none_or(|[last_x, last_y]| (x - last_x).hypot(y - last_y) >= LEAST_SECTION) {
-            kept.push([x, y]);
-        }
-    }
-    let begins = (0..kept.len().saturating_sub(1)).step_by(MOST_SECTIONS);
-    begins.map(|first| kept[first.saturating_sub(1)..kept.len().min(first + MOST_SECTIONS + 1)].to_vec()).collect()
-}
-
-fn draw_way(canvas: &mut Canvas, view: &View, way: &Way) {
-    for piece in way.places.split(|(_, p)| !is_about(view, *p)).filter(|piece| piece.len() > 1) {
-        let places: Vec<Pixel> = piece.iter().map(|(_, p)| view.at(*p)).collect();
-        let lines = lines_along(&places);
-        let halo = Line { ink: Ink::solid([255, 255, 255]).faint(0.8), width: 4.0, is_dashed: false };
-        lines.iter().for_each(|line| canvas.line(line, &halo));
-        lines.iter().for_each(|line| canvas.line(line, &Line { ink: way.ink, width: 2.0, is_dashed: false }));
-        let mut since = 0.6 * BETWEEN_ARROWS;
-        for pair in places.windows(2) {
-            let &[a, b] = pair else { continue };
-            let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-            let length = dx.hypot(dy);
-            since += length;
-            // Who hardly moves has no direction.
-            if since < BETWEEN_ARROWS || length < 0.2 * view.per_m * STEP_S {
-                continue;
-            }
-            since = 0.0;
-            let (dx, dy) = (dx / length, dy / length);
-            let place = |along: f64, across: f64| [b[0] + along * dx - across * dy, b[1] + along * dy + across * dx];
-            canvas.fill(&[vec![place(7.0, 0.0), place(-4.0, 5.0), place(-4.0, -5.0)]], way.ink);
-        }
-    }
-}
-
-/// Writes when somebody is where: at bodies, and from above also at other places.
-fn label_times(canvas: &mut Canvas, view: &View, way: &Way, labels: &mut Labels) {
-    // Places are in order of time: the nearest one is the last before a time or the next one.
-    let at = |t: f64| {
-        let before = way.places.partition_point(|(time_s, _)| *time_s < t).saturating_sub(1);
-        let around = way.places.iter().skip(before).take(2);
-        around.min_by(|a, b| (a.0 - t).abs().total_cmp(&(b.0 - t).abs())).map(|(_, p)| *p)
-    };
-    let (begin, end) = (way.places.first().map_or(0.0, |p| p.0), way.places.last().map_or(0.0, |p| p.0));
-    let seconds = begin.ceil() as i64..=end.floor() as i64;
-    let seconds = seconds.filter(|_| view.is_plan()).map(|t| (t as f64, false));
-    let mut written: Vec<(f64, Pixel)> = Vec::new();
-    for (time_s, is_body) in way.bodies.iter().map(|&t| (t, true)).chain(seconds) {
-        let Some(place) = at(time_s).filter(|p| is_about(view, *p)) else { continue };
-        let [x, y] = view.at(place);
-        let near = |of: &&(f64, Pixel)| {
-            let apart = (of.1[0] - x).hypot(of.1[1] - y);
-            let other_pass = (of.0 - time_s).abs() > 4.0 * BETWEEN_TIMES_S && apart > 0.3 * BETWEEN_TIMES;
-            apart < BETWEEN_TIMES && !other_pass || (of.0 - time_s).abs() < BETWEEN_TIMES_S
-        };
-        if !is_body && written.iter().any(|of| near(&of)) {
-            continue;
-        }
-        let text = if time_s.fract().abs() < 0.05 { format!("{time_s:.0} s") } else { format!("{time_s:.1} s") };
-        let size = Letters::Small.size(&text);
-        let places = [
-            [x + 8.0, y - size[1] - 3.0],
-            [x + 8.0, y + 4.0],
-            [x - size[0] - 8.0, y - size[1] - 3.0],
-            [x - size[0] - 8.0, y + 4.0],
-        ];
-        if let Some(found) = labels.find(size, &places, view.frame()) {
-            canvas.fill(&[ring([x, y], 3.4)], Ink::solid([255, 255, 255]));
-            canvas.around(&[ring([x, y], 3.4)], &Line { ink: way.ink, width: 1.6, is_dashed: false });
-            let [left, top] = found;
-            let (right, bottom) = (left + size[0] + 2.0, top + size[1]);
-            let back = vec![[left - 2.0, top], [right, top], [right, bottom], [left - 2.0, bottom]];
-            canvas.fill(&[back], Ink::solid([255, 255, 255]).faint(0.65));
-            canvas.text(found, &text, Letters::Small, way.ink.darker(0.2));
-            written.push((time_s, [x, y]));
-        }
-    }
-}
-
 fn draw_axes(canvas: &mut Canvas, view: &View) {
     let [[x0, _], [_, y1]] = view.frame();
     let line = Line { ink: INK, width: 1.2, is_dashed: false };
@@ -710,18 +402,31 @@ mod tests {
         assert!(differ([3.182, 1.818], [3.6, 2.2]));
     }
 
-    /// A way of 40,000 frames was one line of 80,000 points, which took a minute to draw.
+    /// Floor and thick walls filled the box around a plan, all in the material of `walls`.
     #[test]
-    fn long_ways_are_drawn_in_short_lines() {
-        let stands = vec![[5.0, 5.0]; 10_000];
-        let walks = (0..1000).map(|i| [5.0 + 7.0 * f64::from(i), 5.0]);
-        let lines = lines_along(&stands.into_iter().chain(walks).collect::<Vec<_>>());
-        assert_eq!(lines.iter().map(Vec::len).collect::<Vec<_>>(), [301, 302, 302, 101]);
-        for pair in lines.windows(2) {
-            assert!(pair[0].ends_with(&pair[1][..2]), "{:?}", pair[1]);
-        }
-        assert_eq!(lines.last().and_then(|line| line.last()), Some(&[5.0 + 7.0 * 999.0, 5.0]));
-        assert!(lines_along(&[[1.0, 1.0]; 7]).is_empty());
+    fn plans_are_drawn_with_their_own_walls() {
+        let path = files::fixture("scenes/l-corridor.toml").expect("a fixture");
+        let text = std::fs::read_to_string(&path).expect("text");
+        let wall = "[[room.plan.wall]]\nindex = 1\nmaterial = \"metal\"\n\n[radar]";
+        let scene = Scene::parse(&text.replacen("[radar]", wall, 1), &path).expect("a scene");
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 0.1, paths: &[] };
+        draw(&preview, file.path()).expect("a picture");
+        let (width, pixels) = rgb_of(file.path());
+        let [plan, beside] = views(&scene);
+        let is = |view: &View, place_m: [f64; 3], off: Pixel, rgb: [u8; 3]| {
+            let [x, y] = view.at(DVec3::from_array(place_m));
+            let found = pixels[(y + off[1]) as usize * width + (x + off[0]) as usize];
+            assert!((0..3).all(|i| found[i].abs_diff(rgb[i]) <= 3), "{place_m:?}: {found:?}, expected {rgb:?}");
+        };
+        let (concrete, metal) = ([128, 132, 138], [62, 78, 104]);
+        is(&plan, [5.0, 4.0, 0.0], [0.0, 0.0], [255; 3]);
+        is(&plan, [8.0, 5.0, 0.0], [0.5 * WALL, 0.0], [255; 3]);
+        is(&plan, [5.0, 2.0, 0.0], [0.0, -0.5 * WALL], concrete);
+        is(&plan, [2.0, 4.0, 0.0], [0.5 * WALL, 0.0], concrete);
+        is(&plan, [8.0, 1.5, 0.0], [0.5 * WALL, 0.0], metal);
+        is(&beside, [8.0, 0.0, 2.0], [0.5 * WALL, 0.0], metal);
+        is(&beside, [0.0, 0.0, 2.0], [-0.5 * WALL, 0.0], concrete);
     }
 
     /// Returns whether the plans of two scenes differ at a place of the room, m.

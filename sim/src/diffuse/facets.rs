@@ -3,11 +3,9 @@
 use glam::DVec3;
 use rand::Rng;
 
+use super::BEFORE_M;
 use super::points::{WallPosition, Walls, mean_power};
 use crate::paths::{FacetId, PolygonRoom};
-
-/// Offset of points before their facets in visibility tests, m.
-const BEFORE_M: f64 = 1e-4;
 
 /// Facets with the triangles that cover them.
 pub(super) struct FacetWalls<'a> {

@@ -7,7 +7,7 @@ use num_complex::Complex64;
 use rand::Rng;
 use rand::seq::SliceRandom;
 
-use super::LEAST_LEG_M;
+use super::{GOLDEN, LEAST_LEG_M};
 use crate::em::fresnel::Reflection;
 use crate::em::image::{BoxRoom, Element, Wall};
 use crate::random::{Purpose, generator};
@@ -253,7 +253,7 @@ impl Walk {
     fn from(first: WallPosition, walls: &impl Walls, diffuse: Diffuse, from: DVec3, index: usize, seed: u64) -> Self {
         let mut rng = generator(seed, Purpose::WallWalks, [index as u64, 0]);
         // Multiples of the golden ratio distribute the walks of each number of walls over the whole room.
-        let at = (index as f64 + 0.5) * 0.618_033_988_749_894_9;
+        let at = (index as f64 + 0.5) * GOLDEN;
         let (count, weight) = bounces(at.fract(), diffuse.bounces);
         // Scattered power is not available for specular reflection.
         let mirrored_at = |place: &WallPosition, cosine: f64| {

@@ -14,9 +14,10 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::{Snapshot, inside_room};
-use crate::diffuse::{AntennaPaths, LEAST_LEG_M, WallPoint};
+use crate::diffuse::{AntennaPaths, BEFORE_M, GOLDEN, LEAST_LEG_M, WallPoint};
+use crate::em::fresnel;
 use crate::em::image::Element;
-use crate::em::{fresnel, specular::Ellipsoid};
+use crate::geometry::shape::ellipsoid_area_m2;
 use crate::material::SKIN_PERMITTIVITY;
 use crate::people::body::{CHEST, SEGMENTS};
 use crate::prepared_scene::PreparedScene;
@@ -25,13 +26,9 @@ use crate::tracks::RECEIVERS;
 
 /// Part of the threshold of a single path below which paths are inaudible even together.
 const HEARD: f64 = 0.1;
-/// Offset of points before their walls in visibility tests, m.
-const BEFORE_M: f64 = 1e-4;
 /// Smallest number of points for a segment, if there are as many. Fewer and stronger echoes would appear in maps as
 /// individual detections, like a second person.
 const LEAST_POINTS: usize = 64;
-/// Fractional part of the golden ratio, whose multiples are evenly distributed between 0 and 1.
-const GOLDEN: f64 = 0.618_033_988_749_894_9;
 
 /// Returns the number of the walls' points that each segment of a body takes at a tolerance: all of them up to 0.5 dB,
 /// a quarter at 1 dB.
@@ -45,13 +42,6 @@ pub fn points_a_segment(points: usize, tolerance_db: f64) -> usize {
 fn points_of(segment: usize, taken: usize, points: usize) -> impl Iterator<Item = usize> {
     let shift = (segment as f64 * GOLDEN).fract();
     (0..taken).map(move |i| ((i as f64 + shift) * points as f64 / taken as f64) as usize).filter(move |&i| i < points)
-}
-
-/// Computes the surface area of an ellipsoid, m^2 (Knud Thomsen's formula, accurate to 1 %).
-fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
-    const P: f64 = 1.6075;
-    let [a, b, c] = ellipsoid.semi_axes_m.to_array().map(|v| v.powf(P));
-    4.0 * PI * ((a * b + a * c + b * c) / 3.0).powf(1.0 / P)
 }
 
 /// Returns the largest number of a person's diffuse echoes in an interval.
@@ -279,7 +269,8 @@ impl Segment {
             Scatterer { centre, velocity, acceleration }
         };
         let strength = |now: &&Snapshot| {
-            let scattered = now.body.get(segment).map_or(0.0, |e| (skin * surface_m2(e) / (16.0 * PI)).sqrt());
+            let area_m2 = now.body.get(segment).map_or(0.0, |e| ellipsoid_area_m2(e.semi_axes_m));
+            let scattered = (skin * area_m2 / (16.0 * PI)).sqrt();
             // An antenna receives one polarisation of the diffuse field.
             share * scattered * aperture * FRAC_1_SQRT_2 * inside_room(prepared, now.centre(segment).0)
         };
@@ -359,24 +350,6 @@ mod tests {
         assert_eq!(length, now);
         assert!((rate - (after - before) / (2.0 * h)).abs() < 1e-6, "{rate}");
         assert!((bend - (after - 2.0 * now + before) / (h * h)).abs() < 1e-5, "{bend}");
-    }
-
-    /// The formula is exact for a sphere, and close for an elongated ellipsoid.
-    #[test]
-    fn surfaces_are_those_of_known_shapes() {
-        let of = |axes: [f64; 3]| {
-            surface_m2(&Ellipsoid {
-                centre: DVec3::ZERO,
-                axes: glam::DMat3::IDENTITY,
-                semi_axes_m: DVec3::from_array(axes),
-            })
-        };
-        assert!((of([0.3; 3]) / (4.0 * PI * 0.09) - 1.0).abs() < 1e-12);
-        // Prolate 4 : 1, 2 pi a^2 (1 + c / (a e) asin e).
-        let (a, c) = (0.1f64, 0.4f64);
-        let e = (1.0 - a * a / (c * c)).sqrt();
-        let exact = 2.0 * PI * a * a * (1.0 + c / (a * e) * e.asin());
-        assert!((of([a, a, c]) / exact - 1.0).abs() < 0.012, "{}", of([a, a, c]) / exact);
     }
 
     /// Compares the echo over a point and directly, in both directions together, with separate paths from the transmitter

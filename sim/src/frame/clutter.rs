@@ -9,6 +9,7 @@ use super::FrameSimulator;
 use super::paths::Traced;
 use crate::diffraction::{self, Column};
 use crate::echo::Snapshot;
+use crate::math::neighbours;
 use crate::prepared_scene::{StaticPath, drift};
 use crate::random::{Purpose, generator};
 use crate::scene_file::ShadowFile;
@@ -187,11 +188,7 @@ fn may_shade(polyline: &[DVec3], at_times: &[Vec<Column>]) -> bool {
 
 /// Interpolates the columns of people at a position, 0 to 1, between evenly spaced times.
 fn columns_between(at_times: &[Vec<Column>], at: f64) -> Vec<Column> {
-    let place = at.clamp(0.0, 1.0) * at_times.len().saturating_sub(1) as f64;
-    let whole = place as usize;
-    let Some(here) = at_times.get(whole) else { return Vec::new() };
-    let next = at_times.get(whole + 1).unwrap_or(here);
-    let part = place - whole as f64;
+    let Some((here, next, part)) = neighbours(at_times, at) else { return Vec::new() };
     let between = |a: f64, b: f64| a + (b - a) * part;
     here.iter()
         .zip(next)

@@ -104,13 +104,17 @@ pub fn mirror(radius_m: f64, aperture_radius_m: f64, edge_m: f64) -> Surface {
     surface
 }
 
+/// Surface area of an ellipsoid, m^2 (Knud Thomsen's formula, accurate to 1 %).
+pub(crate) fn ellipsoid_area_m2(semi_axes_m: DVec3) -> f64 {
+    const P: f64 = 1.6075;
+    let [a, b, c] = semi_axes_m.to_array().map(|s| s.powf(P));
+    2.0 * TAU * ((a * b + a * c + b * c) / 3.0).powf(1.0 / P)
+}
+
 /// Ellipsoid with semi-axes along x, y, z; triangles have a mean edge of about `edge_m`.
 pub fn ellipsoid(semi_axes_m: DVec3, edge_m: f64) -> Surface {
-    // Thomsen's approximation of the area; a triangle of edge h has sqrt(3)/4 h^2.
-    let p = 1.6075;
-    let [a, b, c] = semi_axes_m.to_array().map(|s| s.powf(p));
-    let area = 2.0 * TAU * ((a * b + b * c + c * a) / 3.0).powf(1.0 / p);
-    let triangles = area / (0.433 * edge_m * edge_m);
+    // A triangle of edge h has the area sqrt(3)/4 h^2.
+    let triangles = ellipsoid_area_m2(semi_axes_m) / (0.433 * edge_m * edge_m);
     icosphere(semi_axes_m, (triangles / 20.0).sqrt().round().clamp(1.0, 512.0) as usize)
 }
 
@@ -190,6 +194,18 @@ mod tests {
                 assert!([a, b, c].iter().all(|corner| corner.1.dot(normal) > 0.9));
             }
         }
+    }
+
+    /// The formula is exact for a sphere, and close for an elongated ellipsoid.
+    #[test]
+    fn areas_of_ellipsoids_are_those_of_known_shapes() {
+        assert!((ellipsoid_area_m2(DVec3::splat(0.3)) / (2.0 * TAU * 0.09) - 1.0).abs() < 1e-12);
+        // Prolate 4 : 1, 2 pi a^2 (1 + c / (a e) asin e).
+        let (a, c) = (0.1f64, 0.4f64);
+        let e = (1.0 - a * a / (c * c)).sqrt();
+        let exact = TAU * a * a * (1.0 + c / (a * e) * e.asin());
+        let found = ellipsoid_area_m2(DVec3::new(a, a, c));
+        assert!((found / exact - 1.0).abs() < 0.012, "{found} {exact}");
     }
 
     #[test]

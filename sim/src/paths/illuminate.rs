@@ -309,18 +309,26 @@ impl ImagePaths {
         all
     }
 
-    /// The path by a sequence if it meets all planes from the front, at any place on them.
-    fn folded(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<Folded> {
-        let count = sequence.len();
-        if count > MAX_ORDER {
-            return None;
-        }
+    /// Images of an antenna by the first facets of a sequence, 0 to [`MAX_ORDER`] of them; `None` if a facet does not
+    /// exist.
+    #[inline]
+    pub(super) fn images_along(&self, sequence: &[FacetId], antenna: DVec3) -> Option<[DVec3; MAX_ORDER + 1]> {
         let mut images = [antenna; MAX_ORDER + 1];
         let mut image = antenna;
         for (slot, &facet) in images.iter_mut().skip(1).zip(sequence) {
             image = self.environment.flat(facet)?.mirrored(image);
             *slot = image;
         }
+        Some(images)
+    }
+
+    /// The path by a sequence if it meets all planes from the front, at any place on them.
+    fn folded(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<Folded> {
+        let count = sequence.len();
+        if count > MAX_ORDER {
+            return None;
+        }
+        let images = self.images_along(sequence, antenna)?;
         let mut points = [point; MAX_ORDER + 2];
         let mut target = point;
         for (i, &facet) in sequence.iter().enumerate().rev() {

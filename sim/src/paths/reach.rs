@@ -36,14 +36,8 @@ impl ImagePaths {
     /// Returns whether waves by a sequence of facets may enter a sphere.
     fn sequence_may_light(&self, sequence: &[FacetId], cone: &Cone) -> bool {
         let &Cone { antenna, middle, reach_m } = cone;
-        let mut images = [antenna; MAX_ORDER + 1];
-        let mut image = antenna;
-        for (slot, &facet) in images.iter_mut().skip(1).zip(sequence) {
-            let Some(flat) = self.environment.flat(facet) else { return false };
-            image = flat.mirrored(image);
-            *slot = image;
-        }
-        let length_m = middle.distance(image);
+        let Some(images) = self.images_along(sequence, antenna) else { return false };
+        let length_m = middle.distance(images[sequence.len().min(MAX_ORDER)]);
         if length_m <= reach_m {
             return true;
         }

@@ -419,6 +419,12 @@ impl<'d, 'a> Reader<'d, 'a> {
             let Some(&index) = by_id.get(node) else { continue };
             let of_node = curves.entry(index).or_default();
             of_node.push(self.curve(channel, target, path, &places[index].steps)?);
+            if of_node.windows(2).any(|curves| curves[0].stepped != curves[1].stepped) {
+                let problem = format!(
+                    "{target:?} and another curve of the node differ in INTERPOLATION, expected STEP for all or for none"
+                );
+                return Err(self.fault(channel, problem));
+            }
             let keys: usize = of_node.iter().map(|curve| curve.times_s.len()).sum();
             if of_node.len() > MOST_CURVES || keys > MOST_KEYS {
                 let problem = format!(
@@ -458,8 +464,14 @@ impl<'d, 'a> Reader<'d, 'a> {
             let problem = format!("{} numbers for {} keys, expected {width} each", values.len(), times_s.len());
             return Err(self.fault(sampler, problem));
         }
+        if !times_s.windows(2).all(|times| times[0] < times[1]) {
+            return Err(self.fault(sampler, "key times do not ascend"));
+        }
         let between = self.source(sampler, "INTERPOLATION").and_then(|s| self.names(s)).unwrap_or_default();
         let stepped = between.first().is_some_and(|b| b == "STEP");
+        if between.iter().any(|b| (b == "STEP") != stepped) {
+            return Err(self.fault(sampler, "INTERPOLATION is STEP for some keys, expected it for all or for none"));
+        }
         Ok(Curve { step, member, width, times_s, values, stepped })
     }
 }

@@ -38,6 +38,9 @@ pub const LEAST_FRAMES: usize = 16;
 const MOST_PERIODOGRAMS: usize = 20_000;
 /// Upper limit of frames whose mean chirps are kept.
 const MOST_CHIRPS: usize = 4096;
+/// Least power of a channel's leakage over the noise of one frame. A channel without leakage reaches a few hundred: the
+/// fitted tones and settling exponentials are nearly dependent, so that noise gives small tones.
+const LEAST_LEAKAGE: f64 = 1e3;
 /// Ratio of a normal distribution's standard deviation to its median absolute deviation.
 const MAD: f64 = 1.4826;
 
@@ -257,7 +260,9 @@ impl Calibration {
         (ChannelFit { density_lsb2, residual_lsb: shape.residual_lsb, chirp_lsb }, shape)
     }
 
-    /// Fits jitter and drift of offsets and of the leakage: medians over channels and recordings.
+    /// Fits jitter and drift of offsets and of the leakage: medians over channels and recordings. For the leakage they are
+    /// weighted by its power, because the same error is larger in proportion to weaker leakage. Without leakage the
+    /// receiver keeps its values.
     fn fit_changes(&self, shapes: &[&Shape], receiver: &mut Receiver) {
         let interval_s = self.waveform.frame_interval_s();
         let (n, chirps) = (self.waveform.request.samples_per_chirp, self.waveform.request.chirps_per_frame as f64);
@@ -268,7 +273,8 @@ impl Calibration {
             let noise_lsb2 = density(0) / 0.454_936 / (n as f64 * chirps);
             let whole = Level::of(shape.leakage_lsb(n, &self.waveform).into_iter()).leakage;
             // Hann's window keeps three eighths of the power, of which half is in phase with the leakage.
-            let noise = density(1) / std::f64::consts::LN_2 * 0.1875 * n as f64 / chirps / whole.norm_sqr();
+            let noise = density(1) / std::f64::consts::LN_2 * 0.1875 * n as f64 / chirps;
+            let power = whole.norm_sqr();
             for levels in channel.levels.iter().filter(|levels| levels.len() > 1) {
                 let offsets: Vec<f64> = levels.iter().map(|level| level.offset_lsb).collect();
                 dc_jitter.push((step_variance(&offsets) - noise_lsb2).max(0.0).sqrt());
@@ -276,9 +282,11 @@ impl Calibration {
                 let slopes =
                     offsets.iter().zip(offsets.iter().skip(half)).map(|(a, b)| (b - a) / (half as f64 * interval_s));
                 dc_rate.push(median(slopes.collect()).abs());
-                let along: Vec<f64> =
-                    levels.iter().map(|level| (level.leakage * whole.conj()).re / whole.norm_sqr()).collect();
-                jitter.push((step_variance(&along) - noise).max(0.0).sqrt());
+                if power <= LEAST_LEAKAGE * noise {
+                    continue;
+                }
+                let along: Vec<f64> = levels.iter().map(|level| (level.leakage * whole.conj()).re / power).collect();
+                jitter.push(((step_variance(&along) - noise / power).max(0.0).sqrt(), power));
                 // Means over seconds replace frames, so that jitter does not count as drift.
                 let seconds: Vec<f64> =
                     along.chunks(second).map(|of| of.iter().sum::<f64>() / of.len() as f64).collect();
@@ -286,14 +294,28 @@ impl Calibration {
                 let later = seconds.iter().zip(seconds.iter().skip(lag)).map(|(a, b)| (b - a).abs());
                 let own = 2.0 * step_variance(&along) / second as f64;
                 let change = (median(later.collect()) * MAD).powi(2) - own;
-                drift.push((change.max(0.0) * 10.0 / lag.max(1) as f64).sqrt());
+                drift.push(((change.max(0.0) * 10.0 / lag.max(1) as f64).sqrt(), power));
             }
         }
         receiver.drift.dc_jitter_lsb = median(dc_jitter);
         receiver.drift.dc_lsb_per_s = median(dc_rate);
-        receiver.clutter.leakage_jitter = median(jitter).min(1.0);
-        receiver.clutter.leakage_drift_per_10s = median(drift).min(1.0);
+        let clutter = &mut receiver.clutter;
+        clutter.leakage_jitter = weighted_median(jitter).map_or(clutter.leakage_jitter, |jitter| jitter.min(1.0));
+        clutter.leakage_drift_per_10s =
+            weighted_median(drift).map_or(clutter.leakage_drift_per_10s, |drift| drift.min(1.0));
     }
+}
+
+/// Median of values with weights; `None` for an empty list. Up to the median, weights are more than half of their sum.
+fn weighted_median(mut values: Vec<(f64, f64)>) -> Option<f64> {
+    values.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>();
+    let mut sum = 0.0;
+    let is_reached = |&(_, weight): &(f64, f64)| {
+        sum += weight;
+        sum > half
+    };
+    values.into_iter().find(is_reached).map(|(value, _)| value)
 }
 
 /// Variance of the values' jitter, half of the variance of their steps. It is robust against a few large steps.
@@ -336,6 +358,7 @@ mod tests {
     use radome_dsp::WaveformRequest;
 
     use super::*;
+    use crate::receiver::Leakage;
     use crate::receiver::noise::channel_density_lsb2;
     use crate::{Scene, SimulateOptions, Simulator};
 
@@ -404,6 +427,34 @@ mod tests {
         let dc = found.receiver.drift.dc_jitter_lsb;
         assert!((0.5..1.1).contains(&dc), "{dc}");
         assert_eq!(found.receiver.first_fault(), None);
+    }
+
+    /// Channels without leakage have only noise, whose changes relative to itself were taken for jitter and drift of 1.
+    #[test]
+    fn channels_without_leakage_tell_nothing_of_its_changes() {
+        let mut receiver = Receiver::typical();
+        (receiver.drift.dc_jitter_lsb, receiver.drift.dc_lsb_per_s) = (0.0, 0.0);
+        receiver.clutter.leakage_jitter = 0.004;
+        for rx in &mut receiver.rx {
+            rx.transient.clear();
+            rx.leakage.clear();
+        }
+        let kept = fit(&frames(&receiver, 160)).expect("a fit").receiver.clutter;
+        assert_eq!(kept, Receiver::typical().clutter);
+        receiver.rx[0].leakage = vec![Leakage { delay_s: 0.18e-9, amplitude_lsb: 200.0, phase_rad: 1.0 }];
+        let found = fit(&frames(&receiver, 160)).expect("a fit").receiver.clutter;
+        assert!((0.002..0.008).contains(&found.leakage_jitter), "{found:?}");
+        assert!(found.leakage_drift_per_10s < 0.02, "{found:?}");
+    }
+
+    #[test]
+    fn medians_of_equal_weights_are_medians() {
+        for values in [vec![3.0], vec![2.0, 1.0], vec![5.0, 1.0, 3.0], vec![4.0, 2.0, 8.0, 6.0]] {
+            let weighted = values.iter().map(|&value| (value, 1.0)).collect();
+            assert_eq!(weighted_median(weighted), Some(median(values)));
+        }
+        assert_eq!(weighted_median(vec![(9.0, 1.0), (1.0, 4.0), (5.0, 2.0)]), Some(1.0));
+        assert_eq!(weighted_median(Vec::new()), None);
     }
 
     /// A large difference of offsets between two recordings is neither jitter nor drift.

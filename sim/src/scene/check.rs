@@ -396,11 +396,11 @@ fn check_actor(file: &SceneFile, actor: &ActorFile) -> Result<(), Fault> {
         check_step(step, height_m)?;
         index("enter_door", step.enter_door, "door", file.door.len())?;
         index("leave_door", step.leave_door, "door", file.door.len())?;
-        if step.enter_door.is_some() && number > 0 {
-            return fault("enter_door", number, "it in the first step only");
+        if let Some(door) = step.enter_door.filter(|_| number > 0) {
+            return fault("enter_door", door, "it in the first step only");
         }
-        if step.leave_door.is_some() && number + 1 < actor.step.len() {
-            return fault("leave_door", number, "it in the last step only");
+        if let Some(door) = step.leave_door.filter(|_| number + 1 < actor.step.len()) {
+            return fault("leave_door", door, "it in the last step only");
         }
         index("bed", step.lie_s.and(step.bed.or(Some(0))), "bed", file.bed.len())?;
         index("seat", step.seat, "seat", file.seat.len())?;
@@ -472,11 +472,14 @@ fn check_visits(file: &SceneFile, visits: &VisitsFile) -> Result<(), Fault> {
         ("pace_probability", v.pace_probability),
         ("passer_by_probability", v.passer_by_probability),
     ])?;
-    within("pace_margin_m", v.pace_margin_m.unwrap_or(0.0), 0.0, 50.0, "m")?;
+    let size = file.room.size_m;
+    let half_m = 0.5 * size[0].min(size[1]);
+    if let Some(margin_m) = v.pace_margin_m.filter(|margin_m| !(0.0..half_m).contains(margin_m)) {
+        return fault("pace_margin_m", margin_m, format!("0 to less than {half_m} m, half of the room's shorter side"));
+    }
     within("pace_off_boresight_deg", v.pace_off_boresight_deg.unwrap_or(180.0), 1.0, 180.0, "degrees")?;
     interval("passer_by_level_db", v.passer_by_level_db, -60.0, 20.0, "dB")?;
     interval("pace_range_m", v.pace_range_m.unwrap_or([0.0, 1.0]), 0.0, 100.0, "m")?;
-    let size = file.room.size_m;
     match v.pace_area_m {
         Some([low, high]) if !(0..2).all(|i| low[i] >= 0.0 && low[i] <= high[i] && high[i] <= size[i]) => {
             let expected = format!("[[x_low, y_low], [x_high, y_high]] in the room {size:?}");

@@ -7,7 +7,7 @@ mod cells;
 use glam::{DVec2, DVec3};
 
 use super::{Scene, plan};
-use crate::geometry::polygon::{encloses, sides};
+use crate::geometry::polygon::{distance_to_line, encloses, sides};
 use crate::people::route::Block;
 use crate::scene_file::{FurnitureFile, OpeningFile, PartitionFile, PlanFile};
 use cells::{Cells, Kind};
@@ -63,6 +63,17 @@ impl Floor {
             Floor::Cells(cells) => [Kind::Inside, Kind::Outside].map(|kind| places().any(|at| cells.kind(at) == kind)),
         }
     }
+}
+
+/// Whether a place lies outside the box around the room, or outside the walls of its plan.
+pub(crate) fn is_outside(scene: &Scene, place: [f64; 2]) -> bool {
+    let room = &scene.file.room;
+    let is_in_box = (0..2).all(|axis| (0.0..=room.size_m[axis]).contains(&place[axis]));
+    let is_in_plan = |plan: &PlanFile| {
+        let (corners, at) = (plan::corners(plan), DVec2::from_array(place));
+        encloses(&corners, at) || sides(&corners).any(|side| distance_to_line(at, side) <= SAME_M)
+    };
+    !(is_in_box && room.plan.as_ref().is_none_or(is_in_plan))
 }
 
 /// Whether a piece of furniture, by its index, is a piece of a mesh that counts as a wall.

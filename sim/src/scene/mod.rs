@@ -297,6 +297,7 @@ impl Scene {
         plan::check_places(&file).map_err(fault)?;
         let walls = room::walls(&file, &waveform).map_err(fault)?;
         room::warn_of_bands_within(&file, &meshes, &waveform);
+        surfaces::sources::warn_of_small_faces(&file, &meshes, path);
         let steps = actors::load(&file, path, text)?;
         if let Some(plan) = &file.room.plan {
             (_, outlines) = plan::faces(&file, plan, waveform.centre_frequency_hz());

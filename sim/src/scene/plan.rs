@@ -415,14 +415,10 @@ pub(super) fn faces(file: &SceneFile, plan: &PlanFile, frequency_hz: f64) -> (Ve
     let mut builder = Builder { file, frequency_hz, drafts: Vec::new(), outlines: Vec::new(), groups: ROOM };
     let twice_area_m2 = polygon::doubled_area(&corners(plan));
     for (index, ends) in walls(plan).into_iter().enumerate() {
-        let of = match plan.wall.iter().find(|wall| wall.index == index) {
-            Some(wall) => (wall.material.as_str(), wall.thickness_m),
-            None => (plan.walls.material.as_str(), plan.walls.thickness_m),
-        };
         let openings: Vec<&OpeningFile> = plan.opening.iter().filter(|opening| opening.wall == Some(index)).collect();
         let name = format!("wall {index}");
         let upright = Upright::new(ends, plan.height_m);
-        builder.upright(&upright, &openings, of, (&name, ROOM, twice_area_m2 > 0.0));
+        builder.upright(&upright, &openings, plan.wall_surface(index), (&name, ROOM, twice_area_m2 > 0.0));
     }
     let (floor, room) = (floor(plan), &file.room);
     let of = (room.ceiling.material.as_str(), room.ceiling.thickness_m);

@@ -143,8 +143,8 @@ pub struct Outline {
     pub edges: Vec<[DVec3; 2]>,
 }
 
-/// Least angle of edges that are drawn, rad.
-const CREASE_RAD: f64 = 0.35;
+/// Least angle of edges that are drawn, rad. Surfaces that turn less are curved.
+pub(super) const CREASE_RAD: f64 = 0.35;
 
 fn outline(piece: &Piece, corner: DVec3) -> Outline {
     let place = |v: u32| piece.mesh.vertices.get(v as usize).map_or(DVec3::ZERO, |v| *v - corner);
@@ -240,8 +240,10 @@ fn six_walls(
                 "{name} is missing: the largest plane there is {largest_m2:.2} m^2, expected at least {:.2} m^2 of {across:.2} m^2",
                 LEAST_WALL * across
             );
-            let hint = "rooms have six plane walls along the axes: add the one that is missing, turn the model, check up, or say \
-                        that there is none: ceiling = { material = \"open\" } in [room]";
+            let hint = format!(
+                "rooms have six plane walls along the axes: add the one that is missing, turn the model, check up, or say that \
+                 there is none: {name} = {{ material = \"open\" }} in [room]"
+            );
             FileError::new("walls", problem, hint)
         })?;
         found[i] = face.offset_m2 / face.area_m2;

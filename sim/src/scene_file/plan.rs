@@ -41,6 +41,14 @@ pub struct PlanFile {
 }
 
 impl PlanFile {
+    /// Material and thickness, m, of the wall with an index.
+    pub fn wall_surface(&self, index: usize) -> (&str, f64) {
+        match self.wall.iter().find(|wall| wall.index == index) {
+            Some(wall) => (wall.material.as_str(), wall.thickness_m),
+            None => (self.walls.material.as_str(), self.walls.thickness_m),
+        }
+    }
+
     /// Materials of the walls that differ, and of partitions, panes and doors.
     pub(crate) fn materials(&self) -> Vec<&str> {
         let walls = self.wall.iter().map(|wall| wall.material.as_str());

@@ -1,17 +1,24 @@
 //! Sources of a scene's surfaces: its box, its floor plan or its files, and its furniture.
 
+use std::path::Path;
+
 use glam::DVec3;
 
 use super::{LEAST_FACE_M2, SmallPart, Surfaces};
 use crate::em::image::Wall;
-use crate::geometry::{PlanarPolygon, oriented, planes};
+use crate::first_warning::is_first_warning;
+use crate::geometry::{Mesh, PlanarPolygon, edges, oriented, planes};
+use crate::material::Material;
 use crate::scene::draft::{Draft, ROOM, solid};
 use crate::scene::plan;
-use crate::scene::room::{Piece, RoomMeshes, WALLS, WELD_M};
-use crate::scene_file::{SceneFile, SurfaceFile};
+use crate::scene::room::{CREASE_RAD, Piece, RoomMeshes, WALLS, WELD_M};
+use crate::scene_file::{SceneFile, SolverFile, SurfaceFile};
 
 /// Thickness up to which furniture is a sheet, m.
 const SHEET_M: f64 = 1e-6;
+/// Least area of a metal face whose missing mirror echo is told of, m^2. At 60 GHz a mirror of this area has -3 dBsm,
+/// about as much as a person.
+const LEAST_TOLD_M2: f64 = 0.001;
 
 pub(in crate::scene) fn surfaces(
     file: &SceneFile,
@@ -88,6 +95,50 @@ fn furniture(file: &SceneFile, count: usize, first_group: usize, frequency_hz: f
     drafts
 }
 
+/// Warns of plane faces of metal in a scene's files that are too small to mirror: one warning for all of them.
+pub(in crate::scene) fn warn_of_small_faces(file: &SceneFile, meshes: &RoomMeshes, path: &Path) {
+    if file.room.solver == Some(SolverFile::Images) {
+        return;
+    }
+    let is_metal = |piece: &&Piece| Material::named(&piece.surface.material) == Some(Material::Metal);
+    let (mut count, mut largest) = (0, (0.0, ""));
+    for piece in meshes.pieces.iter().filter(is_metal) {
+        for area_m2 in small_plane_faces_m2(&oriented(&piece.mesh)) {
+            count += 1;
+            if area_m2 > largest.0 {
+                largest = (area_m2, piece.name.as_str());
+            }
+        }
+    }
+    if count > 0 && is_first_warning(&["small faces", &path.to_string_lossy()]) {
+        let (name, (area_m2, part)) = (&file.name, largest);
+        tracing::warn!(
+            "{name}: plane faces of metal smaller than {LEAST_FACE_M2} m^2 have no mirror echo and no echo of their \
+             corners: {count}, the largest of {area_m2:.4} m^2 in {part:?}; as [[furniture]], plates along the axes have \
+             both at any size"
+        );
+    }
+}
+
+/// Areas of the plane faces of a mesh from [`LEAST_TOLD_M2`] up to [`LEAST_FACE_M2`], m^2, without the facets of curved
+/// surfaces.
+fn small_plane_faces_m2(mesh: &Mesh) -> Vec<f64> {
+    let planes = planes(mesh, WELD_M);
+    let of = |triangle: u32| planes.of_triangle[triangle as usize] as usize;
+    let mut is_plane: Vec<bool> =
+        planes.planes.iter().map(|plane| (LEAST_TOLD_M2..LEAST_FACE_M2).contains(&plane.area_m2)).collect();
+    for edge in edges(mesh) {
+        if let Some(right) = edge.right
+            && of(edge.left) != of(right)
+            && !edge.is_crease(CREASE_RAD)
+        {
+            is_plane[of(edge.left)] = false;
+            is_plane[of(right)] = false;
+        }
+    }
+    planes.planes.iter().zip(is_plane).filter(|(_, is_plane)| *is_plane).map(|(plane, _)| plane.area_m2).collect()
+}
+
 /// Adds the planes of a part of a file as faces, and its other triangles as a small part.
 fn add_piece(piece: &Piece, corner: DVec3, wall: Wall, drafts: &mut Vec<Draft>, small: &mut Vec<SmallPart>) {
     let mut mesh = oriented(&piece.mesh);
@@ -103,5 +154,28 @@ fn add_piece(piece: &Piece, corner: DVec3, wall: Wall, drafts: &mut Vec<Draft>, 
     }
     if !rest.is_empty() {
         small.push(SmallPart { mesh: mesh.of_triangles(rest).0 });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Surface;
+    use crate::geometry::shape::cylinder;
+
+    /// A face of 5 cm loses its mirror echo. One of 1 cm is weaker than a person, and facets of a cylinder are no
+    /// mirrors.
+    #[test]
+    fn small_faces_are_those_of_boxes_and_not_of_curves() {
+        let scaled = |mut mesh: Mesh, by: f64| {
+            mesh.vertices.iter_mut().for_each(|vertex| *vertex *= by);
+            small_plane_faces_m2(&mesh)
+        };
+        let of_cube = scaled(Mesh::cube(), 0.05);
+        assert!(of_cube.len() == 6 && of_cube.iter().all(|area_m2| (area_m2 - 0.0025).abs() < 1e-9), "{of_cube:?}");
+        assert!(scaled(Mesh::cube(), 0.2).is_empty() && scaled(Mesh::cube(), 0.01).is_empty());
+        // Facets of 6 by 10 cm.
+        let Surface { vertices, triangles, .. } = cylinder(0.3, 0.1, 0.06);
+        assert!(small_plane_faces_m2(&Mesh { vertices, triangles }).is_empty());
     }
 }
