@@ -230,7 +230,8 @@ mod hard_cases {
     /// slices of 4 packets.
     #[test]
     fn a_lost_packet_costs_its_frame_only() {
-        let (small, large) = (waveform(&[1, 2, 3], 8, 64, 0.1), waveform(&[1, 2, 3], 128, 256, 0.1));
+        let [small, large] =
+            [(8, 64), (128, 256)].map(|(chirps, samples)| realised(&waveform(&[1, 2, 3], chirps, samples, 0.1)));
         for (waveform, frames, packets, lost) in [
             (&small, 10, &[3][..], 3..4),
             (&small, 10, &[0], 0..1),
