@@ -10,7 +10,7 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 use radome_tests::running::{Running, emulated_board, unplug, wait_for};
 use radome_tests::{
     command, emulated_corridor, fails_with, failure, fixture, frames, json_lines, limited, live_command, outcome,
-    radome, simulate, skip, subcommand, write_file,
+    radome, simulate, skip, subcommand, write_file, wrong_use_with,
 };
 use serde_json::Value;
 
@@ -354,6 +354,17 @@ fn wrong_use_ends_with_2() {
             assert!(status == Some(2) && said.contains("0 or more"), "{option} {value}: {said}");
         }
     }
+}
+
+/// Regression test: each seek on the page went into the recording, in which frames were repeated and others were missing.
+#[test]
+fn a_recording_that_the_page_plays_is_not_recorded() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (fed, copy) = (folder.path().join("fed.mcap"), folder.path().join("copy.mcap"));
+    desk(3, &fed);
+    let live = command!("live --model cfar --frames 3 --view --listen 127.0.0.1:0", &fed, "-o", &copy);
+    wrong_use_with(live, &["-o cannot record", "hint: leave out --view or -o"]);
+    assert!(!copy.exists());
 }
 
 #[test]

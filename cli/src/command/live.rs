@@ -39,7 +39,7 @@ pub struct Arguments {
     #[arg(long, default_value = BUILT_IN)]
     pub model: PathBuf,
     /// Record frames and answers to this MCAP file. In a folder, the file is named by the time (UTC); {time} in a name is replaced
-    /// by the time
+    /// by the time. Not for a recording that --view plays
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: Option<PathBuf>,
     /// End with exit status 0 instead of 3 if frames are missing in the recording of -o
@@ -95,6 +95,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let named = model.named(&arguments.model, delays, arguments.max_range_m)?;
     let background = arguments.background.as_deref().map(|path| Background::load(path, &named)).transpose()?;
     let source = source::open(&arguments.source.source, &arguments.source_options(&model)?)?;
+    // The page repeats and skips frames, which no recording may.
+    if source.playback.is_some() && output.is_some() {
+        wrong_use!(
+            "-o cannot record a recording that the page plays: seeks and steps on the page would repeat frames and leave others out\n\n\
+             hint: leave out --view or -o; radome recording convert copies a recording"
+        );
+    }
     message!("{}", source.description);
     if output.is_some() {
         labels::tell_left_behind(arguments.source.input());
@@ -109,6 +116,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         .with_outage(source.outage.clone());
     if let Some(playback) = &source.playback {
         playback.transport.set_preroll_s(judge.memory_s());
+        judge = judge.with_transport(playback.transport.clone());
     }
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
     let recording = output.as_ref().map(NewRecording::path);

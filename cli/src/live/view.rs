@@ -200,12 +200,6 @@ fn yield_to_others() {
 
 impl Sink for Page {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
-        // Frames before the seek position only fill the network's window and filter.
-        if let Some(playback) = &self.shared.about.playback
-            && playback.transport.is_preroll(moment.answer.sequence)
-        {
-            return Ok(());
-        }
         self.shared.labels.at(moment.answer.time_s);
         self.shared.feed.publish(moment);
         Ok(())
