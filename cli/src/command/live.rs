@@ -1,5 +1,6 @@
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -119,7 +120,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         judge = judge.with_transport(playback.transport.clone());
     }
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
-    let recording = output.as_ref().map(NewRecording::path);
+    let has_failed = Arc::<AtomicBool>::default();
+    let recording = output.as_ref().map(|output| (output.path(), has_failed.clone()));
     let page = view::Page::open(&arguments.view, &source, &arguments.model, recording, arguments.integrations.name())?;
     let header = source.header(Some(named));
     // A recording must not speak as the board that made it: the broker would drop that board's own connection.
@@ -131,7 +133,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let mut pipeline = Pipeline::default();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
-    let recorder = output.map(|output| arguments.recorder(output, &header, &mut pipeline, &source)).transpose()?;
+    let recorder = output.map(|output| arguments.recorder(output, &header, &mut pipeline, &source, has_failed));
+    let recorder = recorder.transpose()?;
     let reader = pipeline.start(source.frames, arguments.source.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
@@ -175,10 +178,11 @@ impl Arguments {
         header: &RecordingHeader,
         pipeline: &mut Pipeline,
         source: &Source,
+        has_failed: Arc<AtomicBool>,
     ) -> anyhow::Result<RecorderSink> {
         let policy = if source.is_live { Policy::LosslessOrGone(PATIENCE) } else { Policy::Wait };
         let options = RecorderOptions { existing: self.overwrite.existing(), ..RecorderOptions::default() };
         let inlet = pipeline.consumer("recorder", 64, policy);
-        RecorderSink::start(output, header, &options, inlet, source.outage.clone())
+        RecorderSink::start(output, header, &options, inlet, source.outage.clone(), has_failed)
     }
 }

@@ -22,6 +22,7 @@ mod shared;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
@@ -78,7 +79,7 @@ pub struct Page {
 
 impl Page {
     /// Starts the server if the page is requested. If the source is not a recording, its labels go to `recording`,
-    /// which is being written. `name` is the radar's own, if it has one.
+    /// which is being written, with the flag that tells whether its recorder has failed. `name` is the radar's own, if it has one.
     ///
     /// # Errors
     /// The port cannot be opened, the token or the labels cannot be read, or a thread cannot be started.
@@ -86,7 +87,7 @@ impl Page {
         arguments: &Arguments,
         source: &Source,
         model: &Path,
-        recording: Option<&Path>,
+        recording: Option<(&Path, Arc<AtomicBool>)>,
         name: Option<&str>,
     ) -> anyhow::Result<Option<Page>> {
         if !arguments.view {
