@@ -122,7 +122,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
     let has_failed = Arc::<AtomicBool>::default();
     let recording = output.as_ref().map(|output| (output.path(), has_failed.clone()));
-    let page = view::Page::open(&arguments.view, &source, &arguments.model, recording, arguments.integrations.name())?;
+    let name = arguments.integrations.name();
+    let page = view::Page::open(&arguments.view, &source, &arguments.model, arguments.max_range_m, recording, name)?;
     let header = source.header(Some(named));
     // A recording must not speak as the board that made it: the broker would drop that board's own connection.
     let board = source.board.as_ref().filter(|_| !source.is_recording);

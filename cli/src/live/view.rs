@@ -80,6 +80,7 @@ pub struct Page {
 impl Page {
     /// Starts the server if the page is requested. If the source is not a recording, its labels go to `recording`,
     /// which is being written, with the flag that tells whether its recorder has failed. `name` is the radar's own, if it has one.
+    /// People farther away than `max_range_m`, if given, do not count.
     ///
     /// # Errors
     /// The port cannot be opened, the token or the labels cannot be read, or a thread cannot be started.
@@ -87,6 +88,7 @@ impl Page {
         arguments: &Arguments,
         source: &Source,
         model: &Path,
+        max_range_m: Option<f64>,
         recording: Option<(&Path, Arc<AtomicBool>)>,
         name: Option<&str>,
     ) -> anyhow::Result<Option<Page>> {
@@ -110,7 +112,7 @@ impl Page {
         let address = listener.local_addr()?;
         show_link(address, token.as_ref(), arguments.read_only_labels);
         let shared = Arc::new(Shared {
-            labels: Keeper::open(playback.as_ref(), recording, model, waveform.frame_interval_s())?,
+            labels: Keeper::open(playback.as_ref(), recording, model, max_range_m, waveform.frame_interval_s())?,
             feed: Feed::new(&waveform, playback.is_some()),
             about: About {
                 description: source.description.clone(),

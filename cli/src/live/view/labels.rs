@@ -339,6 +339,8 @@ pub struct Keeper {
     place: Option<Place>,
     /// Model file, as it was named.
     model: PathBuf,
+    /// Greatest distance of people who count, m.
+    max_range_m: Option<f64>,
     interval_s: f64,
     /// Time of the newest frame, s, as the bits of an f64.
     now_s: AtomicU64,
@@ -346,7 +348,8 @@ pub struct Keeper {
 
 impl Keeper {
     /// Reads the labels of a recording. If the source is not a recording, labels go to the one that is being made, which comes with
-    /// the flag that tells whether its recorder has failed. `model` is the one that pages offer to adapt.
+    /// the flag that tells whether its recorder has failed. `model` is the one that pages offer to adapt, to
+    /// people up to `max_range_m` if that is given.
     ///
     /// # Errors
     /// The recording or its labels cannot be read.
@@ -354,6 +357,7 @@ impl Keeper {
         playback: Option<&Playback>,
         recording: Option<(&Path, Arc<AtomicBool>)>,
         model: &Path,
+        max_range_m: Option<f64>,
         interval_s: f64,
     ) -> anyhow::Result<Self> {
         let made = recording.map(|(path, has_failed)| Place::Made { recording: path.to_owned(), has_failed });
@@ -375,6 +379,7 @@ impl Keeper {
             changed: Condvar::new(),
             place,
             model: model.to_owned(),
+            max_range_m,
             interval_s,
             now_s: AtomicU64::new(0f64.to_bits()),
         })
@@ -438,7 +443,10 @@ impl Keeper {
             place: self.place.as_ref().map(Place::name),
             saved: state.saved == state.book.revision && !has_failed,
             fault: if has_failed { Some(RECORDER_FAILED) } else { state.fault.as_deref() },
-            adaptation: if has_failed { None } else { Offer::new(&self.model, recording, is_running, &labels) },
+            adaptation: match has_failed {
+                true => None,
+                false => Offer::new(&self.model, self.max_range_m, recording, is_running, &labels),
+            },
         };
         serde_json::json!({ "labels": told })
     }
@@ -602,7 +610,7 @@ mod tests {
             let _recorder = recorded(&path);
             let has_failed = Arc::<AtomicBool>::default();
             let recording = Some((path.as_path(), has_failed.clone()));
-            let keeper = Keeper::open(None, recording, Path::new("room-hqnn"), 0.1).expect("opens");
+            let keeper = Keeper::open(None, recording, Path::new("room-hqnn"), None, 0.1).expect("opens");
             keeper.edit(|book, _| book.add(LabelSpan::new(0.3, 0.5, "one"))).expect("fits");
             keeper.close();
             keeper.keep();
@@ -623,7 +631,7 @@ mod tests {
             let folder = tempfile::tempdir().expect("a folder");
             let path = folder.path().join("night.mcap");
             recorded(&path).finish().expect("finishes");
-            let keeper = Keeper::open(None, None, Path::new("cfar"), 0.1).expect("opens");
+            let keeper = Keeper::open(None, None, Path::new("cfar"), None, 0.1).expect("opens");
             let keeper = Keeper { place: Some(Place::Mcap(path.clone())), ..keeper };
             keeper.edit(|book, _| book.add(LabelSpan::new(0.3, 0.5, "one"))).expect("fits");
             keeper.close();
@@ -643,8 +651,8 @@ mod tests {
             let path = folder.path().join("night.mcap");
             recorded(&path).finish().expect("finishes");
 
-            let keeper =
-                Keeper::open(None, Some((path.as_path(), Arc::default())), Path::new("cfar"), 0.1).expect("opens");
+            let keeper = Keeper::open(None, Some((path.as_path(), Arc::default())), Path::new("cfar"), None, 0.1)
+                .expect("opens");
             keeper.at(0.9);
             let refused =
                 keeper.edit(|book, _| book.add(LabelSpan::new(-5.0, 1e6, "two"))).expect_err("before the start");
