@@ -114,7 +114,7 @@ pub struct Summary {
     pub metrics_without_transitions: Option<Metrics>,
     /// Number of frames in which somebody was entering or leaving.
     pub transition_frames: u64,
-    /// Metrics of each frame's map classified alone, without the filter.
+    /// Metrics by the model without the filter: of each frame, and of those before it where the model has a memory.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics_unfiltered: Option<Metrics>,
     /// Latency from the last byte to the label.
