@@ -4,7 +4,7 @@ use std::path::Path;
 
 use proptest::prelude::*;
 use radome_driver::recording::Existing;
-use radome_driver::recording::mcap::{RESULTS_VERSION, RepairReport, repair, repair_unless, set_labels};
+use radome_driver::recording::mcap::{RESULTS_VERSION, RepairReport, repair, repair_unless, set_labels, stage_labels};
 use radome_driver::{FrameResult, Judge, LabelSpan, McapReader, Recorder, RecordingError, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
@@ -373,5 +373,25 @@ mod hard_cases {
         bytes[start + 9 + 16..start + 9 + 24].copy_from_slice(&(1u64 << 60).to_le_bytes());
         let (report, ..) = repaired(&bytes).expect("repairs");
         assert!(report.damage[0].reason.contains("claims"), "{:?}", report.damage);
+    }
+
+    /// Labels of frames that the repaired file does not have were kept, and other commands refused them.
+    #[test]
+    fn labels_are_cut_to_the_frames_that_are_saved() {
+        let (folder, path) = in_folder("a.mcap");
+        let bytes = record(&path);
+        // Two seconds of frames; the rest was never written.
+        std::fs::write(&path, &bytes[..chunks(&bytes)[2].1]).expect("writes");
+        let spans = [(0.5, 1.5, "one"), (1.5, 4.0, "empty"), (1.0, 1.0, "a knock"), (3.0, 4.0, "two")];
+        let labels = spans.map(|(start_s, end_s, label)| LabelSpan::new(start_s, end_s, label));
+        stage_labels(&path, &labels).expect("stages");
+        let fixed = folder.path().join("b.mcap");
+        let report = repair(&path, &fixed, Existing::Refuse).expect("repairs");
+        assert_eq!((report.frames, report.labels, report.labels_left_out), (20, 3, 1), "{report:?}");
+        let kept = McapReader::open(&fixed).expect("opens").labels().expect("labels");
+        let end_s = kept[1].end_s;
+        assert!((end_s - 2.0).abs() < 0.01, "{end_s}");
+        let [one, empty, knock, _] = labels;
+        assert_eq!(kept, [one, LabelSpan { end_s, ..empty }, knock]);
     }
 }

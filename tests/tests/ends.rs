@@ -7,12 +7,14 @@ use std::process::{Command, Stdio};
 
 use radome_driver::{McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
+use radome_tests::browser::{Served, page};
 use radome_tests::running::{Running, emulated_board, unplug, wait_for};
 use radome_tests::{
     command, emulated_corridor, fails_with, failure, fixture, frames, json_lines, limited, live_command, outcome,
-    radome, simulate, skip, subcommand, write_file,
+    radome, simulate, skip, subcommand, write_file, wrong_use_with,
 };
 use serde_json::Value;
+use tungstenite::Message;
 
 /// Simulates a desk recording with this number of frames.
 fn desk(frames: u64, to: &Path) {
@@ -358,6 +360,17 @@ fn wrong_use_ends_with_2() {
     }
 }
 
+/// Regression test: each seek on the page went into the recording, in which frames were repeated and others were missing.
+#[test]
+fn a_recording_that_the_page_plays_is_not_recorded() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (fed, copy) = (folder.path().join("fed.mcap"), folder.path().join("copy.mcap"));
+    desk(3, &fed);
+    let live = command!("live --model cfar --frames 3 --view --listen 127.0.0.1:0", &fed, "-o", &copy);
+    wrong_use_with(live, &["-o cannot record", "hint: leave out --view or -o"]);
+    assert!(!copy.exists());
+}
+
 #[test]
 fn help_lists_the_exit_statuses() {
     for arguments in [&["--help"][..], &["record", "--help"], &["live", "--help"]] {
@@ -496,5 +509,33 @@ mod full_disk {
         let (is_finished, frames, _) = read(&full);
         assert!(!is_finished && frames > 0 && frames < FRAMES, "{frames} frames");
         assert!(said.contains(&format!("ended after {frames} frames")), "{said}");
+    }
+
+    /// Regression test: the page said that labels were saved and that the recording would be complete, and at the end nothing was
+    /// said of labels without frames.
+    #[test]
+    fn is_said_on_the_page_of_live_and_at_the_end_of_its_labels() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let full = folder.path().join("full.mcap");
+        let live = command!("live --model cfar --json --speed 4", fixture("scenes/desk.toml"), "-o", &full);
+        let mut served = Served::start(limited(BLOCKS, live));
+        let failed = |line: &str| line.contains("goes on without recording").then_some(());
+        served.program.stderr.find(0, "the failure", failed);
+        let mut socket = page(&served.address);
+        let add = r#"{"do":"add","start_s":1000,"end_s":1001,"occupancy":"one","who":null}"#;
+        socket.send(Message::text(add)).expect("sent");
+        let labels = loop {
+            let Message::Text(text) = socket.read().expect("a message") else { continue };
+            let said: Value = serde_json::from_str(&text).expect("JSON");
+            if said["labels"]["spans"].as_array().is_some_and(|spans| !spans.is_empty()) {
+                break said["labels"].clone();
+            }
+        };
+        assert!(labels["fault"].as_str().is_some_and(|fault| fault.contains("recording has failed")), "{labels}");
+        assert!(labels["saved"] == false && labels["adaptation"].is_null(), "{labels}");
+        served.program.signal("INT");
+        assert_eq!(served.program.wait().code(), Some(1));
+        let said = served.program.stderr.all().join("\n");
+        assert!(said.contains("without frames for some labels (1)"), "{said}");
     }
 }

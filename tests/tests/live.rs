@@ -3,7 +3,7 @@
 use radome_tests::browser::{Served, page};
 use radome_tests::running::emulated_board;
 use radome_tests::{
-    command, fails_with, fixture, fixture_text, json_lines, live_command, shared, subcommand, success, walk,
+    command, fails_with, fixture, fixture_text, json_lines, live_command, shared, simulate, subcommand, success, walk,
     write_file, wrong_use_with,
 };
 use serde_json::Value;
@@ -115,6 +115,29 @@ fn a_window_that_fills_again_after_a_gap_leaves_the_count_as_it_was() {
 fn a_model_refuses_frames_of_another_waveform_and_names_both() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     fails_with(live_command(recording, ""), &["256 samples", "64 samples", "hint:"]);
+}
+
+/// Regression test: the frames before one that is sought, which only fill the filter, were printed and counted as well.
+#[test]
+fn frames_before_the_one_that_is_sought_are_neither_printed_nor_counted() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("desk.mcap");
+    simulate(&fixture("scenes/desk.toml"), "--frames 300", &recording);
+    let mut served = Served::start(command!("live --model cfar --json --speed 1", &recording));
+    let mut socket = page(&served.address);
+    for request in [r#"{"do":"pause"}"#, r#"{"do":"seek_frame","sequence":290}"#] {
+        socket.send(tungstenite::Message::text(request)).expect("sent");
+    }
+    let sequence = |line: &str| serde_json::from_str::<Value>(line).ok()?["sequence"].as_u64();
+    let find = |line: &str| sequence(line).filter(|found| *found == 290);
+    served.program.stdout.find(0, "the frame that is sought", find);
+    served.program.signal("INT");
+    assert!(served.program.wait().success(), "an orderly end");
+    let lines = served.program.stdout.all();
+    let printed: Vec<u64> = lines.iter().filter_map(|line| sequence(line)).collect();
+    assert!(printed.iter().all(|number| *number == 290 || *number < 280), "{printed:?}");
+    let summary: Value = serde_json::from_str(lines.last().expect("a summary")).expect("JSON");
+    assert_eq!(summary["summary"]["frames"], printed.len(), "{summary}");
 }
 
 /// Asserts the sign convention from scene to page: a receding walker has positive velocity in the browser.

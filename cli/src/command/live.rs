@@ -1,5 +1,6 @@
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -43,7 +44,7 @@ pub struct Arguments {
     #[arg(long, default_value = BUILT_IN)]
     pub model: PathBuf,
     /// Record frames and answers to this MCAP file. In a folder, the file is named by the time (UTC); {time} in a name is replaced
-    /// by the time
+    /// by the time. Not for a recording that --view plays
     #[arg(short, long, value_name = "FILE.mcap")]
     pub output: Option<PathBuf>,
     /// End with exit status 0 instead of 3 if frames are missing in the recording of -o
@@ -100,6 +101,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let named = model.named(&arguments.model, delays, arguments.max_range_m)?;
     let background = arguments.background.as_deref().map(|path| Background::load(path, &named)).transpose()?;
     let source = source::open(&arguments.source.source, &arguments.source_options(&model)?)?;
+    // The page repeats and skips frames, which no recording may.
+    if source.playback.is_some() && output.is_some() {
+        wrong_use!(
+            "-o cannot record a recording that the page plays: seeks and steps on the page would repeat frames and leave others out\n\n\
+             hint: leave out --view or -o; radome recording convert copies a recording"
+        );
+    }
     message!("{}", source.description);
     if output.is_some() {
         labels::tell_left_behind(arguments.source.input());
@@ -114,10 +122,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         .with_outage(source.outage.clone());
     if let Some(playback) = &source.playback {
         playback.transport.set_preroll_s(judge.memory_s());
+        judge = judge.with_transport(playback.transport.clone());
     }
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
-    let recording = output.as_ref().map(NewRecording::path);
-    let page = view::Page::open(&arguments.view, &source, &arguments.model, recording, arguments.integrations.name())?;
+    let has_failed = Arc::<AtomicBool>::default();
+    let recording = output.as_ref().map(|output| (output.path(), has_failed.clone()));
+    let name = arguments.integrations.name();
+    let page = view::Page::open(&arguments.view, &source, &arguments.model, arguments.max_range_m, recording, name)?;
     let header = source.header(Some(named));
     // A recording must not speak as the board that made it: the broker would drop that board's own connection.
     let board = source.board.as_ref().filter(|_| !source.is_recording);
@@ -128,7 +139,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let mut pipeline = Pipeline::default();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
-    let recorder = output.map(|output| arguments.recorder(output, &header, &mut pipeline, &source)).transpose()?;
+    let recorder = output.map(|output| arguments.recorder(output, &header, &mut pipeline, &source, has_failed));
+    let recorder = recorder.transpose()?;
     let reader = pipeline.start(source.frames, arguments.source.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
@@ -172,10 +184,11 @@ impl Arguments {
         header: &RecordingHeader,
         pipeline: &mut Pipeline,
         source: &Source,
+        has_failed: Arc<AtomicBool>,
     ) -> anyhow::Result<RecorderSink> {
         let policy = if source.is_live { Policy::LosslessOrGone(PATIENCE) } else { Policy::Wait };
         let options = RecorderOptions { existing: self.overwrite.existing(), ..RecorderOptions::default() };
         let inlet = pipeline.consumer("recorder", 64, policy);
-        RecorderSink::start(output, header, &options, inlet, source.outage.clone())
+        RecorderSink::start(output, header, &options, inlet, source.outage.clone(), has_failed)
     }
 }

@@ -54,6 +54,10 @@ pub struct Answer {
     /// Whether `people` is due to labels, see [`super::occupancy::PeopleCount::is_settled`].
     #[serde(skip)]
     pub is_settled: bool,
+    /// Whether the frame comes before the one that was sought in a recording, only to fill the model's window and the filter. Such
+    /// an answer is neither counted nor passed on.
+    #[serde(skip)]
+    pub is_preroll: bool,
     /// `n/K` while a window over K frames fills.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warming_up: Option<String>,
@@ -110,7 +114,7 @@ pub struct Summary {
     pub metrics_without_transitions: Option<Metrics>,
     /// Number of frames in which somebody was entering or leaving.
     pub transition_frames: u64,
-    /// Metrics of each frame's map classified alone, without the filter.
+    /// Metrics by the model without the filter: of each frame, and of those before it where the model has a memory.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metrics_unfiltered: Option<Metrics>,
     /// Latency from the last byte to the label.

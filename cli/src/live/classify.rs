@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use radome_driver::Outage;
+use radome_driver::{Outage, Transport};
 use radome_dsp::{Frame, Gap, GapReason, Occupancy, Rdm, Truth, Waveform};
 use radome_models::evaluate::{Confusion, Metrics, most_probable};
 use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
@@ -29,6 +29,7 @@ pub struct FrameClassifier {
     filter: OccupancyFilter,
     background: Option<Background>,
     outage: Outage,
+    transport: Option<Transport>,
     people: PeopleCount,
     delays: Delays,
     smoothing: Smoothing,
@@ -69,6 +70,7 @@ impl FrameClassifier {
             judge: model.judge(waveform, max_range_m)?,
             background: None,
             outage: Outage::default(),
+            transport: None,
             people: PeopleCount::new(delays.on_s, delays.off_s),
             delays,
             smoothing,
@@ -97,6 +99,12 @@ impl FrameClassifier {
     /// Counts an outage in which the run is stopped.
     pub fn with_outage(mut self, outage: Outage) -> Self {
         self.outage = outage;
+        self
+    }
+
+    /// Neither counts nor passes on the frames that come before the one that this transport has sought.
+    pub fn with_transport(mut self, transport: Transport) -> Self {
+        self.transport = Some(transport);
         self
     }
 
@@ -142,6 +150,7 @@ impl FrameClassifier {
             time_s,
             truth: frame.truth.map(|t| t.occupancy),
             transition: frame.truth.map(|t| t.transition),
+            is_preroll: self.transport.as_ref().is_some_and(|transport| transport.is_preroll(frame.sequence)),
             ..Answer::default()
         };
         match prediction {
@@ -149,7 +158,6 @@ impl FrameClassifier {
             Prediction::NoSignal => {
                 answer.no_signal = true;
                 answer.saturated_samples = self.map().flags.saturated_samples;
-                self.health.saturated_samples += u64::from(answer.saturated_samples);
             }
             Prediction::Probabilities(raw) => {
                 let is_background = self.background.as_ref().is_some_and(|background| background.is_all(self.map()));
@@ -161,12 +169,6 @@ impl FrameClassifier {
                 answer.probabilities = Some(filtered.into());
                 answer.label = Some(label);
                 self.people.update(answer.time_s, label);
-                self.health.labels[label.index()] += 1;
-                self.health.saturated_samples += u64::from(answer.saturated_samples);
-                if let Some(truth) = frame.truth {
-                    self.count(truth, label, most_probable(&raw));
-                }
-                self.health.first_label.get_or_insert_with(|| self.health.started.elapsed());
             }
         }
         if !answer.no_signal {
@@ -179,12 +181,22 @@ impl FrameClassifier {
         answer.is_settled = self.people.is_settled();
         self.health.temperature_millicelsius = frame.temperature_millicelsius;
         let latency = arrived.elapsed();
-        self.health.frame(arrived, latency);
         answer.latency_ms = latency.as_secs_f64() * 1e3;
+        if !answer.is_preroll {
+            self.health.frame(arrived, latency);
+            self.count(&answer, frame.truth);
+        }
         Ok(answer)
     }
 
-    fn count(&mut self, truth: Truth, label: Occupancy, unfiltered: Occupancy) {
+    /// Counts the label of an answer, and scores it where the truth is known.
+    fn count(&mut self, answer: &Answer, truth: Option<Truth>) {
+        self.health.saturated_samples += u64::from(answer.saturated_samples);
+        let (Some(label), Some(raw)) = (answer.label, answer.frame_probabilities) else { return };
+        self.health.labels[label.index()] += 1;
+        self.health.first_label.get_or_insert_with(|| self.health.started.elapsed());
+        let Some(truth) = truth else { return };
+        let unfiltered = most_probable(&raw.values());
         let row = truth.occupancy.index();
         self.all[row][label.index()] += 1;
         self.unfiltered[row][unfiltered.index()] += 1;
@@ -275,6 +287,9 @@ fn judge_all(
             Item::Frame(frame) => {
                 missed.note(frame.sequence, judge, sinks)?;
                 let answer = judge.frame(&frame, delivery.arrived)?;
+                if answer.is_preroll {
+                    continue;
+                }
                 let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: &judge.health };
                 for sink in sinks.iter_mut() {
                     sink.answer(&moment)?;

@@ -93,8 +93,10 @@ impl Health {
     }
 
     pub fn lost(&mut self, gap: &Gap) {
-        *self.dropped.entry(gap.reason).or_default() += gap.frames;
-        self.unknown_gaps += u64::from(gap.frames == 0);
+        match gap.frames {
+            0 => self.unknown_gaps += 1,
+            frames => *self.dropped.entry(gap.reason).or_default() += frames,
+        }
     }
 
     pub fn dropped_total(&self) -> u64 {
@@ -188,6 +190,16 @@ mod tests {
             assert!(histogram.quantile_s(0.5) < 1.1e-6);
             histogram.add(Duration::from_secs(100_000));
             assert!(histogram.quantile_s(1.0) > 100.0);
+        }
+
+        /// Regression test: such a gap added a reason with 0 frames.
+        #[test]
+        fn a_gap_of_unknown_length_counts_no_frames_of_its_reason() {
+            let mut health = Health::new(Instant::now());
+            health.lost(&Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected });
+            assert_eq!((health.dropped.len(), health.unknown_gaps), (0, 1));
+            health.lost(&Gap { first_sequence: 3, frames: 2, reason: GapReason::Crc });
+            assert_eq!((health.dropped_total(), health.unknown_gaps), (2, 1));
         }
 
         #[test]

@@ -67,6 +67,8 @@ pub struct RecorderSink {
     /// Number of items that the recorder has taken.
     taken: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
+    /// Set once the recorder has failed, for the page.
+    has_failed: Arc<AtomicBool>,
     /// Queue from the pipeline, which may have given the recorder up.
     queue: Arc<Queue>,
     file: String,
@@ -81,7 +83,7 @@ enum Recorded {
 
 impl RecorderSink {
     /// Creates the file and starts the thread. The header must name a classifier. If the run is stopped in an outage of
-    /// the board, the recording ends with a gap of unknown length.
+    /// the board, the recording ends with a gap of unknown length. `has_failed` is set when the recorder fails.
     ///
     /// # Errors
     /// The file cannot be made, or the thread cannot be started.
@@ -91,6 +93,7 @@ impl RecorderSink {
         options: &RecorderOptions,
         inlet: Inlet,
         outage: Outage,
+        has_failed: Arc<AtomicBool>,
     ) -> anyhow::Result<Self> {
         let file = output.path().display().to_string();
         let recorder = output.create(header, options)?;
@@ -122,7 +125,8 @@ impl RecorderSink {
                 _ => Recorded::Finished(writer.recorder.finish()?),
             })
         });
-        Ok(RecorderSink { results: Some(results), thread: Some(thread), failure: None, taken, has_gaps, queue, file })
+        let (results, thread) = (Some(results), Some(thread));
+        Ok(RecorderSink { results, thread, failure: None, taken, has_gaps, has_failed, queue, file })
     }
 
     /// Returns the flag that tells whether frames are missing in the recording.
@@ -165,6 +169,7 @@ impl Sink for RecorderSink {
             Ok(()) => Ok(()),
             // The recorder has ended, and its own error tells why, or its disk hangs.
             Err(TrySendError::Disconnected(_)) => {
+                self.has_failed.store(true, Ordering::Relaxed);
                 let joined = self.join();
                 let failure = joined.err().unwrap_or_else(|| anyhow!("the recorder of {} has ended", self.file));
                 message!("error: {}", output::chain(&failure));
@@ -328,7 +333,7 @@ mod tests {
     fn sink(path: &Path, waveform: &Waveform, inlet: Inlet) -> RecorderSink {
         let header = RecordingHeader::new(waveform.clone());
         let (output, options) = (NewRecording::named(path), RecorderOptions::default());
-        RecorderSink::start(output, &header, &options, inlet, Outage::default()).expect("a recorder")
+        RecorderSink::start(output, &header, &options, inlet, Outage::default(), Arc::default()).expect("a recorder")
     }
 
     /// Records a source until it ends.

@@ -22,6 +22,7 @@ mod shared;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
@@ -78,7 +79,8 @@ pub struct Page {
 
 impl Page {
     /// Starts the server if the page is requested. If the source is not a recording, its labels go to `recording`,
-    /// which is being written. `name` is the radar's own, if it has one.
+    /// which is being written, with the flag that tells whether its recorder has failed. `name` is the radar's own, if it has one.
+    /// People farther away than `max_range_m`, if given, do not count.
     ///
     /// # Errors
     /// The port cannot be opened, the token or the labels cannot be read, or a thread cannot be started.
@@ -86,7 +88,8 @@ impl Page {
         arguments: &Arguments,
         source: &Source,
         model: &Path,
-        recording: Option<&Path>,
+        max_range_m: Option<f64>,
+        recording: Option<(&Path, Arc<AtomicBool>)>,
         name: Option<&str>,
     ) -> anyhow::Result<Option<Page>> {
         if !arguments.view {
@@ -109,7 +112,7 @@ impl Page {
         let address = listener.local_addr()?;
         show_link(address, token.as_ref(), arguments.read_only_labels);
         let shared = Arc::new(Shared {
-            labels: Keeper::open(playback.as_ref(), recording, model, waveform.frame_interval_s())?,
+            labels: Keeper::open(playback.as_ref(), recording, model, max_range_m, waveform.frame_interval_s())?,
             feed: Feed::new(&waveform, playback.is_some()),
             about: About {
                 description: source.description.clone(),
@@ -200,12 +203,6 @@ fn yield_to_others() {
 
 impl Sink for Page {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
-        // Frames before the seek position only fill the network's window and filter.
-        if let Some(playback) = &self.shared.about.playback
-            && playback.transport.is_preroll(moment.answer.sequence)
-        {
-            return Ok(());
-        }
         self.shared.labels.at(moment.answer.time_s);
         self.shared.feed.publish(moment);
         Ok(())

@@ -50,6 +50,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
             frames => message!("{frames} frames lost from {} on", gap.first_sequence),
         }
     }
+    if report.labels_left_out > 0 {
+        message!("labels without saved frames, which are left out: {}", report.labels_left_out);
+    }
     let file = arguments.output.display().to_string();
     if arguments.json {
         let lost = |gap: &radome_dsp::Gap| json!({ "first_sequence": gap.first_sequence, "frames": gap.frames });
@@ -57,6 +60,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
             "file": file,
             "frames": report.frames,
             "labels": report.labels,
+            "labels_left_out": report.labels_left_out,
             "results": report.results,
             "gaps": report.gaps,
             "lost": report.frames_lost(),

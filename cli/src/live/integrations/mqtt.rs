@@ -283,7 +283,9 @@ fn in_words(error: &ConnectionError, was_up: bool, is_encrypted: bool) -> String
     let [encryption, certificate] = match (was_up, is_encrypted) {
         (true, _) => ["", ""],
         (false, false) => ["; it may expect encryption: mqtts://", ""],
-        (false, true) => ["", "; it may ask for a client certificate, which radome cannot give"],
+        (false, true) => {
+            ["", "; it may ask for a client certificate, which radome cannot give, or it may not encrypt: mqtt://"]
+        }
     };
     match error {
         ConnectionError::NotConnAck(_) => format!("it does not answer in MQTT version 5{encryption}"),
@@ -521,6 +523,17 @@ mod tests {
         let reset = of(PacketError::Io(ErrorKind::ConnectionReset.into()));
         assert!(in_words(&reset, false, false).contains("mqtts://"));
         assert!(in_words(&reset, false, true).contains("client certificate"));
+    }
+
+    /// Regression test: of a broker that takes no encrypted connections, only a client certificate was said to be missing.
+    #[test]
+    fn an_encrypted_connection_that_breaks_may_be_to_a_port_that_does_not_encrypt() {
+        let broken = |kind: ErrorKind| ConnectionError::Tls(TlsError::Io(kind.into()));
+        for kind in [ErrorKind::UnexpectedEof, ErrorKind::ConnectionReset] {
+            let words = in_words(&broken(kind), false, true);
+            assert!(words.contains("it may not encrypt: mqtt://"), "{words}");
+            assert!(!in_words(&broken(kind), true, true).contains("encrypt"), "it was up");
+        }
     }
 
     #[test]

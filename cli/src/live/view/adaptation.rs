@@ -23,8 +23,15 @@ pub struct Offer {
 }
 
 impl Offer {
-    /// Makes the offer for the labels of a recording. `None` while no label names a class.
-    pub fn new(model: &Path, recording: Option<&Path>, is_running: bool, labels: &[&LabelSpan]) -> Option<Self> {
+    /// Makes the offer for the labels of a recording, of people up to `max_range_m` if that is given. `None` while no label names a
+    /// class.
+    pub fn new(
+        model: &Path,
+        max_range_m: Option<f64>,
+        recording: Option<&Path>,
+        is_running: bool,
+        labels: &[&LabelSpan],
+    ) -> Option<Self> {
         let seconds = Occupancy::ALL.map(|class| {
             let of_class = labels.iter().filter(|label| label.occupancy() == Some(class));
             // An empty sum is -0.
@@ -69,7 +76,8 @@ impl Offer {
                 if is_running {
                     say("The recording is complete when this run has ended.");
                 }
-                Some(format!("radome model adapt {} {} -o {OUTPUT}", quoted(model), quoted(recording)))
+                let range = max_range_m.map(|range_m| format!(" --max-range-m {range_m}")).unwrap_or_default();
+                Some(format!("radome model adapt {} {}{range} -o {OUTPUT}", quoted(model), quoted(recording)))
             }
         };
         Some(Offer { command, text })
@@ -88,7 +96,7 @@ mod tests {
     use super::*;
 
     fn offer(model: &str, recording: Option<&str>, labels: &[LabelSpan]) -> Option<Offer> {
-        Offer::new(Path::new(model), recording.map(Path::new), false, &labels.iter().collect::<Vec<_>>())
+        Offer::new(Path::new(model), None, recording.map(Path::new), false, &labels.iter().collect::<Vec<_>>())
     }
 
     #[test]
@@ -106,6 +114,16 @@ mod tests {
         assert!(
             found.command.is_some_and(|command| command.starts_with("radome model adapt ./-m.safetensors r.mcap "))
         );
+    }
+
+    /// Regression test: the command adapted the model to people of whom the answers and labels of this run know nothing.
+    #[test]
+    fn the_command_keeps_to_the_greatest_range() {
+        let label = LabelSpan::new(0.0, 60.0, "one");
+        let (model, recording) = (Path::new("room-hqnn"), Path::new("r.mcap"));
+        let found = Offer::new(model, Some(1.5), Some(recording), false, &[&label]).expect("an offer");
+        let command = "radome model adapt room-hqnn r.mcap --max-range-m 1.5 -o room-mine.safetensors";
+        assert_eq!(found.command.as_deref(), Some(command));
     }
 
     #[test]

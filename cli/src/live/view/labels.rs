@@ -1,8 +1,8 @@
 //! Labels that pages make by keys during playback, and edit and undo; and their storage.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Condvar, Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail, ensure};
@@ -29,6 +29,8 @@ const GROWING_SAVED: Duration = Duration::from_secs(10);
 const GROWING_RECORDED: Duration = Duration::from_millis(500);
 /// Time for which successive changes are collected into one write.
 const IN_A_ROW: Duration = Duration::from_millis(300);
+/// Message to pages once the recorder has failed.
+const RECORDER_FAILED: &str = "the recording has failed and holds no frames from then on; export the labels";
 
 /// Label with an identifier that stays while it is edited.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -228,10 +230,10 @@ struct Told<'a> {
     place: Option<String>,
     /// Whether the shown labels are saved.
     saved: bool,
-    /// Reason why the edit was refused.
+    /// Reason why the labels are not saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<&'a str>,
-    /// Offer to adapt the model with the labels; absent as long as there are none.
+    /// Offer to adapt the model with the labels; absent as long as there are none, and once the recorder has failed.
     #[serde(skip_serializing_if = "Option::is_none")]
     adaptation: Option<Offer>,
 }
@@ -243,8 +245,9 @@ enum Place {
     Mcap(PathBuf),
     /// In a file beside a recording that cannot hold labels.
     Beside { recording: PathBuf, file: PathBuf },
-    /// In a recording that is being made: beside it until it is finished, then in its channel of labels.
-    Made { recording: PathBuf },
+    /// In a recording that is being made: beside it until it is finished, then in its channel of labels. If its recorder fails, they
+    /// stay beside it.
+    Made { recording: PathBuf, has_failed: Arc<AtomicBool> },
 }
 
 impl Place {
@@ -268,7 +271,7 @@ impl Place {
             ),
         };
         match self {
-            Place::Made { recording } => {
+            Place::Made { recording, .. } => {
                 mcap::stage_labels(recording, spans)?;
                 return Ok(spans.to_vec());
             }
@@ -293,7 +296,7 @@ impl Place {
     /// Moves labels from beside a recording into it, once they no longer change. A recording that was not finished
     /// keeps them beside it.
     fn settle(&self) -> anyhow::Result<()> {
-        let (Place::Mcap(recording) | Place::Made { recording }) = self else { return Ok(()) };
+        let (Place::Mcap(recording) | Place::Made { recording, .. }) = self else { return Ok(()) };
         match LabelEditor::open(recording).and_then(|editor| editor.settle()) {
             Err(RecordingError::Unfinished { .. }) => Ok(()),
             settled => Ok(settled?),
@@ -301,8 +304,13 @@ impl Place {
     }
 
     fn recording(&self) -> &Path {
-        let (Place::Mcap(recording) | Place::Beside { recording, .. } | Place::Made { recording }) = self;
+        let (Place::Mcap(recording) | Place::Beside { recording, .. } | Place::Made { recording, .. }) = self;
         recording
+    }
+
+    /// Returns whether the recorder of the recording that is being made has failed.
+    fn has_failed(&self) -> bool {
+        matches!(self, Place::Made { has_failed, .. } if has_failed.load(Ordering::Relaxed))
     }
 
     fn name(&self) -> String {
@@ -331,24 +339,28 @@ pub struct Keeper {
     place: Option<Place>,
     /// Model file, as it was named.
     model: PathBuf,
+    /// Greatest distance of people who count, m.
+    max_range_m: Option<f64>,
     interval_s: f64,
     /// Time of the newest frame, s, as the bits of an f64.
     now_s: AtomicU64,
 }
 
 impl Keeper {
-    /// Reads the labels of a recording. If the source is not a recording, labels go to the one that is being made.
-    /// `model` is the one that pages offer to adapt.
+    /// Reads the labels of a recording. If the source is not a recording, labels go to the one that is being made, which comes with
+    /// the flag that tells whether its recorder has failed. `model` is the one that pages offer to adapt, to
+    /// people up to `max_range_m` if that is given.
     ///
     /// # Errors
     /// The recording or its labels cannot be read.
     pub fn open(
         playback: Option<&Playback>,
-        recording: Option<&Path>,
+        recording: Option<(&Path, Arc<AtomicBool>)>,
         model: &Path,
+        max_range_m: Option<f64>,
         interval_s: f64,
     ) -> anyhow::Result<Self> {
-        let made = recording.map(|path| Place::Made { recording: path.to_owned() });
+        let made = recording.map(|(path, has_failed)| Place::Made { recording: path.to_owned(), has_failed });
         let place = playback.map(|playback| -> anyhow::Result<Place> {
             let recording = playback.path.clone();
             if Recording::open(&recording)?.format().holds_labels() {
@@ -367,6 +379,7 @@ impl Keeper {
             changed: Condvar::new(),
             place,
             model: model.to_owned(),
+            max_range_m,
             interval_s,
             now_s: AtomicU64::new(0f64.to_bits()),
         })
@@ -409,13 +422,18 @@ impl Keeper {
 
     /// Counter that changes whenever [`told`](Self::told) does.
     pub fn told_count(&self) -> u64 {
-        lock(&self.state).told
+        lock(&self.state).told + u64::from(self.has_failed())
+    }
+
+    fn has_failed(&self) -> bool {
+        self.place.as_ref().is_some_and(Place::has_failed)
     }
 
     pub fn told(&self) -> serde_json::Value {
         let state = lock(&self.state);
         let recording = self.place.as_ref().map(Place::recording);
         let is_running = matches!(self.place, Some(Place::Made { .. }));
+        let has_failed = self.has_failed();
         let labels: Vec<&LabelSpan> = state.book.spans.iter().map(|span| &span.label).collect();
         let told = Told {
             spans: &state.book.spans,
@@ -423,9 +441,12 @@ impl Keeper {
             can_undo: !state.book.past.is_empty(),
             can_redo: !state.book.future.is_empty(),
             place: self.place.as_ref().map(Place::name),
-            saved: state.saved == state.book.revision,
-            fault: state.fault.as_deref(),
-            adaptation: Offer::new(&self.model, recording, is_running, &labels),
+            saved: state.saved == state.book.revision && !has_failed,
+            fault: if has_failed { Some(RECORDER_FAILED) } else { state.fault.as_deref() },
+            adaptation: match has_failed {
+                true => None,
+                false => Offer::new(&self.model, self.max_range_m, recording, is_running, &labels),
+            },
         };
         serde_json::json!({ "labels": told })
     }
@@ -487,9 +508,16 @@ impl Keeper {
         let state = lock(&self.state);
         let count = state.book.spans.len();
         if let Some(place) = self.place.as_ref().filter(|_| state.book.revision > 0) {
-            if let Place::Made { recording } = place {
+            if let Place::Made { recording, .. } = place {
                 // Open labels have ended by now. Others may have been made for times to which the recording did not come.
-                let Cut { labels, before, behind } = cut(state.book.labels(self.now_s()), recording, self.interval_s);
+                let Cut { labels, before, behind, without_frames } =
+                    cut(state.book.labels(self.now_s()), recording, self.interval_s);
+                if without_frames > 0 {
+                    message!(
+                        "{}: unfinished, and without frames for some labels ({without_frames}), which radome recording repair leaves out",
+                        recording.display()
+                    );
+                }
                 mcap::stage_labels(recording, &labels).with_context(|| format!("{count} labels were not saved"))?;
                 for (left_out, place) in
                     [(before, "before the recording's start"), (behind, "behind the recording's end")]
@@ -573,6 +601,29 @@ mod tests {
         use super::super::super::cut_labels::tests::recorded;
         use super::*;
 
+        /// Regression test: pages said of such labels that they are saved, and offered a command for a recording that was never
+        /// complete.
+        #[test]
+        fn labels_are_not_said_to_be_saved_once_the_recorder_has_failed() {
+            let folder = tempfile::tempdir().expect("a folder");
+            let path = folder.path().join("night.mcap");
+            let _recorder = recorded(&path);
+            let has_failed = Arc::<AtomicBool>::default();
+            let recording = Some((path.as_path(), has_failed.clone()));
+            let keeper = Keeper::open(None, recording, Path::new("room-hqnn"), None, 0.1).expect("opens");
+            keeper.edit(|book, _| book.add(LabelSpan::new(0.3, 0.5, "one"))).expect("fits");
+            keeper.close();
+            keeper.keep();
+            let (told, count) = (keeper.told()["labels"].clone(), keeper.told_count());
+            assert!(told["saved"] == true && told["fault"].is_null(), "{told}");
+            assert!(told["adaptation"]["command"].is_string(), "{told}");
+            has_failed.store(true, Ordering::Relaxed);
+            let told = keeper.told()["labels"].clone();
+            assert!(told["saved"] == false && told["adaptation"].is_null(), "{told}");
+            assert!(told["fault"].as_str().is_some_and(|fault| fault.contains("recording has failed")), "{told}");
+            assert_ne!(keeper.told_count(), count, "pages are told at once");
+        }
+
         /// Regression test: labels that were saved were written once more at the end, and were said not to be saved if
         /// another program had changed them since.
         #[test]
@@ -580,7 +631,7 @@ mod tests {
             let folder = tempfile::tempdir().expect("a folder");
             let path = folder.path().join("night.mcap");
             recorded(&path).finish().expect("finishes");
-            let keeper = Keeper::open(None, None, Path::new("cfar"), 0.1).expect("opens");
+            let keeper = Keeper::open(None, None, Path::new("cfar"), None, 0.1).expect("opens");
             let keeper = Keeper { place: Some(Place::Mcap(path.clone())), ..keeper };
             keeper.edit(|book, _| book.add(LabelSpan::new(0.3, 0.5, "one"))).expect("fits");
             keeper.close();
@@ -600,7 +651,8 @@ mod tests {
             let path = folder.path().join("night.mcap");
             recorded(&path).finish().expect("finishes");
 
-            let keeper = Keeper::open(None, Some(&path), Path::new("cfar"), 0.1).expect("opens");
+            let keeper = Keeper::open(None, Some((path.as_path(), Arc::default())), Path::new("cfar"), None, 0.1)
+                .expect("opens");
             keeper.at(0.9);
             let refused =
                 keeper.edit(|book, _| book.add(LabelSpan::new(-5.0, 1e6, "two"))).expect_err("before the start");

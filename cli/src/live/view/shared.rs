@@ -45,7 +45,7 @@ impl About {
             "rx": shape.rx,
             "chirps": shape.chirps,
             "samples": shape.samples,
-            "sample_interval_s": 1.0 / self.waveform.request.sample_rate_hz,
+            "sample_interval_s": 1.0 / self.waveform.sample_rate_hz,
             "frame_interval_s": self.waveform.frame_interval_s(),
             "board": self.board.as_ref().map(|b| json!({ "name": b.name, "firmware": b.firmware_version, "chip": b.chip })),
             "tape": playback,
@@ -62,4 +62,30 @@ pub struct Shared {
     pub policy: Policy,
     /// Summary of the run, once it is over.
     pub over: Mutex<Option<serde_json::Value>>,
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::WaveformRequest;
+
+    use super::*;
+
+    /// Regression test: the time axis of the chirps was that of the requested rate, which the chip rounds.
+    #[test]
+    fn pages_are_told_the_realised_sample_interval() {
+        let request = WaveformRequest { sample_rate_hz: 0.99e6, ..WaveformRequest::paper() };
+        let about = About {
+            description: String::new(),
+            name: None,
+            model: String::new(),
+            waveform: Waveform::realise(request).expect("possible"),
+            board: None,
+            playback: None,
+            has_partner: false,
+            read_only_labels: false,
+        };
+        // 81 periods of the chip's clock of 80 MHz.
+        let told_s = about.hello()["hello"]["sample_interval_s"].as_f64().expect("a number");
+        assert!((told_s - 81.0 / 80e6).abs() < 1e-12, "{told_s}");
+    }
 }

@@ -17,6 +17,8 @@ const CHUNK_HEAD: usize = RECORD_HEADER as usize + 44;
 const CHUNK_MARK_AT: std::ops::Range<usize> = 37..45;
 /// Bytes that are read of a record between chunks, to find the end of its content.
 const RECORD_BLOCK: usize = 1 << 16;
+/// Duration below which the rest of a label that is cut counts for nothing, s.
+const SHORTEST_LABEL_S: f64 = 1e-3;
 
 /// Part of a file that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -38,6 +40,8 @@ pub struct RepairReport {
     pub frames: u64,
     /// Labels written.
     pub labels: u64,
+    /// Labels left out, because no frame that was written is theirs.
+    pub labels_left_out: u64,
     /// Results written.
     pub results: u64,
     /// Gaps that the recording had already.
@@ -64,7 +68,8 @@ impl RepairReport {
 
 /// Writes the readable part of `input`, which stays as it is, to `output`: all frames of chunks whose check sum is
 /// right. Unreadable parts become gaps. Format version and waveform in the file's header must be intact. Labels that are
-/// staged beside the input are taken in place of those in it. `existing` decides whether a file at `output` is replaced.
+/// staged beside the input are taken in place of those in it. Labels are cut to the frames that are written, from the first one to the
+/// end of the last one. `existing` decides whether a file at `output` is replaced.
 ///
 /// # Errors
 /// [`RecordingError`] if format version or waveform of the input are damaged, both are the same file, the output exists and
@@ -100,6 +105,7 @@ pub fn repair_unless(
         frame,
         report,
         expected: None,
+        extent_s: None,
         unread: None,
         labels: Vec::new(),
         staged: None,
@@ -131,6 +137,8 @@ struct Repair {
     report: RepairReport,
     /// Number of the frame that should come next.
     expected: Option<u64>,
+    /// Start of the earliest frame that was written, and end of the latest one, s.
+    extent_s: Option<(f64, f64)>,
     /// Frames that could not be read since the last good one.
     unread: Option<Unread>,
     /// Labels so far; later ones may take the place of earlier ones.
@@ -192,8 +200,16 @@ impl Repair {
         if let Some(staged) = self.staged.take() {
             self.labels = staged;
         }
-        self.report.labels = self.labels.len() as u64;
-        self.labels.iter().try_for_each(|label| self.writer.recorder.label(label))
+        for label in std::mem::take(&mut self.labels) {
+            match self.extent_s.and_then(|extent_s| cut(&label, extent_s)) {
+                Some(label) => {
+                    self.writer.recorder.label(&label)?;
+                    self.report.labels += 1;
+                }
+                None => self.report.labels_left_out += 1,
+            }
+        }
+        Ok(())
     }
 
     /// Notes the damaged record that starts here, and goes to where the file can be read again; `false` if there is no such place.
@@ -243,6 +259,9 @@ impl Repair {
                     self.found(Some(self.frame.sequence))?;
                     self.writer.recorder.frame(&self.frame)?;
                     self.expected = self.frame.sequence.checked_add(1);
+                    let (start_s, interval_s) = (self.frame.time_s(), self.header.waveform.frame_interval_s());
+                    let (first_s, end_s) = self.extent_s.unwrap_or((start_s, start_s));
+                    self.extent_s = Some((first_s.min(start_s), end_s.max(start_s + interval_s)));
                     self.report.frames += 1;
                 }
                 Err(reason) => self.damaged(Damage { frames: Some(1), ..malformed(reason) }),
@@ -299,6 +318,13 @@ impl Repair {
         self.report.lost.push(gap);
         Ok(())
     }
+}
+
+/// Cuts a label to a span of time; `None` if it lies outside of it. A label within it stays as it is, also one of free text without
+/// duration.
+fn cut(label: &LabelSpan, (first_s, end_s): (f64, f64)) -> Option<LabelSpan> {
+    let rest = LabelSpan { start_s: label.start_s.max(first_s), end_s: label.end_s.min(end_s), ..label.clone() };
+    (rest == *label || rest.end_s - rest.start_s >= SHORTEST_LABEL_S).then_some(rest)
 }
 
 /// Number of frames of a chunk, by the message indexes that follow it.
