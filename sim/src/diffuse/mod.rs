@@ -34,7 +34,7 @@ use facets::FacetWalls;
 
 /// Least length of a leg in amplitudes, m.
 pub(crate) const LEAST_LEG_M: f64 = 0.3;
-/// Offset of points before their walls in visibility tests, m.
+/// Distance between a point and its wall in visibility tests, m.
 pub(crate) const BEFORE_M: f64 = 1e-4;
 /// Fractional part of the golden ratio, whose multiples are evenly distributed between 0 and 1.
 pub(crate) const GOLDEN: f64 = 0.618_033_988_749_894_9;

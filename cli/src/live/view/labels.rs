@@ -233,7 +233,7 @@ struct Told<'a> {
     /// Reason why the labels are not saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<&'a str>,
-    /// Offer to adapt the model with the labels; absent as long as there are none, and once the recorder has failed.
+    /// The offer to adapt the model with the labels. It is absent without labels, and after the recorder has failed.
     #[serde(skip_serializing_if = "Option::is_none")]
     adaptation: Option<Offer>,
 }
