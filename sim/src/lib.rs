@@ -32,7 +32,7 @@
 //! 2. [`echo`]: the echo of each ellipsoid by every pair of image antennas by which it is not too far below the noise.
 //!    [`echo::skin`]: the echo of a skin, to a requested error. [`diffuse`]: echoes that walls scatter in all directions.
 //! 3. [`path_sampling`]: the sample times of each path. [`path_segment`]: interpolation to every chirp between them.
-//!    [`tracks`]: paths to all receivers.
+//!    [`tracks`]: paths to all receivers; weak ones become held echoes.
 //! 4. [`synthesis`]: conversion of paths to ADC samples.
 //! 5. [`receiver`]: leakage, noise and rounding to codes.
 //!
@@ -72,6 +72,7 @@ pub mod sway;
 pub mod synthesis;
 pub mod tracks;
 pub mod validation;
+mod weak_track;
 
 pub use receiver::Receiver;
 pub use scene::{Scene, SceneError, load_receiver};

@@ -17,12 +17,15 @@ use std::sync::Arc;
 use glam::DVec3;
 use num_complex::Complex64;
 
+use crate::chirp::Chirp;
 use crate::echo::{EchoReport, Paths, Snapshot, TracedPath};
 use crate::em::specular::Ellipsoid;
 use crate::path_segment::{FiveSamples, PathSample};
 use crate::people::body::SEGMENTS;
 use crate::people::motion::Motion;
+use crate::synthesis::HeldEchoes;
 use crate::tracks::{Track, Tracks};
+use crate::weak_track;
 
 /// Largest number of halvings of a path: segments of a sixteenth of a frame.
 pub const MOST_HALVINGS: u32 = 4;
@@ -90,10 +93,12 @@ pub struct SamplingTolerance {
     pub least_lsb: f64,
     /// Allowed error as a part of a path's own amplitude.
     pub tolerance: f64,
-    /// Fixed number of halvings of every path, regardless of the error.
+    /// Amplitude below which a path is invisible in any map, LSB.
+    pub threshold_lsb: f64,
+    /// Fixed number of halvings of every path, regardless of the error. No path is then held.
     pub halvings: Option<u32>,
-    /// Frequency at which phases are compared, Hz.
-    pub frequency_hz: f64,
+    /// Chirp, at whose first frequency phases are compared.
+    pub chirp: Chirp,
 }
 
 /// Sampled paths of all people in a frame.
@@ -101,6 +106,8 @@ pub struct SamplingTolerance {
 pub struct KeyedPaths {
     /// The paths, to all receivers.
     pub tracks: Tracks,
+    /// Weak paths in each interval of the frame. Without intervals, all paths are in `tracks`.
+    pub weak: Vec<HeldEchoes>,
     /// Number of traced paths that are audible.
     pub received: usize,
 }
@@ -206,6 +213,16 @@ impl Tracer<'_> {
         received
     }
 
+    /// Keeps a path in segment `place` of a frame that is halved `halvings` times.
+    fn keep(&mut self, halvings: u32, place: usize, track: Track) {
+        let SamplingTolerance { threshold_lsb, chirp, .. } = self.demand;
+        let (out, segment) = (&mut *self.out, [halvings as usize, place]);
+        let is_exact = self.demand.halvings.is_some();
+        if is_exact || !weak_track::add(&track, segment, chirp, *threshold_lsb, &mut out.weak) {
+            out.tracks.push(halvings, place, track);
+        }
+    }
+
     /// Keeps the paths of a segment whose samples predict its middle, and passes the others to its halves in `next`.
     fn cut(&mut self, halvings: u32, place: usize, all: &[Open], next: &mut [Vec<Open>]) {
         let interval_s = self.instants.span_s / f64::from(1u32 << halvings);
@@ -214,7 +231,7 @@ impl Tracer<'_> {
         let exposed = self.paths.exposed(self.instants.people(middle), 0.5 * interval_s);
         for open in all {
             match self.calm(open, &exposed, interval_s) {
-                Some(track) => self.out.tracks.push(halvings, place, track),
+                Some(track) => self.keep(halvings, place, track),
                 None => rest.push(*open),
             }
         }
@@ -231,14 +248,14 @@ impl Tracer<'_> {
         for ((open, before), after) in all.iter().zip(before).zip(after) {
             let [first, middle, last] = open.met;
             let keys = keys_of([&first, &before, &middle, &after, &last], 0.25 * interval_s);
-            let Some((track, missed_lsb)) = Track::through(&keys, interval_s, self.demand.frequency_hz) else {
+            let Some((track, missed_lsb)) = Track::through(&keys, interval_s, self.demand.chirp.start_hz) else {
                 continue;
             };
             let between = [&before, &middle, &after].into_iter().filter_map(|met| met.keys().first());
             let loudest_lsb = between.map(|key| key.amplitude.norm()).fold(0.0, f64::max);
             let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
             if self.demand.halvings.map_or(is_met || halvings == MOST_HALVINGS, |asked| halvings == asked) {
-                self.out.tracks.push(halvings, place, track);
+                self.keep(halvings, place, track);
                 continue;
             }
             next[2 * place].push(Open { met: [first, before, middle], ..*open });
@@ -255,7 +272,7 @@ impl Tracer<'_> {
             return None;
         }
         let keys = open.met.each_ref().map(|met| met.keys());
-        let (track, missed_lsb) = Track::through_three(keys, interval_s, self.demand.frequency_hz)?;
+        let (track, missed_lsb) = Track::through_three(keys, interval_s, self.demand.chirp.start_hz)?;
         let loudest_lsb =
             keys.iter().filter_map(|keys| keys.first()).map(|key| key.amplitude.norm()).fold(0.0, f64::max);
         let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);

@@ -226,6 +226,18 @@ impl PathSegment {
         (value, slope / self.interval_s)
     }
 
+    /// Delay, s, with its first and second time derivative, at `u`.
+    pub fn bent_delay(&self, u: f64) -> [f64; 3] {
+        let (mut value, mut slope, mut half_curve) = (0.0, 0.0, 0.0);
+        for c in self.delay_s.iter().rev() {
+            half_curve = half_curve * u + slope;
+            slope = slope * u + value;
+            value = value * u + c;
+        }
+        let per_s = 1.0 / self.interval_s;
+        [value, slope * per_s, 2.0 * half_curve * per_s * per_s]
+    }
+
     /// Amplitude at `u`, LSB.
     #[inline(always)]
     pub fn amplitude(&self, u: f64) -> Complex<f32> {

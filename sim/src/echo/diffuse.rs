@@ -6,6 +6,10 @@
 //!
 //! All ways end with few legs: between a segment and each antenna, and between it and each point. A leg has a length
 //! with two time derivatives, and a field; an echo adds the lengths and multiplies the fields of its two ways.
+//!
+//! An echo weaker than a path that is invisible in any map matters by its mean power only. Of such echoes, a part is
+//! taken that has the same mean power: each with a probability that is its power relative to that of the invisible path,
+//! with the amplitude of that path.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
@@ -24,8 +28,6 @@ use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{HeldEcho, HeldEchoes};
 use crate::tracks::RECEIVERS;
 
-/// Part of the threshold of a single path below which paths are inaudible even together.
-const HEARD: f64 = 0.1;
 /// Smallest number of points for a segment, if there are as many. Fewer and stronger echoes would appear in maps as
 /// individual detections, like a second person.
 const LEAST_POINTS: usize = 64;
@@ -42,6 +44,15 @@ pub fn points_a_segment(points: usize, tolerance_db: f64) -> usize {
 fn points_of(segment: usize, taken: usize, points: usize) -> impl Iterator<Item = usize> {
     let shift = (segment as f64 * GOLDEN).fract();
     (0..taken).map(move |i| ((i as f64 + shift) * points as f64 / taken as f64) as usize).filter(move |&i| i < points)
+}
+
+/// Returns the chances of a segment's echoes by way of a point, 0 to 1: with a direct way back, and by way of its partner.
+/// An echo is taken if its power, relative to that of an invisible path, exceeds its chance. For all segments and points
+/// the chances are spread evenly (Roberts's sequence, multiples of powers of the inverse plastic number).
+fn chances(segment: usize, point: usize) -> [f64; 2] {
+    const STEPS: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
+    let chance = (point as f64 * STEPS[0] + segment as f64 * STEPS[1]).fract();
+    [chance, (chance + 0.5).fract()]
 }
 
 /// Returns the largest number of a person's diffuse echoes in an interval.
@@ -67,7 +78,8 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
         legs.clear(points.len(), own.len());
         for index in points_of(number, points_a_segment, points.len()) {
             let (Some(point), Some(&[alone, paired])) = (points.get(index), audible.get(index)) else { continue };
-            if alone {
+            let [chance, paired_chance] = chances(number, index);
+            if alone > chance {
                 legs.find(segment, index, point);
                 let (legs, paths) = (legs.of(index), &point.antennas);
                 let echo = |time: usize| {
@@ -76,9 +88,9 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
                     let stronger = direct.paths.stronger_way(paths);
                     Some(leg.extended(length, stronger, direct.paths.both_ways(paths)))
                 };
-                segment.add(prepared, echo, &mut keys, intervals);
+                segment.add(prepared, chance, echo, &mut keys, intervals);
             }
-            let partner = point.partner.filter(|_| paired);
+            let partner = point.partner.filter(|_| paired > paired_chance);
             if let Some((number, partner)) = partner.and_then(|number| Some((number, points.get(number)?))) {
                 legs.find(segment, index, point);
                 legs.find(segment, number, partner);
@@ -91,15 +103,15 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
                     let length = [back.length[0] + between_m, back.length[1], back.length[2]];
                     Some(leg.extended(length, back.field * stronger, fields.map(|field| back.field * field)))
                 };
-                segment.add(prepared, echo, &mut keys, intervals);
+                segment.add(prepared, paired_chance, echo, &mut keys, intervals);
             }
         }
     }
 }
 
-/// Returns, for each point, whether its echoes may be audible: by way of it and directly, and by way of it and its
-/// partner. The bound uses the distance of the whole body.
-fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) -> Vec<[bool; 2]> {
+/// Bounds the power of the echoes over each point, relative to that of an invisible path: by way of the point and
+/// directly, and by way of it and its partner. The bound uses the distance of the whole body.
+fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) -> Vec<[f64; 2]> {
     let chest = |now: &Snapshot| now.body[CHEST].centre;
     let reach = |now: &Snapshot| now.body.iter().map(|e| e.centre.distance(chest(now))).fold(0.0, f64::max);
     let reach_m = own.iter().map(|now| reach(now)).fold(0.0, f64::max);
@@ -108,7 +120,7 @@ fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) ->
         1.0 / (distance_m - reach_m).max(LEAST_LEG_M)
     };
     let strongest = segments.iter().flat_map(|segment| &segment.strength).copied().fold(0.0, f64::max);
-    let least = HEARD * prepared.threshold_lsb / (prepared.lsb.first().copied().unwrap_or(0.0) * strongest).max(1e-300);
+    let relative = prepared.lsb.first().copied().unwrap_or(0.0) * strongest / prepared.threshold_lsb;
     let near_rx = prepared.rx.first().map_or(0.0, |rx| near(rx.position));
     let direct = AntennaPaths::new((0.0, near(prepared.tx.position)), &[(0.0, near_rx)], prepared.wavelength_m);
     let points = &prepared.wall_points;
@@ -127,7 +139,7 @@ fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) ->
             weight * field * near_points.get(partner).unwrap_or(&0.0)
         };
         let fields = [point.antennas.stronger_way(&direct), point.partner.map_or(0.0, by_two)];
-        fields.map(|field| field * near >= least)
+        fields.map(|field| (field * near * relative).powi(2))
     };
     points.iter().zip(&near_points).map(bound).collect()
 }
@@ -282,36 +294,38 @@ impl Segment {
         Segment { strength: own.iter().map(strength).collect(), antennas, gains, lit }
     }
 
-    /// Adds an echo, given at each time, if it is audible at any of the times.
+    /// Adds an echo, given at each time, if its largest power exceeds its chance ([`chances`]).
     fn add(
         &self,
         prepared: &PreparedScene,
+        chance: f64,
         echo: impl Fn(usize) -> Option<Echo>,
         keys: &mut Vec<Key>,
         intervals: &mut [HeldEchoes],
     ) {
-        let least = HEARD * prepared.threshold_lsb;
         let lsb = prepared.lsb.first().copied().unwrap_or(0.0);
+        let relative = |amplitude_lsb: f64| (amplitude_lsb / prepared.threshold_lsb).powi(2);
         let echoes = || self.strength.iter().enumerate().filter_map(|(time, strength)| Some((strength, echo(time)?)));
         // The filters only attenuate, so this bound precedes their evaluation.
-        if echoes().all(|(strength, echo)| lsb * strength * echo.stronger < least) {
+        if echoes().all(|(strength, echo)| relative(lsb * strength * echo.stronger) <= chance) {
             return;
         }
         keys.clear();
-        let mut is_heard = false;
+        let mut power = 0f64;
         keys.extend(echoes().map(|(strength, echo)| {
             let delay = echo.length.map(|l| l / SPEED_OF_LIGHT_M_PER_S);
             let beat_hz = prepared.chirp.beat_hz(delay[0], delay[1]);
             let factor = prepared.at_adc(0, Complex64::new(*strength, 0.0), beat_hz);
-            is_heard |= factor.norm_sqr() * echo.stronger * echo.stronger >= least * least;
+            power = power.max(relative(factor.norm() * echo.stronger));
             (delay, std::array::from_fn(|receiver| factor * echo.fields[receiver] * self.gains[receiver]))
         }));
-        if !is_heard {
+        if power <= chance {
             return;
         }
+        let louder = power.sqrt().recip().max(1.0);
         for (ends, interval) in keys.windows(2).zip(intervals) {
             let [(begin, from), (end, to)] = [ends[0], ends[1]];
-            let amplitudes = std::array::from_fn(|receiver| [from[receiver], to[receiver]]);
+            let amplitudes = std::array::from_fn(|receiver| [from[receiver], to[receiver]].map(|end| end * louder));
             interval.push(&HeldEcho { delay: [begin, end], amplitudes });
         }
     }

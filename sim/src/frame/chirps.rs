@@ -1,4 +1,4 @@
-//! Frequency grids of all chirps of a frame, block by block: static paths, moving paths, diffuse echoes, and skins.
+//! Frequency grids of all chirps of a frame, block by block: static paths, moving paths, held echoes, and skins.
 
 use std::ops::Range;
 
@@ -11,7 +11,7 @@ use super::paths::Traced;
 use crate::synthesis::{CHIRPS, Grid, Grids, Places, SynthesisScratch};
 
 impl FrameSimulator {
-    /// Visits the frequency grid of every chirp of every receiver: static grids, paths, diffuse echoes and skins, with
+    /// Visits the frequency grid of every chirp of every receiver: static grids, paths, held echoes and skins, with
     /// the common errors of the chirp, if there are any. Chirps of a receiver come in order.
     pub(super) fn each_chirp(
         &self,
@@ -23,7 +23,7 @@ impl FrameSimulator {
         let shape = self.waveform().shape();
         let mut grids = vec![self.synthesiser.grids(); shape.rx];
         let mut grid = self.synthesiser.grid();
-        let mut run = (!traced.diffuse.is_empty()).then(|| self.diffuse_run());
+        let mut run = (!traced.held.is_empty()).then(|| self.held_run());
         for begin in (0..shape.chirps).step_by(CHIRPS) {
             let end = (begin + CHIRPS).min(shape.chirps);
             self.lay_static(begin..end, traced.halvings, static_grids, &mut grids);
@@ -34,7 +34,7 @@ impl FrameSimulator {
                 }
             }
             if let Some(run) = &mut run {
-                self.lay_diffuse(begin..end, &traced.diffuse, run, &mut grids);
+                self.lay_held(begin..end, &traced.held, run, &mut grids);
             }
             for (rx, grids) in grids.iter_mut().enumerate() {
                 if let Some(skins) = &traced.skins {

@@ -27,7 +27,7 @@ use receiver::{NoisyPhase, OfFrame};
 mod chirp_turn;
 mod chirps;
 mod clutter;
-mod diffuse_runs;
+mod held_runs;
 mod paths;
 mod receiver;
 mod report;

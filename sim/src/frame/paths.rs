@@ -29,8 +29,9 @@ pub(super) struct Traced {
     pub(super) halvings: u32,
     /// Paths to all receivers.
     pub(super) tracks: Tracks,
-    /// Diffuse echoes in each interval of a frame that may be halved less often; empty where walls do not scatter.
-    pub(super) diffuse: Vec<HeldEchoes>,
+    /// Diffuse echoes and weak paths in each interval of a frame that may be halved less often; empty where walls do not
+    /// scatter.
+    pub(super) held: Vec<HeldEchoes>,
     /// Echoes of people who have skins.
     pub(super) skins: Option<ChirpGrids>,
     pub(super) report: FrameReport,
@@ -43,7 +44,7 @@ impl Traced {
             snapshots: Vec::new(),
             halvings: self.halvings,
             tracks: self.tracks.by_delay(),
-            diffuse: self.diffuse.iter().map(HeldEchoes::by_delay).collect(),
+            held: self.held.iter().map(HeldEchoes::by_delay).collect(),
             skins: self.skins.as_mut().and_then(ChirpGrids::take_by_delay),
             report: self.report,
         }
@@ -70,25 +71,32 @@ impl FrameSimulator {
             BodyFile::Mesh => self.traced_skins(instants, halvings),
             BodyFile::Ellipsoids => self.traced_specular_points(instants, halvings),
         };
-        if !self.prepared.wall_points.is_empty() {
-            self.add_diffuse(instants.motions().len(), &mut traced);
-        }
+        self.add_diffuse(instants.motions().len(), &mut traced);
         traced
     }
 
-    /// Adds the diffuse echoes of walls, in halves of the frame. A quintic between them follows the centre of a segment
-    /// even where skins need shorter intervals.
-    fn add_diffuse(&self, people: usize, traced: &mut Traced) {
-        let halvings = traced.halvings.min(FIRST_HALVINGS);
-        let interval_s = self.active_s() / f64::from(1u32 << halvings);
-        traced.diffuse = vec![HeldEchoes::new(interval_s); 1 << halvings];
+    /// Returns empty lists of held echoes for the intervals of a frame that is halved this often, at most into halves. A
+    /// quintic over a half follows the centre of a segment even where skins need shorter intervals. There is no list where
+    /// walls do not scatter: the transforms of these lists are not worth their time for a few weak paths.
+    pub(super) fn held_echoes(&self, people: usize, halvings: u32) -> Vec<HeldEchoes> {
+        if self.prepared.wall_points.is_empty() {
+            return Vec::new();
+        }
+        let halvings = halvings.min(FIRST_HALVINGS);
+        let mut held = vec![HeldEchoes::new(self.active_s() / f64::from(1u32 << halvings)); 1 << halvings];
         let most = people * diffuse::most_echoes(&self.prepared, self.points_a_segment);
-        traced.diffuse.iter_mut().for_each(|interval| interval.reserve(most));
-        let step = 1usize << (traced.halvings - halvings);
+        held.iter_mut().for_each(|interval| interval.reserve(most));
+        held
+    }
+
+    /// Adds the diffuse echoes of walls.
+    fn add_diffuse(&self, people: usize, traced: &mut Traced) {
+        let Some(intervals) = traced.snapshots.len().checked_sub(1).filter(|_| !traced.held.is_empty()) else { return };
+        let step = intervals / traced.held.len();
         for me in 0..people {
             let own: Vec<&Snapshot> =
                 traced.snapshots.iter().step_by(step).filter_map(|people| people.get(me)).collect();
-            diffuse::add(&self.prepared, self.points_a_segment, &own, &mut traced.diffuse);
+            diffuse::add(&self.prepared, self.points_a_segment, &own, &mut traced.held);
         }
     }
 
@@ -103,7 +111,8 @@ impl FrameSimulator {
             clipped: 0,
         };
         let snapshots = instants.at_ends(FIRST_HALVINGS);
-        Traced { snapshots, halvings: FIRST_HALVINGS, tracks: paths.tracks, diffuse: Vec::new(), skins: None, report }
+        let KeyedPaths { tracks, weak: held, .. } = paths;
+        Traced { snapshots, halvings: FIRST_HALVINGS, tracks, held, skins: None, report }
     }
 
     /// Samples the paths of all people, each at as many key times as it needs.
@@ -114,10 +123,12 @@ impl FrameSimulator {
             heard_lsb: HEARD * self.prepared.threshold_lsb,
             least_lsb: 0.02 * self.prepared.threshold_lsb,
             tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,
+            threshold_lsb: self.prepared.threshold_lsb,
             halvings,
-            frequency_hz: self.prepared.chirp.start_hz,
+            chirp: self.prepared.chirp,
         };
-        let mut paths = KeyedPaths::default();
+        let weak = self.held_echoes(instants.motions().len(), FIRST_HALVINGS);
+        let mut paths = KeyedPaths { weak, ..KeyedPaths::default() };
         let mut report = EchoReport::default();
         // Audibility is tested at the ends and in the middle of the frame.
         let asked_s = [0.0, 0.5, 1.0].map(|part| instants.start_s() + part * self.active_s());

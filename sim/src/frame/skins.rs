@@ -99,8 +99,8 @@ impl FrameSimulator {
                 clamped: echo_report.clamped,
                 clipped: 0,
             };
-            let (tracks, skins) = (Tracks::default(), Some(grids));
-            return Traced { snapshots, halvings, tracks, diffuse: Vec::new(), skins, report };
+            let held = self.held_echoes(instants.motions().len(), halvings);
+            return Traced { snapshots, halvings, tracks: Tracks::default(), held, skins: Some(grids), report };
         }
     }
 

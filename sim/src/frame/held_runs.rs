@@ -1,13 +1,13 @@
-//! Diffuse echoes of a frame, added run by run of chirps. Echoes that change too much for a run are added block by
-//! block.
+//! Held echoes of a frame, diffuse echoes and weak paths, added run by run of chirps. Echoes that change too much for a
+//! run are added block by block.
 
 use std::ops::Range;
 
 use super::FrameSimulator;
 use crate::synthesis::{CHIRPS, Grids, HeldEchoes, RUN, RateGrids, Run};
 
-/// Most recent run of chirps with synthesised diffuse echoes.
-pub(super) struct DiffuseRun {
+/// Most recent run of chirps with synthesised held echoes.
+pub(super) struct HeldRun {
     /// Chirps of the run; empty where a single block is not worth a run.
     chirps: Range<usize>,
     rates: RateGrids,
@@ -17,27 +17,21 @@ pub(super) struct DiffuseRun {
 
 impl FrameSimulator {
     /// Creates the state before the first run.
-    pub(super) fn diffuse_run(&self) -> DiffuseRun {
+    pub(super) fn held_run(&self) -> HeldRun {
         let (synthesiser, receivers) = (&self.synthesiser, self.waveform().shape().rx);
         let blocks = vec![vec![synthesiser.grids(); RUN / CHIRPS]; receivers];
-        DiffuseRun { chirps: 0..0, rates: synthesiser.rate_grids(receivers), blocks }
+        HeldRun { chirps: 0..0, rates: synthesiser.rate_grids(receivers), blocks }
     }
 
-    /// Adds the diffuse echoes of each interval of a frame to a block of chirps. Blocks must be given in order.
-    pub(super) fn lay_diffuse(
-        &self,
-        block: Range<usize>,
-        diffuse: &[HeldEchoes],
-        run: &mut DiffuseRun,
-        grids: &mut [Grids],
-    ) {
-        let Some(halvings) = diffuse.len().checked_ilog2() else { return };
+    /// Adds the held echoes of each interval of a frame to a block of chirps. Blocks must be given in order.
+    pub(super) fn lay_held(&self, block: Range<usize>, held: &[HeldEchoes], run: &mut HeldRun, grids: &mut [Grids]) {
+        let Some(halvings) = held.len().checked_ilog2() else { return };
         if block.start >= run.chirps.end {
-            self.begin_run(&block, halvings, diffuse, run);
+            self.begin_run(&block, halvings, held, run);
         }
         let in_run = run.chirps.contains(&block.start);
         for (interval, places) in self.intervals_of(block.clone(), halvings) {
-            let of_stretch = if in_run { Some(run.rates.left()) } else { diffuse.get(interval) };
+            let of_stretch = if in_run { Some(run.rates.left()) } else { held.get(interval) };
             if let Some(echoes) = of_stretch {
                 self.synthesiser.spread_held(&self.prepared.chirp, echoes, &places, grids);
             }
@@ -54,7 +48,7 @@ impl FrameSimulator {
 
     /// Synthesises a run that starts at a block, with all following blocks in its interval that fit. A run of one block
     /// would not save work.
-    fn begin_run(&self, block: &Range<usize>, halvings: u32, diffuse: &[HeldEchoes], run: &mut DiffuseRun) {
+    fn begin_run(&self, block: &Range<usize>, halvings: u32, held: &[HeldEchoes], run: &mut HeldRun) {
         let chirps = self.waveform().shape().chirps;
         let (interval, first) = self.place_of(block.start, halvings);
         let is_inside = |end: usize| self.place_of(end - 1, halvings).0 == interval;
@@ -65,7 +59,7 @@ impl FrameSimulator {
             run.chirps.end = run.chirps.start;
             return;
         }
-        let Some(echoes) = diffuse.get(interval) else { return };
+        let Some(echoes) = held.get(interval) else { return };
         let (_, last) = self.place_of(end - 1, halvings);
         let step = (last - first) / (run.chirps.len() - 1) as f64;
         let spread = Run { first, step, chirps: run.chirps.len() };
