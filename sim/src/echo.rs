@@ -127,6 +127,9 @@ struct Pair {
     back: Way,
     /// Image positions of the receivers.
     sinks: Vec<DVec3>,
+    /// Image positions of the transmitter and of the receivers in the opposite direction, if the pair stands for it, too.
+    /// The amplitude is the same, by reciprocity: the antennas are some millimetres apart.
+    exchanged: Option<(DVec3, Vec<DVec3>)>,
     /// Signs of the axes of both images, outbound and return.
     signs: [[f64; 3]; 2],
     /// Indices of both images in the list of the images of all pairs.
@@ -162,16 +165,19 @@ impl<'a> Paths<'a> {
     ) -> Self {
         let pairs: Vec<AudiblePair> = pairs.iter().map(|&pair| pair.into()).collect();
         let images = distinct_images(pairs.iter().flat_map(|&AudiblePair { pair: (p, q), .. }| [p, q]));
-        let pair = |&AudiblePair { pair: (p, q), .. }: &AudiblePair| {
-            let source = prepared.room.image_position(p, prepared.tx.position);
-            let sinks: Vec<DVec3> = prepared.rx.iter().map(|rx| prepared.room.image_position(q, rx.position)).collect();
+        let pair = |&AudiblePair { pair: (p, q), both_ways, .. }: &AudiblePair| {
+            let ends = |p: ImageIndex, q: ImageIndex| {
+                let sinks = prepared.rx.iter().map(|rx| prepared.room.image_position(q, rx.position));
+                (prepared.room.image_position(p, prepared.tx.position), sinks.collect::<Vec<DVec3>>())
+            };
+            let (source, sinks) = ends(p, q);
             let first_rx = prepared.rx.first().unwrap_or(&prepared.tx);
             let there = Way { image: p, source, antenna: prepared.tx.position };
             let back = Way { image: q, source: *sinks.first().unwrap_or(&source), antenna: first_rx.position };
             let signs = [p, q].map(|image| BoxRoom::image_vector(image, DVec3::ONE).to_array());
             // The list holds every image of the pairs.
             let numbers = [p, q].map(|image| images.binary_search(&image).unwrap_or_default());
-            Pair { there, back, sinks, signs, images: numbers }
+            Pair { there, back, sinks, exchanged: both_ways.then(|| ends(q, p)), signs, images: numbers }
         };
         let of_pair = |(number, pair): (usize, &AudiblePair)| {
             let pair = *pair;
@@ -262,11 +268,7 @@ impl<'a> Paths<'a> {
             return None;
         };
         let [(there, left_there), (back, left_back)] = self.seen(pair, segment, h.point, instant)?;
-        let weight = inside_room(prepared, h.point)
-            * left_there
-            * left_back
-            // Fade out grazing specular points: geometrical optics does not describe forward scattering.
-            * smooth_step((h.cosine - 0.2) / 0.1);
+        let weight = inside_room(prepared, h.point) * left_there * left_back * faded(h.cosine);
         let reflected = reflect_at_skin(there, -h.towards.0, h.normal);
         let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
         report.clamped += usize::from(clamped || h.inside.0 || h.inside.1);
@@ -391,6 +393,11 @@ fn body_point(
 pub fn inside_room(prepared: &PreparedScene, point: DVec3) -> f64 {
     let Surroundings::Box(room) = &prepared.room else { return 1.0 };
     smooth_step((room.depth_within_m(prepared.tx.position, point) + 0.05) / 0.05)
+}
+
+/// Factor by which grazing specular points fade out, since geometrical optics does not describe forward scattering.
+fn faded(cosine: f64) -> f64 {
+    smooth_step((cosine - 0.2) / 0.1)
 }
 
 /// Computes the field that skin reflects, with separate TE and TM coefficients at the true angle of incidence.

@@ -2,6 +2,8 @@
 
 use std::f64::consts::{PI, TAU};
 
+use num_complex::Complex64;
+
 /// Raised-cosine step from 0 (below -1) to 1 (above 1).
 pub fn smooth_step(x: f64) -> f64 {
     if x <= -1.0 {
@@ -29,6 +31,12 @@ pub fn quintic([y0, v0, w0]: [f64; 3], [y1, v1, w1]: [f64; 3]) -> [f64; 6] {
     // Residual at the second end of the parabola that fits the first end.
     let (y, v, w) = (y1 - y0 - v0 - 0.5 * w0, v1 - v0 - w0, w1 - w0);
     [y0, v0, 0.5 * w0, 10.0 * y - 4.0 * v + 0.5 * w, -15.0 * y + 7.0 * v - w, 6.0 * y - 3.0 * v + 0.5 * w]
+}
+
+/// Magnitude of a number whose square neither overflows nor underflows. [`Complex64::norm`] takes several times as long,
+/// because it serves all numbers.
+pub fn magnitude(z: Complex64) -> f64 {
+    z.norm_sqr().sqrt()
 }
 
 /// Wraps an angle to -pi..pi.

@@ -20,6 +20,7 @@ use num_complex::Complex64;
 use crate::chirp::Chirp;
 use crate::echo::{EchoReport, Paths, Snapshot, TracedPath};
 use crate::em::specular::Ellipsoid;
+use crate::math::magnitude;
 use crate::path_segment::{FiveSamples, PathSample};
 use crate::people::body::SEGMENTS;
 use crate::people::motion::Motion;
@@ -141,6 +142,9 @@ impl KeyedPaths {
     }
 }
 
+/// Both directions of a path in a segment; the second is absent where the path stands for one.
+type Ways = [Option<Track>; 2];
+
 /// Path in a segment for which the need to halve is not yet known.
 #[derive(Debug, Clone, Copy)]
 struct Open {
@@ -175,7 +179,7 @@ impl Tracer<'_> {
     /// Traces all paths from one end of the frame to the other.
     fn follow(&mut self) {
         let open = self.received();
-        self.out.received += open.len();
+        self.out.received += open.iter().map(|open| 1 + usize::from(self.paths.is_both_ways(open.path))).sum::<usize>();
         // The lists are ordered by segment, and within a segment by path.
         let (mut halvings, mut level) = (0, vec![open]);
         while level.iter().any(|open| !open.is_empty()) {
@@ -213,13 +217,13 @@ impl Tracer<'_> {
         received
     }
 
-    /// Keeps a path in segment `place` of a frame that is halved `halvings` times.
-    fn keep(&mut self, halvings: u32, place: usize, track: Track) {
+    /// Keeps a path, in one direction or both, in segment `place` of a frame that is halved `halvings` times.
+    fn keep(&mut self, halvings: u32, place: usize, ways: Ways) {
         let SamplingTolerance { threshold_lsb, chirp, .. } = self.demand;
         let (out, segment) = (&mut *self.out, [halvings as usize, place]);
         let is_exact = self.demand.halvings.is_some();
-        if is_exact || !weak_track::add(&track, segment, chirp, *threshold_lsb, &mut out.weak) {
-            out.tracks.push(halvings, place, track);
+        if is_exact || !weak_track::add(&ways, segment, chirp, *threshold_lsb, &mut out.weak) {
+            ways.into_iter().flatten().for_each(|track| out.tracks.push(halvings, place, track));
         }
     }
 
@@ -231,7 +235,7 @@ impl Tracer<'_> {
         let exposed = self.paths.exposed(self.instants.people(middle), 0.5 * interval_s);
         for open in all {
             match self.calm(open, &exposed, interval_s) {
-                Some(track) => self.keep(halvings, place, track),
+                Some(ways) => self.keep(halvings, place, ways),
                 None => rest.push(*open),
             }
         }
@@ -247,15 +251,18 @@ impl Tracer<'_> {
         let (before, after) = (self.trace_shaded(before, &asked(0)), self.trace_shaded(after, &asked(2)));
         for ((open, before), after) in all.iter().zip(before).zip(after) {
             let [first, middle, last] = open.met;
-            let keys = keys_of([&first, &before, &middle, &after, &last], 0.25 * interval_s);
-            let Some((track, missed_lsb)) = Track::through(&keys, interval_s, self.demand.chirp.start_hz) else {
-                continue;
+            let five = [first, before, middle, after, last];
+            let through = |five: [TracedPath; 5]| {
+                let keys = keys_of(five.each_ref(), 0.25 * interval_s);
+                Track::through(&keys, interval_s, self.demand.chirp.start_hz)
             };
+            let Some((track, missed_lsb)) = through(five) else { continue };
             let between = [&before, &middle, &after].into_iter().filter_map(|met| met.keys().first());
-            let loudest_lsb = between.map(|key| key.amplitude.norm()).fold(0.0, f64::max);
+            let loudest_lsb = between.map(|key| magnitude(key.amplitude)).fold(0.0, f64::max);
             let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
             if self.demand.halvings.map_or(is_met || halvings == MOST_HALVINGS, |asked| halvings == asked) {
-                self.keep(halvings, place, track);
+                let exchanged = self.paths.is_both_ways(open.path).then(|| through(five.map(|met| met.exchanged())));
+                self.keep(halvings, place, [Some(track), exchanged.flatten().map(|(track, _)| track)]);
                 continue;
             }
             next[2 * place].push(Open { met: [first, before, middle], ..*open });
@@ -265,18 +272,28 @@ impl Tracer<'_> {
 
     /// Interpolates a path by its samples at both ends and in the middle, if these suffice: it has the same error bound
     /// as others, and nothing can obstruct it between two samples alone. `exposed` tells this by segment.
-    fn calm(&self, open: &Open, exposed: &[bool; SEGMENTS], interval_s: f64) -> Option<Track> {
+    fn calm(&self, open: &Open, exposed: &[bool; SEGMENTS], interval_s: f64) -> Option<Ways> {
         let is_clear = |met: &TracedPath| met.is_clear && met.place.is_some();
         let is_exposed = self.paths.segment(open.path).is_none_or(|segment| exposed[segment]);
         if self.demand.halvings.is_some() || is_exposed || !open.met.iter().all(is_clear) {
             return None;
         }
-        let keys = open.met.each_ref().map(|met| met.keys());
-        let (track, missed_lsb) = Track::through_three(keys, interval_s, self.demand.chirp.start_hz)?;
-        let loudest_lsb =
-            keys.iter().filter_map(|keys| keys.first()).map(|key| key.amplitude.norm()).fold(0.0, f64::max);
-        let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
-        is_met.then_some(track)
+        let through = |met: &[TracedPath; 3]| {
+            Track::through_three(met.each_ref().map(|met| met.keys()), interval_s, self.demand.chirp.start_hz)
+        };
+        let (track, missed_lsb) = through(&open.met)?;
+        let loudest_lsb = open
+            .met
+            .iter()
+            .filter_map(|met| met.keys().first())
+            .map(|key| magnitude(key.amplitude))
+            .fold(0.0, f64::max);
+        if missed_lsb > self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb) {
+            return None;
+        }
+        let is_both_ways = self.paths.is_both_ways(open.path);
+        let exchanged = is_both_ways.then(|| through(&open.met.map(|met| met.exchanged()))).flatten();
+        Some([Some(track), exchanged.map(|(track, _)| track)])
     }
 }
 

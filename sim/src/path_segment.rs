@@ -7,7 +7,7 @@
 
 use num_complex::{Complex, Complex64};
 
-use crate::math::quintic;
+use crate::math::{magnitude, quintic};
 
 /// State of a path at one sample time.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -136,8 +136,8 @@ fn quintic_of_three([a, m, b]: [[f64; 2]; 3]) -> [f64; 8] {
 /// A sixth of the fourth difference of the amplitude as estimated from third differences, LSB.
 fn missed_by_third_differences(keys: &FiveSamples) -> f64 {
     let a = keys.map(|key| key.amplitude);
-    let third = |i: usize| (a[i + 3] - a[i] + 3.0 * (a[i + 1] - a[i + 2])).norm();
-    let loudest = a.iter().map(|a| a.norm()).fold(0.0, f64::max);
+    let third = |i: usize| magnitude(a[i + 3] - a[i] + 3.0 * (a[i + 1] - a[i + 2]));
+    let loudest = a.iter().map(|&a| magnitude(a)).fold(0.0, f64::max);
     let relative = third(0).max(third(1)) / loudest.max(f64::MIN_POSITIVE);
     loudest * relative * relative.cbrt() / 6.0
 }
@@ -158,7 +158,7 @@ impl PathSegment {
         let at = |of: [f64; 5], power: usize| of.get(power).copied().unwrap_or(0.0) as f32;
         let amplitude = std::array::from_fn(|power| Complex::new(at(re, power), at(im, power)));
         let turn = Complex64::from_polar(1.0, std::f64::consts::TAU * frequency_hz * (middle_s - keys[2].delay_s));
-        let missed_lsb = (Complex64::new(middle_re, middle_im) * turn - keys[2].amplitude).norm();
+        let missed_lsb = magnitude(Complex64::new(middle_re, middle_im) * turn - keys[2].amplitude);
         (PathSegment { delay_s, amplitude, interval_s }, missed_lsb.max(missed_by_third_differences(keys)))
     }
 
@@ -182,12 +182,12 @@ impl PathSegment {
             amplitude: std::array::from_fn(|power| Complex::new(at(&re, power), at(&im, power))),
             interval_s,
         };
-        let loudest = a.norm().max(m.norm()).max(b.norm());
+        let loudest = [a, m, b].map(magnitude).into_iter().fold(0.0, f64::max);
         let per_loudest = 1.0 / loudest.max(f64::MIN_POSITIVE);
         let [[y0, v0], [middle_s, _], [y1, v1]] = [0, 1, 2].map(delay);
         let missed_s = 0.5 * (y0 + y1) + 0.125 * (v0 - v1) - middle_s;
         let by_phase = std::f64::consts::TAU * frequency_hz * missed_s.abs() / 16.0;
-        let (second, first) = (bend.norm() * per_loudest, step.norm() * per_loudest);
+        let (second, first) = (magnitude(bend) * per_loudest, magnitude(step) * per_loudest);
         (segment, loudest * (second * second.sqrt() + first * first * first + by_phase))
     }
 

@@ -14,7 +14,7 @@ use glam::DVec3;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::obstruction::facing;
-use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, distinct_images, echoes};
+use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, distinct_images, echoes, faded};
 use crate::em::fresnel::half_space;
 use crate::em::image::{ImageIndex, order};
 use crate::em::specular::Ellipsoid;
@@ -44,6 +44,8 @@ pub struct AudiblePair {
     pub pair: (ImageIndex, ImageIndex),
     /// Bit mask of segments.
     pub segments: u16,
+    /// Whether the pair stands for the opposite direction, too: that with exchanged images.
+    pub both_ways: bool,
 }
 
 impl AudiblePair {
@@ -56,17 +58,19 @@ impl AudiblePair {
 impl From<(ImageIndex, ImageIndex)> for AudiblePair {
     /// Returns the pair with all segments.
     fn from(pair: (ImageIndex, ImageIndex)) -> Self {
-        AudiblePair { pair, segments: (1 << SEGMENTS) - 1 }
+        AudiblePair { pair, segments: (1 << SEGMENTS) - 1, both_ways: false }
     }
 }
 
-/// Selects image pairs, with the segments of a person that may be audible through them at any of these instants. The
-/// direct pair is the first and is always kept.
+/// Selects image pairs, with the segments of a person that may be audible through them at any of these instants. Each
+/// pair stands for both directions. The direct pair is the first and is always kept.
 pub fn audible_paths(prepared: &PreparedScene, motion: &Motion, instants_s: &[f64]) -> Vec<AudiblePair> {
     let bodies: Vec<[Ellipsoid; SEGMENTS]> = instants_s.iter().map(|&time_s| motion.body(time_s)).collect();
-    let pairs = pairs_of(prepared, &bodies);
+    // The list has every pair in both orders.
+    let pairs: Vec<_> = pairs_of(prepared, &bodies).iter().copied().filter(|(p, q)| p <= q).collect();
     let images = Images::new(prepared, &pairs);
-    let mut all: Vec<AudiblePair> = pairs.iter().map(|&pair| AudiblePair { pair, segments: 0 }).collect();
+    let audible = |&pair: &(ImageIndex, ImageIndex)| AudiblePair { pair, segments: 0, both_ways: pair.0 != pair.1 };
+    let mut all: Vec<AudiblePair> = pairs.iter().map(audible).collect();
     for segment in 0..SEGMENTS {
         let at: Vec<Ellipsoid> = bodies.iter().filter_map(|body| body.get(segment)).copied().collect();
         let Some(bound) = SegmentBound::new(prepared, motion, &images, segment, at) else { continue };
@@ -77,7 +81,7 @@ pub fn audible_paths(prepared: &PreparedScene, motion: &Motion, instants_s: &[f6
         }
     }
     let is_direct = |p: ImageIndex, q: ImageIndex| prepared.room.order(p) + prepared.room.order(q) == 0;
-    all.retain(|AudiblePair { pair: (p, q), segments }| *segments != 0 || is_direct(*p, *q));
+    all.retain(|AudiblePair { pair: (p, q), segments, .. }| *segments != 0 || is_direct(*p, *q));
     all
 }
 
@@ -151,7 +155,7 @@ impl SegmentBound {
         let aperture = prepared.aperture_m();
         let lsb_m = prepared.lsb.first().copied().unwrap_or_default() * aperture * cloth;
         if let Surroundings::Box(room) = &prepared.room
-            && at.iter().all(|e| room.is_behind_walls(e.centre, e.semi_axes_m.max_element()))
+            && at.iter().all(|e| room.is_behind_walls(e.centre, e.half_widths_m()))
         {
             let reflected = lit.iter_mut().zip(&images.indices).filter(|&(_, &index)| order(index) > 0);
             reflected.for_each(|(lit, _)| lit.most_per_m = 0.0);
@@ -185,7 +189,7 @@ impl SegmentBound {
         }
         self.at.iter().any(|ellipsoid| {
             let Some(bound) = ellipsoid.bound(there.source, back.source, self.apart_m) else { return false };
-            let amplitude = per_m * bound.strength_m;
+            let amplitude = per_m * bound.strength_m * faded(bound.most_cosine);
             // The reflection coefficient of skin is largest at the smallest cosine of incidence, for TE.
             let skin = || half_space(SKIN_PERMITTIVITY, bound.least_cosine.clamp(0.0, 1.0)).te.norm();
             amplitude > threshold_lsb && amplitude * skin() > threshold_lsb

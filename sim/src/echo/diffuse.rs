@@ -23,6 +23,7 @@ use crate::em::fresnel;
 use crate::em::image::Element;
 use crate::geometry::shape::ellipsoid_area_m2;
 use crate::material::SKIN_PERMITTIVITY;
+use crate::math::magnitude;
 use crate::people::body::{CHEST, SEGMENTS};
 use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{HeldEcho, HeldEchoes};
@@ -316,7 +317,7 @@ impl Segment {
             let delay = echo.length.map(|l| l / SPEED_OF_LIGHT_M_PER_S);
             let beat_hz = prepared.chirp.beat_hz(delay[0], delay[1]);
             let factor = prepared.at_adc(0, Complex64::new(*strength, 0.0), beat_hz);
-            power = power.max(relative(factor.norm() * echo.stronger));
+            power = power.max(relative(magnitude(factor) * echo.stronger));
             (delay, std::array::from_fn(|receiver| factor * echo.fields[receiver] * self.gains[receiver]))
         }));
         if power <= chance {

@@ -30,6 +30,14 @@ pub(super) struct ReceivedRows {
     pub(super) amplitude: [WideRow; 2],
 }
 
+/// Distances from an end of each path to its specular point, one path per lane.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct LengthRows {
+    pub(super) length_m: WideRow,
+    /// Time derivative of the distance, m/s.
+    pub(super) rate: WideRow,
+}
+
 /// Motion of the surface of a segment: velocity of its centre, m/s, and velocity per component of a point on the unit
 /// sphere.
 #[derive(Debug, Clone, Copy)]
@@ -154,11 +162,9 @@ fn received_body(
     out: &mut ReceivedRows,
 ) {
     let (chirp, filters) = (prepared.chirp, prepared.filters);
-    let [centre, x, y, z] = drift.0;
     let per_m = 1.0 / SPEED_OF_LIGHT_M_PER_S;
     for l in 0..WIDE {
-        let unit = wide_lane(&seen.unit, l);
-        let velocity = add(add(centre, scale(x, unit[0])), add(scale(y, unit[1]), scale(z, unit[2])));
+        let velocity = velocity(drift, wide_lane(&seen.unit, l));
         let to_rx = subtract(wide_lane(sinks, l), wide_lane(&seen.point, l));
         let distance_m = dot(to_rx, to_rx).sqrt();
         let least_m = if distance_m > 1e-9 { distance_m } else { 1e-9 };
@@ -171,6 +177,29 @@ fn received_body(
         out.delay_rate[l] = delay_rate;
         out.amplitude[0][l] = at_adc[0];
         out.amplitude[1][l] = at_adc[1];
+    }
+}
+
+/// Velocity of a segment's material at a point of the unit sphere, m/s.
+#[inline(always)]
+fn velocity(drift: &Drift, unit: Vector) -> Vector {
+    let [centre, x, y, z] = drift.0;
+    add(add(centre, scale(x, unit[0])), add(scale(y, unit[1]), scale(z, unit[2])))
+}
+
+compiled_for_levels! {
+    /// Computes the distances of specular points from an end of each path.
+    pub(super) fn lengths(seen: &SpecularRows, drift: &Drift, ends: &WideRow3, out: &mut LengthRows) = lengths_body;
+}
+
+#[inline(always)]
+fn lengths_body(seen: &SpecularRows, drift: &Drift, ends: &WideRow3, out: &mut LengthRows) {
+    for l in 0..WIDE {
+        let velocity = velocity(drift, wide_lane(&seen.unit, l));
+        let offset = subtract(wide_lane(&seen.point, l), wide_lane(ends, l));
+        let length_m = dot(offset, offset).sqrt();
+        out.length_m[l] = length_m;
+        out.rate[l] = dot(offset, velocity) / if length_m > 1e-9 { length_m } else { 1e-9 };
     }
 }
 

@@ -10,8 +10,8 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use super::obstruction::{Bystanders, SharedWays, Way, limb_column, opposite};
-use super::path_rows::{Drift, ReceivedRows, WideFields, launched, received, reflected};
-use super::{EchoReport, Instant, LEAST_DISTANCE_M, Pair, Paths, Snapshot, VELOCITY_STEP_S, inside_room};
+use super::path_rows::{Drift, LengthRows, ReceivedRows, WideFields, launched, lengths, received, reflected};
+use super::{EchoReport, Instant, LEAST_DISTANCE_M, Pair, Paths, Snapshot, VELOCITY_STEP_S, faded, inside_room};
 use crate::diffraction::weaken_rows;
 use crate::em::Phasor3;
 use crate::em::image::{BoxRoom, order};
@@ -20,7 +20,6 @@ use crate::em::specular_rows::{SpecularRows, specular_points};
 use crate::lanes::vector::store;
 use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
 use crate::material::SKIN_PERMITTIVITY;
-use crate::math::smooth_step;
 use crate::path_segment::PathSample;
 use crate::paths::Surroundings;
 use crate::people::body::SEGMENTS;
@@ -34,6 +33,9 @@ const NOTHING: PathSample = PathSample { delay_s: 0.0, delay_rate: 0.0, amplitud
 pub struct TracedPath {
     keys: [PathSample; RECEIVERS],
     receivers: usize,
+    /// Delay, s, and its rate to each receiver in the opposite direction, of the same amplitude, if the path stands for
+    /// both.
+    exchanged: [[f64; 2]; RECEIVERS],
     /// Specular point on the segment, as a point of the unit sphere; `None` where the path does not exist.
     pub place: Option<DVec3>,
     /// Specular point in the room, m.
@@ -50,6 +52,7 @@ impl TracedPath {
         let mut met = TracedPath {
             keys: [NOTHING; RECEIVERS],
             receivers: 0,
+            exchanged: [[0.0; 2]; RECEIVERS],
             place,
             point: DVec3::ZERO,
             is_bare: false,
@@ -65,6 +68,15 @@ impl TracedPath {
     /// Returns a sample for each receiver, of amplitude zero where the path does not exist.
     pub fn keys(&self) -> &[PathSample] {
         self.keys.get(..self.receivers).unwrap_or_default()
+    }
+
+    /// Returns the samples of the opposite direction of a path that stands for both ([`Paths::is_both_ways`]).
+    pub fn exchanged(&self) -> Self {
+        let mut exchanged = *self;
+        for (key, [delay_s, delay_rate]) in exchanged.keys.iter_mut().zip(self.exchanged) {
+            (key.delay_s, key.delay_rate) = (delay_s, delay_rate);
+        }
+        exchanged
     }
 }
 
@@ -91,6 +103,29 @@ impl Paths<'_> {
     /// Returns the segment on which a path has its specular point; `None` for the extra paths of a person at a desk.
     pub fn segment(&self, path: usize) -> Option<usize> {
         self.specular_points.get(path).map(|&(_, segment)| segment)
+    }
+
+    /// Returns whether a path stands for both directions.
+    pub fn is_both_ways(&self, path: usize) -> bool {
+        let pair = self.specular_points.get(path).and_then(|&(number, _)| self.pairs.get(number));
+        pair.is_some_and(|pair| pair.exchanged.is_some())
+    }
+
+    /// Returns the delays of a path in the opposite direction, s, and their rates, for its specular point.
+    fn exchanged(&self, path: usize, own: &Snapshot, unit: DVec3) -> Option<[[f64; 2]; RECEIVERS]> {
+        let &(number, segment) = self.specular_points.get(path)?;
+        let (source, sinks) = self.pairs.get(number)?.exchanged.as_ref()?;
+        let (point, velocity) = (own.body.get(segment)?.surface(unit), own.velocity(segment, unit));
+        let length = |end: DVec3| {
+            let offset = point - end;
+            [offset.length(), offset.normalize_or_zero().dot(velocity)]
+        };
+        let (there, mut all) = (length(*source), [[0.0; 2]; RECEIVERS]);
+        for (all, sink) in all.iter_mut().zip(sinks) {
+            let back = length(*sink);
+            *all = [0, 1].map(|order| (there[order] + back[order]) / SPEED_OF_LIGHT_M_PER_S);
+        }
+        Some(all)
     }
 
     /// Returns for each segment whether a body or the person's other limb may begin and end to obstruct it within a
@@ -140,6 +175,9 @@ impl Paths<'_> {
             keys.clear();
             let place = self.trace_at(path, &mut instant, near, &mut keys, report);
             *met = TracedPath::new(&keys, place);
+            if let Some(exchanged) = place.and_then(|unit| self.exchanged(path, own, unit)) {
+                met.exchanged = exchanged;
+            }
         }
         met
     }
@@ -224,17 +262,39 @@ impl Paths<'_> {
         amplitude: &[WideRow; 2],
         met: &mut [TracedPath],
     ) {
-        let mut rows = ReceivedRows::default();
-        for (rx, &lsb) in self.prepared.lsb.iter().enumerate().take(RECEIVERS) {
-            let mut sinks = [[0.0; WIDE]; 3];
+        let ends = |of: &dyn Fn(&Pair) -> Option<DVec3>| {
+            let mut ends = [[0.0; WIDE]; 3];
             for (l, pair) in pairs.iter().enumerate() {
-                store(&mut sinks, l, pair.sinks.get(rx).copied().unwrap_or_default().to_array());
+                store(&mut ends, l, of(pair).unwrap_or_default().to_array());
             }
-            received(self.level, self.prepared, lsb, seen, drift, &sinks, amplitude, &mut rows);
+            ends
+        };
+        let has_both = pairs.iter().any(|pair| pair.exchanged.is_some());
+        let (mut rows, mut there, mut back) = (ReceivedRows::default(), LengthRows::default(), LengthRows::default());
+        if has_both {
+            lengths(self.level, seen, drift, &ends(&|pair| Some(pair.exchanged.as_ref()?.0)), &mut there);
+        }
+        for (rx, &lsb) in self.prepared.lsb.iter().enumerate().take(RECEIVERS) {
+            received(
+                self.level,
+                self.prepared,
+                lsb,
+                seen,
+                drift,
+                &ends(&|pair| pair.sinks.get(rx).copied()),
+                amplitude,
+                &mut rows,
+            );
+            if has_both {
+                let sinks = ends(&|pair| pair.exchanged.as_ref()?.1.get(rx).copied());
+                lengths(self.level, seen, drift, &sinks, &mut back);
+            }
             for (l, &at) in lanes.iter().enumerate() {
                 let Some(met) = met.get_mut(at).filter(|met| met.place.is_some()) else { continue };
                 let amplitude = Complex64::new(rows.amplitude[0][l], rows.amplitude[1][l]);
                 met.keys[rx] = PathSample { delay_s: rows.delay_s[l], delay_rate: rows.delay_rate[l], amplitude };
+                let (length_m, rate) = (there.length_m[l] + back.length_m[l], there.rate[l] + back.rate[l]);
+                met.exchanged[rx] = [length_m, rate].map(|of| of / SPEED_OF_LIGHT_M_PER_S);
             }
         }
     }
@@ -247,9 +307,7 @@ impl Paths<'_> {
         let common = 0.5 * prepared.aperture_m() * cloth;
         let mut factors = [0.0; WIDE];
         for (l, factor) in factors.iter_mut().enumerate().filter(|&(l, _)| seen.found[l] != 0.0) {
-            // Fade out grazing specular points: geometrical optics does not describe forward scattering.
-            let faded = smooth_step((seen.cosine[l] - 0.2) / 0.1);
-            *factor = common * faded * inside_room(prepared, vector(&seen.point, l));
+            *factor = common * faded(seen.cosine[l]) * inside_room(prepared, vector(&seen.point, l));
         }
         factors
     }

@@ -345,15 +345,15 @@ impl BoxRoom {
         std::array::from_fn(|part| low[part].powi(at_low) * high[part].powi(at_high))
     }
 
-    /// Returns whether no image but the antenna itself contributes to the field anywhere in a ball, because it lies
-    /// behind upright walls that transmit or are open.
-    pub(crate) fn is_behind_walls(&self, centre: DVec3, radius_m: f64) -> bool {
+    /// Returns whether no image but the antenna itself contributes to the field anywhere in a box with these half-widths,
+    /// because it lies behind upright walls that transmit or are open.
+    pub(crate) fn is_behind_walls(&self, centre: DVec3, half_widths_m: DVec3) -> bool {
         let beyond_m = |wall: usize| {
             let axis = wall / 2;
             if wall.is_multiple_of(2) { -centre[axis] } else { centre[axis] - self.size_m[axis] }
         };
-        let is_wholly_behind = |wall: usize| beyond_m(wall) - radius_m >= self.walls[wall].depth_m();
-        let is_wholly_before = |wall: usize| beyond_m(wall) + radius_m <= 0.0;
+        let is_wholly_behind = |wall: usize| beyond_m(wall) - half_widths_m[wall / 2] >= self.walls[wall].depth_m();
+        let is_wholly_before = |wall: usize| beyond_m(wall) + half_widths_m[wall / 2] <= 0.0;
         (0..4).any(is_wholly_behind)
             && (0..4).all(|wall| is_wholly_before(wall) || is_wholly_behind(wall) && self.is_passable(wall))
     }
@@ -433,7 +433,7 @@ mod tests {
         BoxRoom::new(DVec3::new(5.0, 4.0, 2.7), walls, K, false)
     }
 
-    /// In balls that lie behind walls, images leave no field; there are such balls behind every upright wall.
+    /// In boxes that lie behind walls, images leave no field; there are such boxes behind every upright wall.
     #[test]
     fn images_leave_nothing_behind_walls() {
         let passable = BoxRoom { transmission: true, ..room() };
@@ -448,25 +448,25 @@ mod tests {
             pattern: Pattern::isotropic(),
         };
         for room in [passable, open] {
-            let (radius_m, mut behind) = (0.25, [0; 4]);
+            let (half_widths_m, mut behind) = (DVec3::new(0.25, 0.1, 0.25), [0; 4]);
             for i in 0..40 {
                 for j in 0..40 {
                     let centre = DVec3::new(-2.0 + 0.23 * f64::from(i), -2.0 + 0.2 * f64::from(j), 1.1);
-                    if !room.is_behind_walls(centre, radius_m) {
+                    if !room.is_behind_walls(centre, half_widths_m) {
                         continue;
                     }
                     let beyond = [centre.x < 0.0, centre.x > 5.0, centre.y < 0.0, centre.y > 4.0];
                     behind.iter_mut().zip(beyond).for_each(|(count, is_beyond)| *count += i32::from(is_beyond));
-                    for side in [DVec3::ZERO, DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y, DVec3::new(0.7, -0.7, 0.1)] {
+                    for side in [DVec3::ZERO, DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y, DVec3::new(1.0, -1.0, 0.1)] {
                         for index in images(2).into_iter().filter(|&index| order(index) > 0) {
-                            let field = room.illuminate(&element, index, centre + side * radius_m).field;
+                            let field = room.illuminate(&element, index, centre + side * half_widths_m).field;
                             assert_eq!(field.magnitude(), 0.0, "{centre} {side} {index:?}");
                         }
                     }
                 }
             }
             assert!(behind.iter().all(|&count| count > 50), "{behind:?}");
-            assert!(!room.is_behind_walls(position, radius_m));
+            assert!(!room.is_behind_walls(position, half_widths_m));
         }
     }
 

@@ -57,6 +57,12 @@ pub(crate) const LEAST_COSINE: f64 = 0.1;
 pub(super) const FAR: f64 = 7.0;
 
 impl Ellipsoid {
+    /// Returns its half-widths along the room's axes, m.
+    pub fn half_widths_m(&self) -> DVec3 {
+        let along = |axis: usize| (self.axes.row(axis) * self.semi_axes_m).length();
+        DVec3::new(along(0), along(1), along(2))
+    }
+
     /// Returns the point of the surface for a point of the unit sphere.
     pub fn surface(&self, unit: DVec3) -> DVec3 {
         self.centre + self.axes * (unit * self.semi_axes_m)
@@ -121,6 +127,8 @@ pub struct SpecularPointBound {
     pub strength_m: f64,
     /// Least cosine of the angle of incidence.
     pub least_cosine: f64,
+    /// Largest cosine of the angle of incidence.
+    pub most_cosine: f64,
 }
 
 impl Ellipsoid {
@@ -132,7 +140,8 @@ impl Ellipsoid {
     /// determinants `sqrt(det J) >= cos (sqrt(K) + (1/R_t + 1/R_r)/2)`, with Gauss's curvature `K = (h^2/(abc))^2` at
     /// the normal's support h. The normal is the fixed point of a map: from a normal to the bisector at the point with
     /// that normal. Where the map is a contraction, two iterations bound the distance of the fixed point from the
-    /// second. Elsewhere the flattest side gives the bound.
+    /// second, and that of the specular point from the point with the first normal. Elsewhere the flattest side gives the
+    /// bound.
     pub fn bound(&self, tx: DVec3, rx: DVec3, apart_m: f64) -> Option<SpecularPointBound> {
         let (to_body, b) = (self.axes.transpose(), self.semi_axes_m);
         let sources = [tx, rx].map(|source| to_body * (source - self.centre));
@@ -142,7 +151,7 @@ impl Ellipsoid {
         let by_distance: f64 = distances_m.iter().map(|distance| 0.5 / (distance + reach_m)).sum();
         let strength_m = |support_m: f64| 0.5 / (support_m * support_m / b.element_product() + by_distance);
         let near_m = distances_m.map(|distance| distance - reach_m);
-        let any = SpecularPointBound { strength_m: strength_m(shortest_m), least_cosine: 0.0 };
+        let any = SpecularPointBound { strength_m: strength_m(shortest_m), least_cosine: 0.0, most_cosine: 1.0 };
         if near_m[0] <= 0.0 || near_m[1] <= 0.0 {
             return Some(any);
         }
@@ -153,26 +162,36 @@ impl Ellipsoid {
         let turned: f64 = distances_m.iter().map(|distance| (reach_m / distance).min(1.0).asin()).sum();
         let middle = bisector(DVec3::ZERO);
         let twice_cosine = middle.length();
-        if 0.5 * (twice_cosine + turned) < LEAST_COSINE {
+        let most_cosine = 0.5 * (twice_cosine + turned);
+        if most_cosine < LEAST_COSINE {
             return None;
         }
         let least = twice_cosine - turned;
         if least <= 0.0 {
-            return Some(any);
+            return Some(SpecularPointBound { most_cosine, ..any });
         }
         let first = middle / twice_cosine;
         let scaled = b * b * first;
-        let second = bisector(scaled / scaled.dot(first).sqrt()).normalize_or(first);
-        let per_m = (1.0 / near_m[0] + 1.0 / near_m[1]) / least;
-        let contraction = longest_m * longest_m / shortest_m * per_m;
+        let at_first = bisector(scaled / scaled.dot(first).sqrt());
+        let second = at_first.normalize_or(first);
+        let per_near_m = 1.0 / near_m[0] + 1.0 / near_m[1];
+        let (per_m, radius_m) = (per_near_m / least, longest_m * longest_m / shortest_m);
+        let contraction = radius_m * per_m;
         let moved = first.distance(second);
         if contraction >= 0.9 || moved > 0.5 {
-            return Some(SpecularPointBound { least_cosine: 0.5 * least, ..any });
+            return Some(SpecularPointBound { least_cosine: 0.5 * least, most_cosine, ..any });
         }
         // An angle of half a radian is 1 % longer than its chord.
         let farther = (apart_m * per_m + 1.02 * contraction * moved) / (1.0 - contraction);
         let support_m = ((b * second).length() - longest_m * farther).max(shortest_m);
-        Some(SpecularPointBound { strength_m: strength_m(support_m), least_cosine: 0.5 * least })
+        // The point moves by at most the largest radius of curvature times the angle.
+        let apart_m = apart_m + 1.02 * radius_m * (moved + farther);
+        let most_cosine = if moved + farther > 0.5 {
+            most_cosine
+        } else {
+            most_cosine.min(0.5 * (at_first.length() + apart_m * per_near_m))
+        };
+        Some(SpecularPointBound { strength_m: strength_m(support_m), least_cosine: 0.5 * least, most_cosine })
     }
 }
 
@@ -404,7 +423,8 @@ mod tests {
             let (tx, rx) = (tx + nearby(), rx + nearby());
             let bound = e.bound(tx, rx, 0.02).expect("it is seen");
             assert!(strength_m <= bound.strength_m * (1.0 + 1e-9), "{e:?} {tx} {rx}: {strength_m} {bound:?}");
-            assert!(h.cosine >= bound.least_cosine, "{e:?} {tx} {rx}: {} {bound:?}", h.cosine);
+            let range = bound.least_cosine..=bound.most_cosine;
+            assert!(range.contains(&h.cosine), "{e:?} {tx} {rx}: {} {bound:?}", h.cosine);
             let exact = e.bound(tx, rx, 0.0).expect("it is seen");
             far += usize::from(near_m == 3.0);
             close += usize::from(near_m == 3.0 && exact.strength_m < 1.19 * strength_m);
