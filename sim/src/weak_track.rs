@@ -13,7 +13,7 @@ use crate::tracks::{RECEIVERS, Track};
 
 /// Largest amplitude of a weak path, relative to the amplitude below which a path is invisible. With that limit 10 dB
 /// below the noise, such a path is 10 dB above it, and 4 % of its amplitude are 18 dB below it.
-const MOST: f64 = 10.0;
+const MOST: f64 = 30.0;
 /// Largest deviation of a weak path's amplitude from a straight line over an interval, in the same unit.
 const MOST_BEND: f64 = 0.3;
 

@@ -71,16 +71,18 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
     let share = (points.len() as f64 / points_a_segment.max(1) as f64).sqrt();
     let segments: Vec<Segment> =
         (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(prepared, own, s, share)).collect();
-    let audible = audible(prepared, own, &segments);
+    let strongest = segments.iter().map(Segment::most_strength).fold(0.0, f64::max);
+    let audible = audible(prepared, own, strongest);
     let (mut legs, mut keys) = (PointLegs::default(), Vec::new());
     // One pair of points stands for as many pairs as there are points.
     let weight = (points.len() as f64).sqrt();
     for (number, segment) in segments.iter().enumerate() {
         legs.clear(points.len(), own.len());
+        let weaker = (segment.most_strength() / strongest.max(1e-300)).powi(2);
         for index in points_of(number, points_a_segment, points.len()) {
             let (Some(point), Some(&[alone, paired])) = (points.get(index), audible.get(index)) else { continue };
             let [chance, paired_chance] = chances(number, index);
-            if alone > chance {
+            if alone * weaker > chance {
                 legs.find(segment, index, point);
                 let (legs, paths) = (legs.of(index), &point.antennas);
                 let echo = |time: usize| {
@@ -91,7 +93,7 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
                 };
                 segment.add(prepared, chance, echo, &mut keys, intervals);
             }
-            let partner = point.partner.filter(|_| paired > paired_chance);
+            let partner = point.partner.filter(|_| paired * weaker > paired_chance);
             if let Some((number, partner)) = partner.and_then(|number| Some((number, points.get(number)?))) {
                 legs.find(segment, index, point);
                 legs.find(segment, number, partner);
@@ -111,8 +113,9 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
 }
 
 /// Bounds the power of the echoes over each point, relative to that of an invisible path: by way of the point and
-/// directly, and by way of it and its partner. The bound uses the distance of the whole body.
-fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) -> Vec<[f64; 2]> {
+/// directly, and by way of it and its partner. The bound uses the distance of the whole body, and the strength of its
+/// strongest segment.
+fn audible(prepared: &PreparedScene, own: &[&Snapshot], strongest: f64) -> Vec<[f64; 2]> {
     let chest = |now: &Snapshot| now.body[CHEST].centre;
     let reach = |now: &Snapshot| now.body.iter().map(|e| e.centre.distance(chest(now))).fold(0.0, f64::max);
     let reach_m = own.iter().map(|now| reach(now)).fold(0.0, f64::max);
@@ -120,7 +123,6 @@ fn audible(prepared: &PreparedScene, own: &[&Snapshot], segments: &[Segment]) ->
         let distance_m = own.iter().map(|now| chest(now).distance(position)).fold(f64::INFINITY, f64::min);
         1.0 / (distance_m - reach_m).max(LEAST_LEG_M)
     };
-    let strongest = segments.iter().flat_map(|segment| &segment.strength).copied().fold(0.0, f64::max);
     let relative = prepared.lsb.first().copied().unwrap_or(0.0) * strongest / prepared.threshold_lsb;
     let near_rx = prepared.rx.first().map_or(0.0, |rx| near(rx.position));
     let direct = AntennaPaths::new((0.0, near(prepared.tx.position)), &[(0.0, near_rx)], prepared.wavelength_m);
@@ -293,6 +295,11 @@ impl Segment {
         gains.iter_mut().zip(&prepared.lsb).for_each(|(gain, lsb)| *gain = lsb / first_lsb);
         let antennas = lit.iter().map(|lit| DirectPaths::new(prepared, lit)).collect();
         Segment { strength: own.iter().map(strength).collect(), antennas, gains, lit }
+    }
+
+    /// Largest amplitude at an antenna for unit fields on both legs.
+    fn most_strength(&self) -> f64 {
+        self.strength.iter().copied().fold(0.0, f64::max)
     }
 
     /// Adds an echo, given at each time, if its largest power exceeds its chance ([`chances`]).

@@ -121,7 +121,7 @@ impl FrameSimulator {
             // The limit is 6 dB below a path alone in its cell, since many weak paths add up; the limit of errors is
             // lower still.
             heard_lsb: HEARD * self.prepared.threshold_lsb,
-            least_lsb: 0.02 * self.prepared.threshold_lsb,
+            least_lsb: 0.1 * self.prepared.threshold_lsb,
             tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,
             threshold_lsb: self.prepared.threshold_lsb,
             halvings,

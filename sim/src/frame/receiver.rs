@@ -1,6 +1,6 @@
 //! Receiver output for a frame's grids: samples, leakage, noise, spurious tones, codes.
 
-use radome_dsp::Frame;
+use radome_dsp::{Frame, KernelLevel};
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -11,7 +11,7 @@ use super::paths::Traced;
 use crate::prepared_scene::{drift, drift_phases};
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
-use crate::receiver::adc::{leakage_by_delay_lsb_s, quantise};
+use crate::receiver::adc::{leakage_by_delay_lsb_s, quantise_all};
 use crate::receiver::noise::{NoiseScratch, NoiseShaper};
 use crate::receiver::phase_noise::PhaseRates;
 use crate::receiver::spurs::Spurs;
@@ -63,7 +63,7 @@ impl FrameSimulator {
         let static_grids = self.static_grids(clutter, false);
         let by_delay = phase.map(|phase| self.by_delay(phase, clutter, turns)).unwrap_or_default();
         let mut channels: Vec<Channel> = (0..shape.rx).map(|rx| self.channel(rx, index, start_s)).collect();
-        let (mut scratch, mut clipped) = (Scratch::default(), 0);
+        let (mut scratch, mut clipped, level) = (Scratch::default(), 0, KernelLevel::detect());
         self.each_chirp(traced, &static_grids, turns, |rx, chirp, grid| {
             let Some(channel) = channels.get_mut(rx) else { return };
             let (offset, leakage_scale) = channel.offset;
@@ -82,10 +82,8 @@ impl FrameSimulator {
                 shaper.add(&mut channel.noise, *scale, &mut scratch.chirp, &mut scratch.noise);
             }
             if let Some(codes) = frame.codes.get_mut(first..first + shape.samples) {
-                for (code, x) in codes.iter_mut().zip(&scratch.chirp) {
-                    *code = quantise(*x);
-                    clipped += usize::from(*code == 0 || *code == radome_dsp::MAX_CODE);
-                }
+                quantise_all(level, &scratch.chirp, codes);
+                clipped += codes.iter().filter(|code| **code == 0 || **code == radome_dsp::MAX_CODE).count();
             }
         });
         clipped

@@ -3,6 +3,7 @@
 use radome_dsp::{MAX_CODE, Waveform};
 
 use super::{Leakage, RxChannel};
+use crate::lanes::compiled_for_levels;
 
 /// Leakage and settling over one chirp, LSB.
 pub fn leakage_chirp_lsb(channel: &RxChannel, waveform: &Waveform) -> Vec<f32> {
@@ -29,7 +30,24 @@ pub fn leakage_by_delay_lsb_s(channel: &RxChannel, waveform: &Waveform) -> Vec<f
 }
 
 /// Rounds to the nearest code and clips at both ends; NaN reads 0.
+#[inline(always)]
 pub fn quantise(lsb: f32) -> u16 {
-    // `as` truncates the fraction, saturates and converts NaN to 0.
-    ((lsb + 0.5) as u16).min(MAX_CODE)
+    /// 2^23: adding it leaves an integer in a number's last bits. A conversion would be one lane at a time.
+    const SHIFT: f32 = 8_388_608.0;
+    // Comparisons convert NaN to 0.
+    let code = if lsb > 0.0 { lsb + 0.5 } else { 0.0 };
+    let code = if code < f32::from(MAX_CODE) { code.floor() } else { f32::from(MAX_CODE) };
+    (code + SHIFT).to_bits() as u16
+}
+
+compiled_for_levels! {
+    /// Rounds samples to codes ([`quantise`]).
+    pub(crate) fn quantise_all(samples: &[f32], codes: &mut [u16]) = quantise_body;
+}
+
+#[inline(always)]
+fn quantise_body(samples: &[f32], codes: &mut [u16]) {
+    for (code, sample) in codes.iter_mut().zip(samples) {
+        *code = quantise(*sample);
+    }
 }

@@ -4,14 +4,15 @@
 use std::sync::Arc;
 
 use num_complex::Complex;
-use radome_dsp::Waveform;
 use radome_dsp::spectrum::inverse_real_fft_f32;
-use rand_distr::{Distribution, StandardNormal};
+use radome_dsp::{KernelLevel, Waveform};
+use rand::RngCore;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use realfft::ComplexToReal;
 
 use super::budget::{Filters, thermal_lsb2};
 use super::{Receiver, RxChannel};
+use crate::lanes::{compiled_for_levels, cos_sin_of_turns, ln};
 
 /// Variance that rounding adds, LSB^2.
 const ROUNDING_LSB2: f64 = 1.0 / 12.0;
@@ -70,6 +71,7 @@ pub struct NoiseShaper {
 /// Buffers of a [`NoiseShaper`].
 #[derive(Debug, Default)]
 pub struct NoiseScratch {
+    bits: Vec<u64>,
     spectrum: Vec<Complex<f32>>,
     chirp: Vec<f32>,
     fft: Vec<Complex<f32>>,
@@ -78,6 +80,23 @@ pub struct NoiseScratch {
 impl std::fmt::Debug for NoiseShaper {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("NoiseShaper").field("samples", &self.samples).finish_non_exhaustive()
+    }
+}
+
+compiled_for_levels! {
+    /// Converts random bits to complex normal numbers, of unit variance in each part times an amplitude (Box and Muller,
+    /// Ann. Math. Stat. 29, 1958). Half of the bits give the radius, up to 6.7, the other half the angle.
+    fn normals(bits: &[u64], amplitudes: &[f32], out: &mut [Complex<f32>]) = normals_body;
+}
+
+#[inline(always)]
+fn normals_body(bits: &[u64], amplitudes: &[f32], out: &mut [Complex<f32>]) {
+    const PER_UNIT: f64 = 1.0 / 4_294_967_296.0;
+    for ((&bits, &amplitude), out) in bits.iter().zip(amplitudes).zip(out) {
+        let [radius, angle] = [(bits >> 32) as u32, bits as u32];
+        let radius = (-2.0 * ln((f64::from(radius) + 0.5) * PER_UNIT)).sqrt() as f32 * amplitude;
+        let (cosine, sine) = cos_sin_of_turns((f64::from(angle) * PER_UNIT) as f32);
+        *out = Complex::new(radius * cosine, radius * sine);
     }
 }
 
@@ -98,11 +117,16 @@ impl NoiseShaper {
 
     /// Adds one chirp of noise, multiplied by `scale`.
     pub fn add(&self, rng: &mut Xoshiro256PlusPlus, scale: f32, out: &mut [f32], scratch: &mut NoiseScratch) {
-        scratch.spectrum.clear();
-        for (bin, &a) in self.amplitude.iter().enumerate() {
-            let re: f32 = StandardNormal.sample(rng);
-            let im: f32 = if bin == 0 || 2 * bin == self.samples { 0.0 } else { StandardNormal.sample(rng) };
-            scratch.spectrum.push(Complex::new(re * a, im * a));
+        scratch.bits.clear();
+        scratch.bits.extend(self.amplitude.iter().map(|_| rng.next_u64()));
+        scratch.spectrum.resize(self.amplitude.len(), Complex::default());
+        normals(KernelLevel::detect(), &scratch.bits, &self.amplitude, &mut scratch.spectrum);
+        // These bins are their own mirror images.
+        if let Some(first) = scratch.spectrum.first_mut() {
+            first.im = 0.0;
+        }
+        if let Some(last) = scratch.spectrum.last_mut().filter(|_| self.samples.is_multiple_of(2)) {
+            last.im = 0.0;
         }
         scratch.chirp.resize(self.samples, 0.0);
         scratch.fft.resize(self.inverse.get_scratch_len(), Complex::default());
