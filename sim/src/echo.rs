@@ -3,6 +3,7 @@
 mod audible;
 pub mod dense;
 pub mod diffuse;
+mod diffuse_legs;
 pub mod error_budget;
 mod obstruction;
 mod patch;

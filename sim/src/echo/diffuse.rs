@@ -15,15 +15,17 @@ use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
 use glam::DVec3;
 use num_complex::Complex64;
-use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+use radome_dsp::KernelLevel;
 
+use super::diffuse_legs::{HeardRows, Leg, LegRows, Scatterer, heard_by_ways, legs};
 use super::{Snapshot, inside_room};
 use crate::diffuse::{AntennaPaths, BEFORE_M, GOLDEN, LEAST_LEG_M, WallPoint};
 use crate::em::fresnel;
 use crate::em::image::Element;
 use crate::geometry::shape::ellipsoid_area_m2;
+use crate::lanes::WIDE;
+use crate::lanes::vector::store;
 use crate::material::SKIN_PERMITTIVITY;
-use crate::math::magnitude;
 use crate::people::body::{CHEST, SEGMENTS};
 use crate::prepared_scene::PreparedScene;
 use crate::synthesis::{HeldEcho, HeldEchoes};
@@ -73,41 +75,47 @@ pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot],
         (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(prepared, own, s, share)).collect();
     let strongest = segments.iter().map(Segment::most_strength).fold(0.0, f64::max);
     let audible = audible(prepared, own, strongest);
-    let (mut legs, mut keys) = (PointLegs::default(), Vec::new());
-    // One pair of points stands for as many pairs as there are points.
-    let weight = (points.len() as f64).sqrt();
+    let mut taken: [Vec<Taken>; 2] = Default::default();
     for (number, segment) in segments.iter().enumerate() {
-        legs.clear(points.len(), own.len());
+        taken.iter_mut().for_each(Vec::clear);
         let weaker = (segment.most_strength() / strongest.max(1e-300)).powi(2);
         for index in points_of(number, points_a_segment, points.len()) {
             let (Some(point), Some(&[alone, paired])) = (points.get(index), audible.get(index)) else { continue };
             let [chance, paired_chance] = chances(number, index);
             if alone * weaker > chance {
-                legs.find(segment, index, point);
-                let (legs, paths) = (legs.of(index), &point.antennas);
-                let echo = |time: usize| {
-                    let (leg, direct) = (legs.get(time)?, segment.antennas.get(time)?);
-                    let length = [direct.length[0] + paths.length_m, direct.length[1], direct.length[2]];
-                    let stronger = direct.paths.stronger_way(paths);
-                    Some(leg.extended(length, stronger, direct.paths.both_ways(paths)))
-                };
-                segment.add(prepared, chance, echo, &mut keys, intervals);
+                taken[0].push(Taken { point, partner: None, chance });
             }
             let partner = point.partner.filter(|_| paired * weaker > paired_chance);
-            if let Some((number, partner)) = partner.and_then(|number| Some((number, points.get(number)?))) {
-                legs.find(segment, index, point);
-                legs.find(segment, number, partner);
-                let (own_legs, legs) = (legs.of(index), legs.of(number));
-                let between_m = point.antennas.length_m + partner.antennas.length_m;
-                let stronger = weight * point.antennas.stronger_way(&partner.antennas);
-                let fields = point.antennas.both_ways(&partner.antennas).map(|field| weight * field);
-                let echo = |time: usize| {
-                    let (leg, back) = (own_legs.get(time)?, legs.get(time)?);
-                    let length = [back.length[0] + between_m, back.length[1], back.length[2]];
-                    Some(leg.extended(length, back.field * stronger, fields.map(|field| back.field * field)))
-                };
-                segment.add(prepared, paired_chance, echo, &mut keys, intervals);
+            if let Some(partner) = partner.and_then(|number| points.get(number)) {
+                taken[1].push(Taken { point, partner: Some(partner), chance: paired_chance });
             }
+        }
+        for lanes in taken.iter().flat_map(|of_a_kind| of_a_kind.chunks(WIDE)) {
+            segment.add(prepared, lanes, intervals);
+        }
+    }
+}
+
+/// Way over a point, or over it and its partner, whose echo is taken if its power exceeds its chance.
+struct Taken<'a> {
+    point: &'a WallPoint,
+    partner: Option<&'a WallPoint>,
+    chance: f64,
+}
+
+impl Taken<'_> {
+    /// Returns the length between the legs other than those to the segment, m.
+    fn between_m(&self) -> f64 {
+        self.point.antennas.length_m + self.partner.map_or(0.0, |partner| partner.antennas.length_m)
+    }
+
+    /// Returns the paths to the antennas at the way's second end, and a factor of the field. `direct` is the segment's
+    /// own direct path.
+    fn back<'a>(&'a self, direct: &'a DirectPaths, points: usize) -> (&'a AntennaPaths, f64) {
+        match self.partner {
+            None => (&direct.paths, 1.0),
+            // One pair of points stands for as many pairs as there are points.
+            Some(partner) => (&partner.antennas, (points as f64).sqrt()),
         }
     }
 }
@@ -147,54 +155,6 @@ fn audible(prepared: &PreparedScene, own: &[&Snapshot], strongest: f64) -> Vec<[
     points.iter().zip(&near_points).map(bound).collect()
 }
 
-/// Leg between an antenna or a point and the middle of a segment, at one time.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Leg {
-    /// Length, m, and its first and second time derivative.
-    length: [f64; 3],
-    /// Field at the segment for a unit field at 1 m.
-    field: f64,
-}
-
-impl Leg {
-    /// Computes a leg from a position that radiates a field, times m, in a direction.
-    fn new(lit: &Scatterer, from: DVec3, sends: impl Fn(DVec3) -> f64) -> Self {
-        let offset = lit.centre - from;
-        let distance_m = offset.length();
-        let direction = offset / distance_m.max(1e-9);
-        let least_m = distance_m.max(LEAST_LEG_M);
-        let rate = direction.dot(lit.velocity);
-        // Transverse motion increases the second derivative.
-        let across = (lit.velocity.length_squared() - rate * rate) / least_m;
-        let length = [distance_m, rate, direction.dot(lit.acceleration) + across];
-        Leg { length, field: sends(direction) / least_m }
-    }
-
-    /// Returns the echo over this leg and a way back of this length, with the field at the first receiver in the stronger
-    /// direction, and the field at each receiver.
-    fn extended(&self, length: [f64; 3], stronger: f64, fields: [Complex64; RECEIVERS]) -> Echo {
-        let length = std::array::from_fn(|order| self.length[order] + length[order]);
-        Echo { length, stronger: self.field * stronger, fields: fields.map(|field| self.field * field) }
-    }
-
-    fn from_antenna(prepared: &PreparedScene, lit: &Scatterer, antenna: &Element) -> Self {
-        let straight = prepared.room.straight(antenna.position, lit.centre);
-        let sends = |direction: DVec3| antenna.pattern.field(antenna.radar_from_world * direction) * straight;
-        Leg::new(lit, antenna.position, sends)
-    }
-
-    fn from_point(lit: &Scatterer, point: &WallPoint) -> Self {
-        Leg::new(lit, point.position, |direction| direction.dot(point.normal).max(0.0).sqrt())
-    }
-}
-
-/// Motion of a segment at one time.
-struct Scatterer {
-    centre: DVec3,
-    velocity: DVec3,
-    acceleration: DVec3,
-}
-
 /// Segment at the ends of a frame's intervals.
 struct Segment {
     lit: Vec<Scatterer>,
@@ -223,52 +183,6 @@ impl DirectPaths {
         let fields: Vec<(f64, f64)> = rx.iter().map(path).collect();
         DirectPaths { paths: AntennaPaths::new(path(&tx), &fields, prepared.wavelength_m), length }
     }
-}
-
-/// Legs between a segment and the walls' points. Each is computed once, although a point is also the partner of
-/// another.
-#[derive(Default)]
-struct PointLegs {
-    /// `[point][time]`.
-    legs: Vec<Leg>,
-    is_known: Vec<bool>,
-    times: usize,
-}
-
-impl PointLegs {
-    /// Resets to no legs, for a number of points and times.
-    fn clear(&mut self, points: usize, times: usize) {
-        const NONE: Leg = Leg { length: [0.0; 3], field: 0.0 };
-        self.legs.resize(points * times, NONE);
-        self.is_known.clear();
-        self.is_known.resize(points, false);
-        self.times = times;
-    }
-
-    /// Computes the legs of a point, unless they are known.
-    fn find(&mut self, segment: &Segment, index: usize, point: &WallPoint) {
-        let Some(is_known) = self.is_known.get_mut(index).filter(|known| !**known) else { return };
-        *is_known = true;
-        let legs = self.legs.iter_mut().skip(index * self.times);
-        for (leg, lit) in legs.zip(&segment.lit) {
-            *leg = Leg::from_point(lit, point);
-        }
-    }
-
-    /// Returns the legs of a point, by time.
-    fn of(&self, index: usize) -> &[Leg] {
-        self.legs.get(index * self.times..(index + 1) * self.times).unwrap_or(&[])
-    }
-}
-
-/// Echo at one time, for a segment that reflects every field without loss.
-struct Echo {
-    /// Length of its path, m, and its first and second time derivative.
-    length: [f64; 3],
-    /// Field at the first receiver by the stronger direction of the path alone.
-    stronger: f64,
-    /// Field at each receiver.
-    fields: [Complex64; RECEIVERS],
 }
 
 /// Delay of an echo, s, with two derivatives, and its amplitude at each receiver, LSB.
@@ -302,39 +216,60 @@ impl Segment {
         self.strength.iter().copied().fold(0.0, f64::max)
     }
 
-    /// Adds an echo, given at each time, if its largest power exceeds its chance ([`chances`]).
-    fn add(
-        &self,
-        prepared: &PreparedScene,
-        chance: f64,
-        echo: impl Fn(usize) -> Option<Echo>,
-        keys: &mut Vec<Key>,
-        intervals: &mut [HeldEchoes],
-    ) {
-        let lsb = prepared.lsb.first().copied().unwrap_or(0.0);
-        let relative = |amplitude_lsb: f64| (amplitude_lsb / prepared.threshold_lsb).powi(2);
-        let echoes = || self.strength.iter().enumerate().filter_map(|(time, strength)| Some((strength, echo(time)?)));
-        // The filters only attenuate, so this bound precedes their evaluation.
-        if echoes().all(|(strength, echo)| relative(lsb * strength * echo.stronger) <= chance) {
-            return;
+    /// Adds echoes, one per lane and all of one kind, whose largest power exceeds their chance ([`chances`]).
+    fn add(&self, prepared: &PreparedScene, taken: &[Taken], intervals: &mut [HeldEchoes]) {
+        let Some(first) = taken.first() else { return };
+        let (level, lsb) = (KernelLevel::detect(), prepared.lsb.first().copied().unwrap_or(0.0));
+        let rows = |of: &dyn Fn(&Taken) -> Option<DVec3>| {
+            let mut rows = [[0.0; WIDE]; 3];
+            for l in 0..WIDE {
+                // Unused lanes repeat the first way.
+                store(&mut rows, l, of(taken.get(l).unwrap_or(first)).unwrap_or_default().to_array());
+            }
+            rows
+        };
+        let ends = [rows(&|taken| Some(taken.point.position)), rows(&|taken| Some(taken.point.normal))];
+        let is_paired = first.partner.is_some();
+        let partners = is_paired
+            .then(|| [rows(&|taken| Some(taken.partner?.position)), rows(&|taken| Some(taken.partner?.normal))]);
+        let mut between_m = [0.0; WIDE];
+        between_m.iter_mut().zip(taken).for_each(|(between_m, taken)| *between_m = taken.between_m());
+        let points = prepared.wall_points.len();
+        let mut power = [0f64; WIDE];
+        let mut times = Vec::with_capacity(self.lit.len());
+        for ((lit, strength), direct) in self.lit.iter().zip(&self.strength).zip(&self.antennas) {
+            let (mut there, mut back) = (LegRows::default(), LegRows::of_all(direct.length, 1.0));
+            legs(level, lit, &ends, &mut there);
+            if let Some(partners) = &partners {
+                legs(level, lit, partners, &mut back);
+            }
+            let mut heard = HeardRows::default();
+            heard_by_ways(level, prepared, lsb * strength, [&there, &back], &between_m, &mut heard);
+            for (l, (power, taken)) in power.iter_mut().zip(taken).enumerate() {
+                let (paths, factor) = taken.back(direct, points);
+                let stronger = factor * taken.point.antennas.stronger_way(paths) / prepared.threshold_lsb;
+                *power = power.max(heard.power[l] * stronger * stronger);
+            }
+            times.push(heard);
         }
-        keys.clear();
-        let mut power = 0f64;
-        keys.extend(echoes().map(|(strength, echo)| {
-            let delay = echo.length.map(|l| l / SPEED_OF_LIGHT_M_PER_S);
-            let beat_hz = prepared.chirp.beat_hz(delay[0], delay[1]);
-            let factor = prepared.at_adc(0, Complex64::new(*strength, 0.0), beat_hz);
-            power = power.max(relative(magnitude(factor) * echo.stronger));
-            (delay, std::array::from_fn(|receiver| factor * echo.fields[receiver] * self.gains[receiver]))
-        }));
-        if power <= chance {
-            return;
-        }
-        let louder = power.sqrt().recip().max(1.0);
-        for (ends, interval) in keys.windows(2).zip(intervals) {
-            let [(begin, from), (end, to)] = [ends[0], ends[1]];
-            let amplitudes = std::array::from_fn(|receiver| [from[receiver], to[receiver]].map(|end| end * louder));
-            interval.push(&HeldEcho { delay: [begin, end], amplitudes });
+        for (l, (&power, taken)) in
+            power.iter().zip(taken).enumerate().filter(|(_, (power, taken))| **power > taken.chance)
+        {
+            let louder = power.sqrt().recip().max(1.0);
+            let key = |(heard, direct): (&HeardRows, &DirectPaths)| -> Key {
+                let (paths, factor) = taken.back(direct, points);
+                let fields = taken.point.antennas.both_ways(paths);
+                let amplitude = Complex64::new(heard.amplitude[0][l], heard.amplitude[1][l]) * (factor * louder);
+                let gained = |receiver: usize| amplitude * fields[receiver] * self.gains[receiver];
+                (heard.delay.map(|row| row[l]), std::array::from_fn(gained))
+            };
+            let mut keys = times.iter().zip(&self.antennas).map(key);
+            let Some(mut begin) = keys.next() else { continue };
+            for (end, interval) in keys.zip(intervals.iter_mut()) {
+                let amplitudes = std::array::from_fn(|receiver| [begin.1[receiver], end.1[receiver]]);
+                interval.push(&HeldEcho { delay: [begin.0, end.0], amplitudes });
+                begin = end;
+            }
         }
     }
 }
@@ -356,22 +291,6 @@ mod tests {
             points.iter().for_each(|&point| taken[point] += 1);
         }
         assert!(taken.iter().all(|&times| (2..=4).contains(&times)), "{taken:?}");
-    }
-
-    /// A leg's derivatives are those of its length.
-    #[test]
-    fn legs_bend_as_their_lengths_do() {
-        let (velocity, acceleration) = (DVec3::new(1.0, -2.0, 0.5), DVec3::new(-4.0, 3.0, 9.0));
-        let at = |time_s: f64| {
-            let centre = DVec3::new(1.0, 0.4, 1.0) + velocity * time_s + 0.5 * acceleration * time_s * time_s;
-            Leg::new(&Scatterer { centre, velocity, acceleration }, DVec3::new(3.0, 1.0, 0.0), |_| 1.0).length
-        };
-        let h = 1e-4;
-        let [before, now, after] = [-h, 0.0, h].map(|time_s| at(time_s)[0]);
-        let [length, rate, bend] = at(0.0);
-        assert_eq!(length, now);
-        assert!((rate - (after - before) / (2.0 * h)).abs() < 1e-6, "{rate}");
-        assert!((bend - (after - 2.0 * now + before) / (h * h)).abs() < 1e-5, "{bend}");
     }
 
     /// Compares the echo over a point and directly, in both directions together, with separate paths from the transmitter
