@@ -26,15 +26,16 @@ impl FrameSimulator {
         let mut run = (!traced.held.is_empty()).then(|| self.held_run());
         for begin in (0..shape.chirps).step_by(CHIRPS) {
             let end = (begin + CHIRPS).min(shape.chirps);
+            match &mut run {
+                Some(run) => self.lay_held(begin..end, &traced.held, run, &mut grids),
+                None => grids.iter_mut().for_each(Grids::clear),
+            }
             self.lay_static(begin..end, traced.halvings, static_grids, &mut grids);
             for halvings in (0..=traced.tracks.most_halvings()).filter(|&h| !traced.tracks.is_empty_at(h)) {
                 for (interval, places) in self.intervals_of(begin..end, halvings) {
                     let tracks = traced.tracks.at(halvings, interval);
                     self.synthesiser.spread_tracks(&self.prepared.chirp, tracks, &places, &mut grids);
                 }
-            }
-            if let Some(run) = &mut run {
-                self.lay_held(begin..end, &traced.held, run, &mut grids);
             }
             for (rx, grids) in grids.iter_mut().enumerate() {
                 if let Some(skins) = &traced.skins {
@@ -57,15 +58,14 @@ impl FrameSimulator {
         }
     }
 
-    /// Replaces the grids of a block of chirps by static paths, interpolated between the ends of intervals.
+    /// Adds static paths to the grids of a block of chirps, interpolated between the ends of intervals.
     fn lay_static(&self, block: Range<usize>, halvings: u32, static_grids: &StaticGrids, grids: &mut [Grids]) {
         for (rx, grids) in grids.iter_mut().enumerate() {
-            grids.clear();
             let at_ends = static_grids.grids.get(rx).filter(|_| !static_grids.by_chirp);
             let Some(at_ends) = at_ends else { continue };
             for (interval, places) in self.intervals_of(block.clone(), halvings) {
                 if let Some([a, b]) = at_ends.get(interval..interval + 2) {
-                    grids.blend(a, b, &places);
+                    grids.add_blend(a, b, &places);
                 }
             }
         }

@@ -23,25 +23,26 @@ impl FrameSimulator {
         HeldRun { chirps: 0..0, rates: synthesiser.rate_grids(receivers), blocks }
     }
 
-    /// Adds the held echoes of each interval of a frame to a block of chirps. Blocks must be given in order.
+    /// Replaces the grids of a block of chirps by the held echoes of each interval of a frame. Blocks must be given in
+    /// order.
     pub(super) fn lay_held(&self, block: Range<usize>, held: &[HeldEchoes], run: &mut HeldRun, grids: &mut [Grids]) {
         let Some(halvings) = held.len().checked_ilog2() else { return };
         if block.start >= run.chirps.end {
             self.begin_run(&block, halvings, held, run);
         }
         let in_run = run.chirps.contains(&block.start);
+        let number = block.start.saturating_sub(run.chirps.start) / CHIRPS;
+        for (grids, blocks) in grids.iter_mut().zip(&mut run.blocks) {
+            match blocks.get_mut(number).filter(|_| in_run) {
+                // Each block of a run is needed once.
+                Some(own) => std::mem::swap(grids, own),
+                None => grids.clear(),
+            }
+        }
         for (interval, places) in self.intervals_of(block.clone(), halvings) {
             let of_stretch = if in_run { Some(run.rates.left()) } else { held.get(interval) };
             if let Some(echoes) = of_stretch {
                 self.synthesiser.spread_held(&self.prepared.chirp, echoes, &places, grids);
-            }
-        }
-        if in_run {
-            let number = (block.start - run.chirps.start) / CHIRPS;
-            for (grids, blocks) in grids.iter_mut().zip(&run.blocks) {
-                if let Some(own) = blocks.get(number) {
-                    grids.add(own);
-                }
             }
         }
     }

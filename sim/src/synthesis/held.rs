@@ -231,7 +231,7 @@ compiled_for_levels! {
 fn held_body(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut [Grids]) {
     let mut left = echoes.count;
     for pack in &echoes.packs {
-        let anchors = anchors(kernel, pack, 1.0 / echoes.interval_s);
+        let anchors = anchors(kernel, pack, 1.0 / echoes.interval_s, grids.len().min(RECEIVERS));
         for e in 0..left.min(ECHOES) {
             lay_echo(kernel, &anchors, e, grids);
         }
@@ -252,7 +252,7 @@ struct Anchors {
 }
 
 #[inline(always)]
-fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64) -> Anchors {
+fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64, receivers: usize) -> Anchors {
     let Chirp { start_hz, slope_hz_per_s, middle_s, sample_rate_hz } = *kernel.chirp;
     let (u, cells_per_hz) = (kernel.middle, kernel.cells / sample_rate_hz);
     let [value, slope, curve] = pack.delay_at(u);
@@ -270,7 +270,7 @@ fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64) -> Anchors {
     }
     let place = u as f32;
     let (mut re, mut im) = ([[0f32; ECHOES]; RECEIVERS], [[0f32; ECHOES]; RECEIVERS]);
-    for receiver in 0..RECEIVERS {
+    for receiver in 0..receivers {
         for e in 0..ECHOES {
             re[receiver][e] = pack.re[receiver][0][e] + place * pack.re[receiver][1][e];
             im[receiver][e] = pack.im[receiver][0][e] + place * pack.im[receiver][1][e];

@@ -10,7 +10,7 @@
 //!   `(pi q)^3 / 24` of the amplitude.
 //! - The delay changes. To first order a tone that moves by `d` cells until the run's ends is itself plus its
 //!   derivative by both frequencies; the error is `(0.9 d)^2 / 2`.
-//! - Amplitudes are those of the run's middle.
+//! - The amplitude changes, on a straight line. The product of this change and a quadratic phase is neglected.
 //!
 //! Echoes for which one of these effects is too large are left to [`super::held`].
 
@@ -36,8 +36,10 @@ const HALF: usize = RUN / 2;
 const RATES: usize = 2 * RUN;
 /// Number of cells by rate of one echo.
 const RATE_TAPS: usize = 8;
-/// Number of factors of an echo: constant, both terms of its quadratic phase, and its movement.
-const FACTORS: usize = 4;
+/// Number of functions of time with taps of their own: constant, both terms of a quadratic phase, and a straight line.
+const FUNCTIONS: usize = 4;
+/// Number of factors of an echo: one for each function, and another one of the straight line, the change of its amplitude.
+const FACTORS: usize = 5;
 
 /// Largest quadratic phase at the run's ends, turns.
 const MOST_BEND: f32 = 0.2;
@@ -45,8 +47,9 @@ const MOST_BEND: f32 = 0.2;
 const MOST_MOVED: f32 = 0.3;
 /// Largest product of both: the movement of a tone with quadratic phase is neglected.
 const MOST_BENT_MOVE: f32 = 0.02;
-/// Largest change of the first receiver's amplitude until the run's ends, relative to it.
-const MOST_CHANGE: f32 = 0.04;
+/// Largest product of the quadratic phase and the change of the first receiver's amplitude until the run's ends, relative
+/// to it.
+const MOST_BENT_CHANGE: f32 = 0.02;
 
 /// Interleaved real and imaginary parts of an echo's cells by rate.
 type Wide = [f32; 2 * RATE_TAPS];
@@ -61,8 +64,8 @@ const EMPTY: RateRow = RateRow([0.0; 2 * (RATES + RATE_TAPS)]);
 /// Taps of echoes on grids of delay and rate, and the transform along rates.
 #[derive(Clone)]
 pub(super) struct RateTaps {
-    /// Taps by rate of each factor at the quantised positions between cells.
-    by_rate: Vec<[Wide; FACTORS]>,
+    /// Taps by rate of each function at the quantised positions between cells.
+    by_rate: Vec<[Wide; FUNCTIONS]>,
     /// Taps by delay, and those of their derivative by the tone's position, rad.
     by_delay: Vec<[f32; TAPS]>,
     slopes: Vec<[f32; TAPS]>,
@@ -83,9 +86,9 @@ impl RateTaps {
             let square = time(point).powi(2);
             (8.0 * square * (square - 1.0) + 1.0) * angle.cos()
         });
-        let moved = fitted_taps(&chirps, |point, angle| time(point) * angle.sin());
+        let line = fitted_taps(&chirps, |point, angle| time(point) * angle.sin());
         let by_rate = (0..PLACES as usize)
-            .map(|place| [&constant, &second, &fourth, &moved].map(|taps: &Vec<_>| wide(taps[place])))
+            .map(|place| [&constant, &second, &fourth, &line].map(|taps: &Vec<_>| wide(taps[place])))
             .collect();
         RateTaps {
             by_rate,
@@ -214,10 +217,10 @@ compiled_for_levels! {
 #[inline(always)]
 fn rates_body(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut RateGrids) {
     let RateGrids { rows, touched, left, .. } = grids;
-    let mut count = echoes.len();
+    let (mut count, receivers) = (echoes.len(), rows.len().min(RECEIVERS));
     for pack in echoes.packs() {
-        let middle = middle(kernel, pack);
-        let factors = factors(&middle);
+        let middle = middle(kernel, pack, receivers);
+        let factors = factors(&middle, receivers);
         for e in 0..count.min(ECHOES) {
             if middle.changes[e] {
                 left.push_lane(pack, e);
@@ -240,15 +243,17 @@ struct Middle {
     moved: Lane,
     /// Quadratic part of the phase at the run's ends, turns.
     bend: Lane,
-    /// Phasor at each receiver.
+    /// Phasor at each receiver, and its change until the run's end due to the amplitude.
     re: [Lane; RECEIVERS],
     im: [Lane; RECEIVERS],
+    change_re: [Lane; RECEIVERS],
+    change_im: [Lane; RECEIVERS],
     /// Whether the echo changes too much within the run.
     changes: [bool; ECHOES],
 }
 
 #[inline(always)]
-fn middle(kernel: &Kernel, pack: &Pack) -> Middle {
+fn middle(kernel: &Kernel, pack: &Pack, receivers: usize) -> Middle {
     let Chirp { start_hz, slope_hz_per_s, middle_s, sample_rate_hz } = *kernel.chirp;
     let ([value, slope, half_curve], cells_per_hz) = (pack.delay_at(kernel.middle), kernel.cells / sample_rate_hz);
     let half = HALF as f64 * kernel.step;
@@ -265,32 +270,35 @@ fn middle(kernel: &Kernel, pack: &Pack) -> Middle {
         moved[e] = (slope_hz_per_s * slope[e] * half * cells_per_hz) as f32;
     }
     let (place, half) = (kernel.middle as f32, half as f32);
-    let (mut re, mut im) = ([[0f32; ECHOES]; RECEIVERS], [[0f32; ECHOES]; RECEIVERS]);
+    let zero = [[0f32; ECHOES]; RECEIVERS];
+    let (mut re, mut im, mut change_re, mut change_im) = (zero, zero, zero, zero);
     let (mut cosine, mut sine) = ([0f32; ECHOES], [0f32; ECHOES]);
     for e in 0..ECHOES {
         // Half of the quadratic phase is constant: a square is half a constant and half a Chebyshev polynomial.
         (cosine[e], sine[e]) = cos_sin_of_turns(turn[e] + 0.5 * bend[e]);
     }
-    for receiver in 0..RECEIVERS {
+    for receiver in 0..receivers {
         let ([from_x, step_x], [from_y, step_y]) = (&pack.re[receiver], &pack.im[receiver]);
         for e in 0..ECHOES {
             let (x, y) = (from_x[e] + place * step_x[e], from_y[e] + place * step_y[e]);
             re[receiver][e] = x * cosine[e] - y * sine[e];
             im[receiver][e] = x * sine[e] + y * cosine[e];
+            let (x, y) = (half * step_x[e], half * step_y[e]);
+            change_re[receiver][e] = x * cosine[e] - y * sine[e];
+            change_im[receiver][e] = x * sine[e] + y * cosine[e];
         }
     }
     let mut changes = [false; ECHOES];
     for e in 0..ECHOES {
         // The receivers are so close together that the first represents all. An echo is the same whoever else listens.
-        let (x, y) = (pack.re[0][0][e] + place * pack.re[0][1][e], pack.im[0][0][e] + place * pack.im[0][1][e]);
-        let (by_x, by_y) = (half * pack.re[0][1][e], half * pack.im[0][1][e]);
-        let most = MOST_CHANGE * MOST_CHANGE * (x * x + y * y);
+        let square = re[0][e] * re[0][e] + im[0][e] * im[0][e];
+        let change = change_re[0][e] * change_re[0][e] + change_im[0][e] * change_im[0][e];
         changes[e] = (bend[e].abs() > MOST_BEND)
             | (moved[e].abs() > MOST_MOVED)
             | ((bend[e] * moved[e]).abs() > MOST_BENT_MOVE)
-            | (by_x * by_x + by_y * by_y > most);
+            | (bend[e] * bend[e] * change > MOST_BENT_CHANGE * MOST_BENT_CHANGE * square);
     }
-    Middle { position, rate, moved, bend, re, im, changes }
+    Middle { position, rate, moved, bend, re, im, change_re, change_im, changes }
 }
 
 /// Real and imaginary part of each factor at each receiver: `[receiver][factor][echo]`.
@@ -302,7 +310,7 @@ struct Factors {
 /// Expands `exp(j x T2) = J0(x) + 2 j J1(x) T2 - 2 J2(x) T4` and so on (Abramowitz and Stegun 9.1.44 and 45), with the
 /// Bessel functions by series. Derivatives are `j` times their taps.
 #[inline(always)]
-fn factors(middle: &Middle) -> Factors {
+fn factors(middle: &Middle, receivers: usize) -> Factors {
     let (mut by_0, mut by_1, mut by_2) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
     for e in 0..ECHOES {
         let x = middle.bend[e] * std::f32::consts::PI;
@@ -313,14 +321,16 @@ fn factors(middle: &Middle) -> Factors {
     }
     let zero = [[[0f32; ECHOES]; FACTORS]; RECEIVERS];
     let mut out = Factors { re: zero, im: zero };
-    for receiver in 0..RECEIVERS {
+    for receiver in 0..receivers {
         let (x, y) = (&middle.re[receiver], &middle.im[receiver]);
+        let (change_x, change_y) = (&middle.change_re[receiver], &middle.change_im[receiver]);
         let (re, im) = (&mut out.re[receiver], &mut out.im[receiver]);
         for e in 0..ECHOES {
             (re[0][e], im[0][e]) = (x[e] * by_0[e], y[e] * by_0[e]);
             (re[1][e], im[1][e]) = (-y[e] * by_1[e], x[e] * by_1[e]);
             (re[2][e], im[2][e]) = (-x[e] * by_2[e], -y[e] * by_2[e]);
             (re[3][e], im[3][e]) = (y[e] * middle.moved[e], -x[e] * middle.moved[e]);
+            (re[4][e], im[4][e]) = (change_y[e], -change_x[e]);
         }
     }
     out
@@ -338,17 +348,21 @@ fn lay_echo(
 ) {
     let [(first, place), (first_rate, rate_place)] = [under(position), under(rate)];
     let (Some(taps), Some(slopes)) = (kernel.taps.by_delay.get(place), kernel.taps.slopes.get(place)) else { return };
-    let Some([constant, second, fourth, moving]) = kernel.taps.by_rate.get(rate_place) else { return };
+    let Some([constant, second, fourth, line]) = kernel.taps.by_rate.get(rate_place) else { return };
     let (first, first_rate) = (first as usize + FIRST_TAP, first_rate as usize);
     let Some(touched) = touched.get_mut(first..first + TAPS) else { return };
     touched.fill(true);
     for ((rows, re), im) in rows.iter_mut().zip(&factors.re).zip(&factors.im) {
         let factor = |of: usize| alternating(re[of][e], im[of][e]);
-        let (by_constant, by_second, by_fourth, by_moving) = (factor(0), factor(1), factor(2), factor(3));
+        let (by_constant, by_second, by_fourth, by_moving, by_change) =
+            (factor(0), factor(1), factor(2), factor(3), factor(4));
         let (mut field, mut moved) = ([0f32; 2 * RATE_TAPS], [0f32; 2 * RATE_TAPS]);
         for i in 0..2 * RATE_TAPS {
-            field[i] = constant[i] * by_constant[i] + second[i] * by_second[i] + fourth[i] * by_fourth[i];
-            moved[i] = moving[i] * by_moving[i];
+            field[i] = constant[i] * by_constant[i]
+                + second[i] * by_second[i]
+                + fourth[i] * by_fourth[i]
+                + line[i] * by_change[i];
+            moved[i] = line[i] * by_moving[i];
         }
         let Some([r0, r1, r2, r3]) = rows.get_mut(first..first + TAPS) else { return };
         // Unrolled, like all loops over taps.

@@ -67,15 +67,14 @@ impl Grids {
         }
     }
 
-    /// Sets the chirps at positions `u` to `a (1 - u) + b u`.
-    pub fn blend(&mut self, a: &Grid, b: &Grid, places: &Places) {
-        let u = places.at.map(|u| u as f32);
+    /// Adds `a (1 - u) + b u` to the chirps at positions `u`.
+    pub fn add_blend(&mut self, a: &Grid, b: &Grid, places: &Places) {
+        let u: Row = std::array::from_fn(|i| places.at[i] as f32 * places.within[i]);
         for ((cell, a), b) in self.cells.iter_mut().zip(&a.cells).zip(&b.cells) {
             let step = b - a;
-            for (i, u) in u.iter().enumerate() {
-                let is_within = places.within[i] != 0.0;
-                cell.re[i] = if is_within { a.re + step.re * u } else { cell.re[i] };
-                cell.im[i] = if is_within { a.im + step.im * u } else { cell.im[i] };
+            for i in 0..CHIRPS {
+                cell.re[i] += a.re * places.within[i] + step.re * u[i];
+                cell.im[i] += a.im * places.within[i] + step.im * u[i];
             }
         }
     }
