@@ -94,3 +94,87 @@ fn turned(amplitude: Complex<f32>, cycles: f64) -> Complex64 {
     let turned = amplitude * Complex::new(cosine, sine);
     Complex64::new(turned.re.into(), turned.im.into())
 }
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+
+    use super::*;
+    use crate::path_segment::PathSample;
+    use crate::synthesis::{CHIRPS, Grids, Places, SynthesisScratch, Synthesiser};
+
+    const CHIRP: Chirp = Chirp { start_hz: 59.6e9, slope_hz_per_s: 3.45e12, sample_rate_hz: 1e6, middle_s: 128e-6 };
+    const SAMPLES: usize = 256;
+    const FRAME_S: f64 = 0.032;
+    const FRAME_CHIRPS: usize = 64;
+
+    /// Path to three receivers, with its length at the frame's beginning, m, and its rate and acceleration, m/s and
+    /// m/s^2.
+    fn track([length_m, rate, bend]: [f64; 3], grown: f64) -> Track {
+        let samples = [0.0, 0.5, 1.0].map(|u| {
+            let t = FRAME_S * u;
+            [0.0, 0.003, -0.002].map(|beside_m: f64| PathSample {
+                delay_s: (length_m + beside_m + t * (rate + 0.5 * t * bend)) / SPEED_OF_LIGHT_M_PER_S,
+                delay_rate: (rate + t * bend) / SPEED_OF_LIGHT_M_PER_S,
+                amplitude: Complex64::new(0.6, -0.8) * (1.0 + 20.0 * beside_m + grown * u),
+            })
+        });
+        Track::through_three(samples.each_ref().map(|at| at.as_slice()), FRAME_S, CHIRP.start_hz).expect("a receiver").0
+    }
+
+    /// Samples of a block of chirps of all receivers.
+    fn samples(synthesiser: &Synthesiser, all: &[Grids]) -> Vec<f32> {
+        let (mut grid, mut samples) = (synthesiser.grid(), Vec::new());
+        for grids in all {
+            for lane in 0..CHIRPS {
+                let mut chirp = vec![0f32; SAMPLES];
+                grids.extract(lane, &mut grid);
+                synthesiser.transform(&grid, &mut chirp, &mut SynthesisScratch::default());
+                samples.extend(chirp);
+            }
+        }
+        samples
+    }
+
+    /// Weak paths as held echoes are the same paths as tracks within -26 dB, in one direction and in both, in either
+    /// half of the frame.
+    #[test]
+    fn weak_paths_are_what_their_tracks_are() {
+        let synthesiser = Synthesiser::new(SAMPLES);
+        let one = [Some(track([7.1, 1.3, 8.0], 0.1)), None];
+        let both = [Some(track([7.1, 1.3, 8.0], 0.1)), Some(track([7.106, 1.302, 8.0], 0.1))];
+        for ways in [one, both] {
+            let mut halves = vec![HeldEchoes::new(0.5 * FRAME_S); 2];
+            assert!(add(&ways, [0, 0], &CHIRP, 1.0, &mut halves), "these paths are weak");
+            assert_eq!(halves.iter().map(HeldEchoes::len).collect::<Vec<_>>(), [1, 1], "both directions are one echo");
+            for begin in [8, 16, 40] {
+                let at = |lane: usize| (begin + lane) as f64 / FRAME_CHIRPS as f64;
+                let half = usize::from(begin >= FRAME_CHIRPS / 2);
+                let [mut exact, mut fast] = [0, 1].map(|_| vec![synthesiser.grids(); RECEIVERS]);
+                let tracks: Vec<Track> = ways.iter().flatten().copied().collect();
+                synthesiser.spread_tracks(&CHIRP, &tracks, &Places::new(0..CHIRPS, at), &mut exact);
+                let in_half = Places::new(0..CHIRPS, |lane| 2.0 * at(lane) - half as f64);
+                synthesiser.spread_held(&CHIRP, &halves[half], &in_half, &mut fast);
+                let (exact, fast) = (samples(&synthesiser, &exact), samples(&synthesiser, &fast));
+                let power = |of: &mut dyn Iterator<Item = f32>| of.map(|x| f64::from(x * x)).sum::<f64>();
+                let error = power(&mut exact.iter().zip(&fast).map(|(exact, fast)| exact - fast));
+                let error_db = 10.0 * (error / power(&mut exact.iter().copied())).log10();
+                assert!(error_db < -26.0, "{ways:?}, chirp {begin}: {error_db} dB");
+            }
+        }
+    }
+
+    /// Strong paths, those whose amplitude bends, and segments shorter than an interval stay tracks.
+    #[test]
+    fn other_paths_stay_tracks() {
+        let mut halves = vec![HeldEchoes::new(0.5 * FRAME_S); 2];
+        let ways = [Some(track([7.1, 1.3, 8.0], 0.0)), None];
+        assert!(!add(&ways, [0, 0], &CHIRP, 0.9 / MOST, &mut halves), "it is strong");
+        assert!(!add(&ways, [2, 1], &CHIRP, 1.0, &mut halves), "it lasts for a quarter of the frame");
+        assert!(!add(&ways, [0, 0], &CHIRP, 1.0, &mut []), "there is no list");
+        let turning = [ways[0], Some(track([7.1, 1.8, 8.0], 0.0))];
+        assert!(!add(&turning, [0, 0], &CHIRP, 1.0, &mut halves), "the directions turn against each other");
+        assert!(halves.iter().all(HeldEchoes::is_empty));
+        assert!(add(&ways, [1, 1], &CHIRP, 1.0, &mut halves) && halves[0].is_empty() && halves[1].len() == 1);
+    }
+}

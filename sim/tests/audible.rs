@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use num_complex::Complex64;
-use radome_sim::echo::{EchoReport, HEARD, Paths, Snapshot, audible_paths};
+use radome_sim::echo::{AudiblePair, EchoReport, HEARD, Paths, Snapshot, audible_paths};
 use radome_sim::people::body::{CHEST, SEGMENTS};
 use radome_sim::people::motion::Motion;
 use radome_sim::prepared_scene::PreparedScene;
@@ -13,10 +13,17 @@ use crate::common;
 
 const FRAME_S: f64 = 0.064;
 
+/// Returns the pairs that a pair stands for: itself, and in the opposite direction.
+fn directions(of: &AudiblePair) -> impl Iterator<Item = AudiblePair> {
+    let (p, q) = of.pair;
+    let exchanged = of.both_ways.then_some(AudiblePair { pair: (q, p), ..*of });
+    [Some(*of), exchanged].into_iter().flatten()
+}
+
 /// Counts a person's specular points in a frame: all, those that are kept, and those that are audible.
 fn count(prepared: &PreparedScene, motion: &Motion, start_s: f64) -> [usize; 3] {
     let instants_s = [0.0, 0.5, 1.0].map(|part| start_s + part * FRAME_S);
-    let kept = audible_paths(prepared, motion, &instants_s);
+    let kept: Vec<_> = audible_paths(prepared, motion, &instants_s).iter().flat_map(directions).collect();
     assert_eq!(
         kept.first().map(|first| first.pair),
         prepared.body_pairs.first().copied(),
@@ -78,7 +85,7 @@ fn compared(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_direct:
     let reach_m = people[0].body.iter().map(reach).fold(0.0, f64::max);
     let mut pairs = prepared.pairs_near(middle, reach_m).into_owned();
     let kept = audible_paths(prepared, motion, &[time_s; 3]);
-    let counts = [pairs.len(), kept.len()];
+    let counts = [pairs.len(), kept.iter().flat_map(directions).count()];
     pairs.retain(|(p, q)| !only_direct || *p == [0; 3] || *q == [0; 3]);
 
     let of_frame = Paths::new(prepared, motion, 0, &kept);
@@ -89,7 +96,12 @@ fn compared(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_direct:
     let asked: Vec<_> = (0..specular_points.len()).map(|path| (path, None)).collect();
     let met = of_frame.trace_all(&asked, &people, &mut EchoReport::default());
     let amplitudes = met.iter().map(|met| met.keys().first().map_or(Complex64::ZERO, |key| key.amplitude));
-    let shared: HashMap<_, Complex64> = specular_points.into_iter().zip(amplitudes).collect();
+    let mut shared: HashMap<_, Complex64> = HashMap::new();
+    for (((p, q), segment), amplitude) in specular_points.into_iter().zip(amplitudes) {
+        // By reciprocity, the opposite direction has the same amplitude.
+        shared.insert(((p, q), segment), amplitude);
+        shared.insert(((q, p), segment), amplitude);
+    }
 
     let each = Paths::new(prepared, motion, 0, &pairs);
     let mut powers = [0.0; 3];

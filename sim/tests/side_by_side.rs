@@ -1,6 +1,7 @@
 //! Paths that are traced together, compared with paths that are traced one by one.
 
-use radome_sim::echo::{EchoReport, Paths, Snapshot};
+use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+use radome_sim::echo::{EchoReport, Paths, Snapshot, audible_paths};
 use radome_sim::prepared_scene::PreparedScene;
 use radome_sim::scenario::Scenario;
 
@@ -61,5 +62,57 @@ fn paths_side_by_side_are_those_one_by_one() {
             }
         }
         assert!(sums[1] > 0 && sums[0] > sums[1], "{name}: {sums:?}");
+    }
+}
+
+/// Paths that stand for both directions, compared with separate paths of the opposite direction: length, rate of the
+/// length, and amplitude of every audible path.
+#[test]
+fn opposite_directions_share_specular_point_and_amplitude() {
+    for name in ["corridor", "room", "hall", "glass-wall"] {
+        let scene = common::scene(name).drawn(1).expect("a scene");
+        let prepared = PreparedScene::new(&scene, 1, 10.0);
+        let scenario = Scenario::new(&scene, 1, None);
+        let (mut compared, mut error, mut power) = (0, 0.0, 0.0);
+        for i in 0..12 {
+            let time_s = 2.0 + 2.74 * f64::from(i);
+            let everybody = scenario.between(time_s, time_s + FRAME_S);
+            let people: Vec<Snapshot> = everybody.iter().map(|(_, motion)| Snapshot::new(motion, time_s)).collect();
+            for (me, (_, motion)) in everybody.iter().enumerate() {
+                let kept = audible_paths(&prepared, motion, &[time_s]);
+                let paths = Paths::new(&prepared, motion, me, &kept);
+                let opposite: Vec<_> = kept
+                    .iter()
+                    .map(|kept| radome_sim::echo::AudiblePair {
+                        pair: (kept.pair.1, kept.pair.0),
+                        both_ways: false,
+                        ..*kept
+                    })
+                    .collect();
+                let opposite = Paths::new(&prepared, motion, me, &opposite);
+                let asked: Vec<_> = (0..paths.count()).map(|path| (path, None)).collect();
+                let mut met = paths.trace_all(&asked, &people, &mut EchoReport::default());
+                paths.shade((0..).zip(&mut met), &people);
+                for (path, met) in met.iter().enumerate().filter(|&(path, _)| paths.is_both_ways(path)) {
+                    let mut keys = Vec::new();
+                    let place = opposite.trace(path, &people, None, &mut keys, &mut EchoReport::default());
+                    let is_heard = keys.first().is_some_and(|key| key.amplitude.norm() > prepared.threshold_lsb);
+                    if place.is_none() || met.place.is_none() || !is_heard {
+                        continue;
+                    }
+                    let at = format!("{name}, person {me} at {time_s} s, path {path}");
+                    for (ours, key) in met.exchanged().keys().iter().zip(&keys) {
+                        let apart_m = (ours.delay_s - key.delay_s).abs() * SPEED_OF_LIGHT_M_PER_S;
+                        let rate = (ours.delay_rate - key.delay_rate).abs() * SPEED_OF_LIGHT_M_PER_S;
+                        assert!(apart_m < 3e-5 && rate < 0.02, "{at}: {apart_m} m, {rate} m/s");
+                        error += (ours.amplitude - key.amplitude).norm_sqr();
+                        power += key.amplitude.norm_sqr();
+                    }
+                    compared += 1;
+                }
+            }
+        }
+        let error_db = 10.0 * (error / power).log10();
+        assert!(compared > 100 && error_db < -30.0, "{name}: {compared} paths, {error_db} dB");
     }
 }

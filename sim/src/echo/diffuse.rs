@@ -293,6 +293,22 @@ mod tests {
         assert!(taken.iter().all(|&times| (2..=4).contains(&times)), "{taken:?}");
     }
 
+    /// Of echoes of any power below that of an invisible path, a part is taken that is this power, in every segment: so
+    /// those that are taken, with the power of the invisible path, have the same mean power.
+    #[test]
+    fn chances_keep_the_mean_power() {
+        const POINTS: usize = 256;
+        for power in [0.01, 0.05, 0.2, 0.5, 0.9] {
+            for way in 0..2 {
+                let taken = |segment: usize| (0..POINTS).filter(|&point| power > chances(segment, point)[way]).count();
+                let of_segments: Vec<f64> = (0..SEGMENTS).map(|s| taken(s) as f64 / POINTS as f64).collect();
+                let mean = of_segments.iter().sum::<f64>() / SEGMENTS as f64;
+                assert!((mean - power).abs() < 0.001 + 0.01 * power, "{power}: {mean}");
+                assert!(of_segments.iter().all(|part| (part - power).abs() < 0.012), "{power}: {of_segments:?}");
+            }
+        }
+    }
+
     /// Compares the echo over a point and directly, in both directions together, with separate paths from the transmitter
     /// to each receiver: at one time, and between the ends of an interval of 25 ms, in which a walker passes at 1 m.
     #[test]

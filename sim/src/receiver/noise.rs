@@ -140,3 +140,52 @@ impl NoiseShaper {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lanes::tests::assert_same_at_every_level;
+    use crate::random::{Purpose, generator};
+
+    /// Moments of the standard normal distribution, and the share beyond three standard deviations.
+    #[test]
+    fn normals_are_normal() {
+        const COUNT: usize = 400_000;
+        let mut rng = generator(4, Purpose::Noise, [0, 0]);
+        let bits: Vec<u64> = (0..COUNT).map(|_| rng.next_u64()).collect();
+        let mut all = vec![Complex::default(); COUNT];
+        normals(KernelLevel::detect(), &bits, &vec![1.0; COUNT], &mut all);
+        let mean = |of: &dyn Fn(f64) -> f64| {
+            all.iter().flat_map(|z| [z.re, z.im]).map(|x| of(f64::from(x))).sum::<f64>() / (2 * COUNT) as f64
+        };
+        let moments = [1, 2, 3, 4, 6].map(|power| mean(&|x| x.powi(power)));
+        for (moment, (expected, most)) in
+            moments.into_iter().zip([(0.0, 0.005), (1.0, 0.008), (0.0, 0.02), (3.0, 0.05), (15.0, 0.7)])
+        {
+            assert!((moment - expected).abs() < most, "{moments:?}");
+        }
+        let beyond = mean(&|x| f64::from(u8::from(x.abs() > 3.0)));
+        assert!((beyond / 0.002_699_8 - 1.0).abs() < 0.1, "{beyond}");
+        let product = all.iter().map(|z| f64::from(z.re * z.im)).sum::<f64>() / COUNT as f64;
+        assert!(product.abs() < 0.008, "both parts are independent: {product}");
+    }
+
+    #[test]
+    fn the_least_and_the_largest_bits_give_numbers() {
+        let mut out = [Complex::default(); 4];
+        let bits = [0, u64::MAX, u64::from(u32::MAX), u64::from(u32::MAX) << 32];
+        normals(KernelLevel::detect(), &bits, &[1.0; 4], &mut out);
+        assert!(out.iter().all(|z| z.norm() < 6.8), "{out:?}");
+    }
+
+    #[test]
+    fn every_level_gives_the_same_bits() {
+        let mut rng = generator(4, Purpose::Noise, [0, 1]);
+        let bits: Vec<u64> = (0..1000).map(|_| rng.next_u64()).collect();
+        assert_same_at_every_level(|level| {
+            let mut out = vec![Complex::default(); bits.len()];
+            normals(level, &bits, &vec![0.7; bits.len()], &mut out);
+            out.iter().map(|z| [z.re.to_bits(), z.im.to_bits()]).collect::<Vec<_>>()
+        });
+    }
+}
