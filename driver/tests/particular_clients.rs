@@ -2,6 +2,7 @@
 //! continuously. Some are killed at any time, and one has its board stopped.
 
 use std::io::{ErrorKind, Read, Write};
+use std::os::fd::{AsRawFd, BorrowedFd};
 use std::process::{Command as Process, Stdio};
 use std::time::{Duration, Instant};
 
@@ -35,6 +36,16 @@ struct Client {
     packets: Vec<(u16, bool)>,
     /// Number of bytes that belong to no message.
     damaged: usize,
+}
+
+impl Drop for Client {
+    /// Unlocks the port as the driver does. Other tests start processes, which have copies of all open files until they
+    /// run their programs, and a copy would hold the lock.
+    fn drop(&mut self) {
+        // SAFETY: the port is closed after this function.
+        let descriptor = unsafe { BorrowedFd::borrow_raw(self.port.as_raw_fd()) };
+        let _ = rustix::fs::flock(descriptor, rustix::fs::FlockOperation::Unlock);
+    }
 }
 
 impl Client {

@@ -5,12 +5,11 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use radome_dsp::{FrameSource, Waveform};
-use serialport::TTYPort;
 
 use super::host::{lost, open_port};
 use super::{BoardError, BoardIdentity, DeepcraftBoard, Esp32Stream, Mcu7Board, Outage, Reconnect};
 use crate::chip::RegisterList;
-use crate::transport::serial::read_more;
+use crate::transport::serial::{OpenPort, read_more};
 use crate::transport::{Address, trace};
 
 /// Time for which a port is listened to before it is asked.
@@ -80,7 +79,7 @@ impl Detected {
     /// The requests sent do not harm a board of another protocol.
     pub fn open(address: &Address, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
         let Address::Serial(path) = address else { return Detected::mcu7(address) };
-        let printer = |(port, heard): (TTYPort, Vec<u8>)| {
+        let printer = |(port, heard): (OpenPort, Vec<u8>)| {
             Esp32Stream::listen(path, port, heard, waveform).map(|stream| Detected::Esp32(Box::new(stream)))
         };
         if let Some(heard) = printing(path, LISTEN)? {
@@ -168,7 +167,7 @@ fn listen_again(waveform: Option<&Waveform>) -> Duration {
 
 /// Opens a port and listens until it has received text. Returns the port and the received bytes, or `None` after
 /// `timeout` without text.
-fn printing(path: &Path, timeout: Duration) -> Result<Option<(TTYPort, Vec<u8>)>, BoardError> {
+fn printing(path: &Path, timeout: Duration) -> Result<Option<(OpenPort, Vec<u8>)>, BoardError> {
     let mut port = open_port(path)?;
     let mut heard = Vec::new();
     let began = Instant::now();

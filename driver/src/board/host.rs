@@ -4,13 +4,11 @@ use std::io;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serialport::TTYPort;
-
 use super::BoardError;
-use crate::transport::serial;
+use crate::transport::serial::{self, OpenPort};
 
 /// Opens a board's serial port for exclusive use.
-pub(super) fn open_port(path: &Path) -> Result<TTYPort, BoardError> {
+pub(super) fn open_port(path: &Path) -> Result<OpenPort, BoardError> {
     serial::open_port(path).map_err(|error| BoardError::opening(path.into(), error))
 }
 

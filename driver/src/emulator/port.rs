@@ -2,6 +2,7 @@
 
 use std::ffi::OsStr;
 use std::io;
+use std::mem::MaybeUninit;
 use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::symlink;
@@ -10,7 +11,7 @@ use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, inotify, open};
-use rustix::io::Errno;
+use rustix::io::{Errno, retry_on_intr};
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, bind, socket_with};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, QueueSelector, ioctl_tiocnxcl, tcflush, tcgetattr, tcsetattr};
@@ -98,12 +99,13 @@ impl Port {
     /// Starts to watch for clients, so that [`Port::has_client`] can tell, if the port supports it.
     pub fn watch_clients(&mut self) {
         if let Port::Terminal(terminal) = self {
-            (terminal.slave, terminal.closings) = (None, None);
+            (terminal.slave, terminal.visits) = (None, None);
         }
     }
 
-    /// Returns whether the last client has closed the port or was killed since the last call. Its data on the line are
-    /// discarded then, in both directions. Bytes of remaining clients are appended to `received`.
+    /// Returns whether the last client has closed the port or was killed since this was last true. Its data on the line
+    /// are discarded then, in both directions. Bytes of a client that has just taken its place are appended to
+    /// `received`.
     pub fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
         match self {
             Port::Terminal(terminal) => terminal.was_abandoned(received),
@@ -114,12 +116,7 @@ impl Port {
 
     /// Returns whether a host has yet to read what was written to it.
     pub fn holds_unread(&self) -> bool {
-        match self {
-            Port::Terminal(Terminal { slave: Some(slave), .. }) => {
-                rustix::io::ioctl_fionread(slave).is_ok_and(|bytes| bytes > 0)
-            }
-            _ => false,
-        }
+        matches!(self, Port::Terminal(terminal) if terminal.holds_unread())
     }
 
     /// Returns whether a client has the port open.
@@ -138,47 +135,57 @@ impl Port {
 
 pub(super) struct Terminal {
     line: OwnedFd,
-    /// Kept open so that a client that closes the port does not hang up the line.
+    /// The board's own handle of the terminal, open so that a client that closes the port does not hang up the line.
+    /// It is closed while the board finds out whether its last client has left.
     slave: Option<OwnedFd>,
-    /// Watch for closings of the terminal.
-    closings: Option<Closings>,
+    /// Watch on the terminal, if the board notices when clients leave.
+    visits: Option<Visits>,
+    /// Whether a client may have left since the board last found that nobody has the terminal open.
+    may_be_abandoned: bool,
     path: PathBuf,
     /// Whether the other end is a pseudo-terminal, which clients open and close.
     is_pseudo: bool,
     hung_up: bool,
 }
 
-/// Watch on a terminal's node.
-struct Closings {
+/// Watch on a terminal's node. It reports the board's own openings and closings too.
+struct Visits {
     events: OwnedFd,
-    watch: i32,
 }
 
-impl Closings {
+/// Openings and closings of a terminal since they were last read.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq)]
+struct Events {
+    /// Whether there was a closing.
+    any_closing: bool,
+    /// Whether there was a closing after an opening.
+    closing_after_opening: bool,
+}
+
+impl Visits {
     fn of(path: &Path) -> rustix::io::Result<Self> {
         let events = inotify::init(inotify::CreateFlags::CLOEXEC | inotify::CreateFlags::NONBLOCK)?;
-        let watch = inotify::add_watch(&events, path, inotify::WatchFlags::CLOSE)?;
-        Ok(Closings { events, watch })
+        inotify::add_watch(&events, path, inotify::WatchFlags::OPEN | inotify::WatchFlags::CLOSE)?;
+        Ok(Visits { events })
     }
 
-    /// Returns whether the terminal has been closed since this was last asked.
-    fn any(&self) -> bool {
-        let mut buffer = [0u8; 1024];
-        let mut any = false;
-        while matches!(rustix::io::read(&self.events, &mut buffer[..]), Ok(count) if count > 0) {
-            any = true;
+    /// Reads the events since the last call.
+    fn read(&self) -> Events {
+        let mut buffer = [MaybeUninit::uninit(); 1024];
+        let mut reader = inotify::Reader::new(&self.events, &mut buffer);
+        let (mut events, mut is_opened) = (Events::default(), false);
+        loop {
+            match reader.next() {
+                Ok(event) if event.events().contains(inotify::ReadFlags::OPEN) => is_opened = true,
+                // A queue that has overflowed counts as closings.
+                Ok(_) => {
+                    events.any_closing = true;
+                    events.closing_after_opening |= is_opened;
+                }
+                Err(Errno::INTR) => {}
+                Err(_) => return events,
+            }
         }
-        any
-    }
-
-    /// Runs `act` and ignores the closings that it causes.
-    fn without(&mut self, path: &Path, act: impl FnOnce()) -> rustix::io::Result<()> {
-        inotify::remove_watch(&self.events, self.watch)?;
-        act();
-        self.watch = inotify::add_watch(&self.events, path, inotify::WatchFlags::CLOSE)?;
-        // The removal of the watch is an event too.
-        self.any();
-        Ok(())
     }
 }
 
@@ -191,14 +198,15 @@ impl Terminal {
         let slave = open_slave(&path)?;
         make_raw(&slave)?;
         fcntl_setfl(&master, fcntl_getfl(&master)? | OFlags::NONBLOCK)?;
-        let closings = Closings::of(&path);
-        if let Err(error) = &closings {
+        let visits = Visits::of(&path);
+        if let Err(error) = &visits {
             tracing::warn!(%error, path = %path.display(), "the emulated board cannot tell when its clients go");
         }
         Ok(Terminal {
             line: master,
             slave: Some(slave),
-            closings: closings.ok(),
+            visits: visits.ok(),
+            may_be_abandoned: false,
             path,
             is_pseudo: true,
             hung_up: false,
@@ -209,15 +217,23 @@ impl Terminal {
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC | OFlags::NONBLOCK;
         let line = open(path, flags, Mode::empty())?;
         make_raw(&line)?;
-        Ok(Terminal { line, slave: None, closings: None, path: path.into(), is_pseudo: false, hung_up: false })
+        Ok(Terminal {
+            line,
+            slave: None,
+            visits: None,
+            may_be_abandoned: false,
+            path: path.into(),
+            is_pseudo: false,
+            hung_up: false,
+        })
     }
 
     fn wait(&self, write: bool, timeout: Duration) -> io::Result<()> {
         let interest = if write { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
         let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: i64::from(timeout.subsec_nanos()) };
         let line = PollFd::new(&self.line, interest);
-        let polled = match &self.closings {
-            Some(closings) => poll(&mut [line, PollFd::new(&closings.events, PollFlags::IN)], Some(&timeout)),
+        let polled = match &self.visits {
+            Some(visits) => poll(&mut [line, PollFd::new(&visits.events, PollFlags::IN)], Some(&timeout)),
             None => poll(&mut [line], Some(&timeout)),
         };
         match polled {
@@ -226,53 +242,82 @@ impl Terminal {
         }
     }
 
-    /// Implements [`Port::was_abandoned`]. While the board's own handle of the terminal is closed, and only then, a
-    /// read of the line tells whether a client has the terminal open. The read fails if no client has it open and
-    /// nothing is left to read.
+    /// Implements [`Port::was_abandoned`]. While the board's own handle of the terminal is closed, and only then, the
+    /// line is hung up if no client has the terminal open.
+    ///
+    /// The system reports a closing before it takes effect. After a closing, the board's own handle therefore stays
+    /// closed until the line is hung up. The number of later reports does not matter.
     fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
-        let Terminal { line, slave, closings: Some(closings), path, .. } = self else { return Ok(false) };
-        if !closings.any() {
+        let Some(visits) = &self.visits else { return Ok(false) };
+        self.may_be_abandoned |= visits.read().any_closing;
+        if !self.may_be_abandoned {
             return Ok(false);
         }
-        closings.without(path, || {
-            if let Some(slave) = slave.take() {
-                // A client that was killed leaves the terminal reserved for itself.
-                let _ = ioctl_tiocnxcl(&slave);
-            }
-        })?;
+        if let Some(slave) = self.slave.take() {
+            // A client that was killed leaves the terminal reserved for itself.
+            let _ = ioctl_tiocnxcl(&slave);
+        }
+        if !self.is_line_hung_up()? {
+            return Ok(false);
+        }
         let mut buffer = [0u8; 4096];
-        let is_abandoned = loop {
-            match rustix::io::read(&*line, &mut buffer[..]) {
-                Ok(count) if count > 0 && received.len() < MOST_RECEIVED => {
-                    received.extend_from_slice(buffer.get(..count).unwrap_or(&[]));
-                }
-                Ok(_) | Err(Errno::AGAIN) => break false,
+        // The read fails if no client has the terminal open and nothing is left to read.
+        loop {
+            if received.len() >= MOST_RECEIVED {
+                return Ok(false);
+            }
+            match rustix::io::read(&self.line, &mut buffer[..]) {
+                Ok(count) if count > 0 => received.extend_from_slice(buffer.get(..count).unwrap_or(&[])),
+                // A client has opened the terminal meanwhile.
+                Ok(_) | Err(Errno::AGAIN) => return Ok(false),
                 Err(Errno::INTR) => {}
-                Err(Errno::IO) => break true,
+                Err(Errno::IO) => break,
                 Err(e) => return Err(e.into()),
             }
-        };
-        *slave = match open_slave(path) {
+        }
+        received.clear();
+        self.slave = match open_slave(&self.path) {
             Ok(slave) => Some(slave),
             // A client that has opened the port meanwhile has exclusive use. The board opens its own handle again when
             // that client leaves.
             Err(Errno::BUSY) => None,
             Err(e) => return Err(e.into()),
         };
-        if let Some(slave) = slave.as_ref().filter(|_| is_abandoned) {
-            received.clear();
+        // Closings from before the hang-up have been dealt with. A client that has come and gone since is another one
+        // that leaves.
+        self.may_be_abandoned = visits.read().closing_after_opening;
+        if let Some(slave) = &self.slave {
             // Nothing has been written yet for a client that has opened the port meanwhile: all unread data were for
             // former clients.
             tcflush(slave, QueueSelector::IFlush)?;
         }
-        Ok(is_abandoned)
+        Ok(true)
+    }
+
+    /// Returns whether no handle of the terminal is open, neither of a client nor of the board.
+    fn is_line_hung_up(&self) -> io::Result<bool> {
+        let mut state = [PollFd::new(&self.line, PollFlags::IN)];
+        retry_on_intr(|| poll(&mut state, Some(&Timespec { tv_sec: 0, tv_nsec: 0 })))?;
+        let [state] = state;
+        Ok(state.revents().contains(PollFlags::HUP))
     }
 
     fn has_client(&self) -> io::Result<bool> {
-        let mut state = [PollFd::new(&self.line, PollFlags::IN)];
-        poll(&mut state, Some(&Timespec { tv_sec: 0, tv_nsec: 0 }))?;
-        let [state] = state;
-        Ok(self.slave.is_some() || !state.revents().contains(PollFlags::HUP))
+        Ok(self.slave.is_some() || !self.is_line_hung_up()?)
+    }
+
+    /// Implements [`Port::holds_unread`].
+    fn holds_unread(&self) -> bool {
+        let is_unread = |slave: &OwnedFd| rustix::io::ioctl_fionread(slave).is_ok_and(|bytes| bytes > 0);
+        match &self.slave {
+            Some(slave) => is_unread(slave),
+            // A client has left and another is still there. A handle that is opened and closed again changes nothing for
+            // it.
+            None if self.visits.is_some() && self.is_line_hung_up().is_ok_and(|is_hung_up| !is_hung_up) => {
+                open_slave(&self.path).is_ok_and(|slave| is_unread(&slave))
+            }
+            None => false,
+        }
     }
 
     /// Reads the bytes that are there; returns 0 if none.
@@ -390,7 +435,9 @@ mod tests {
         let second = client(&terminal);
         assert_eq!(terminal.write(b"frames").expect("writes"), 6);
         drop(first);
-        assert_eq!(abandoned(&mut terminal), (false, b"half a req".to_vec()), "one is still there");
+        assert_eq!(abandoned(&mut terminal), (false, vec![]), "one is still there");
+        let mut buffer = [0; 16];
+        assert_eq!(terminal.read(&mut buffer).expect("reads"), 10, "what the first one wrote is still there");
         drop(second);
         assert_eq!(abandoned(&mut terminal), (true, vec![]));
         assert_eq!(abandoned(&mut terminal), (false, vec![]), "told once");
@@ -420,6 +467,44 @@ mod tests {
         drop(gone);
         assert_eq!(abandoned(&mut terminal), (true, vec![]));
         client(&terminal);
+    }
+
+    #[test]
+    fn every_departure_is_noticed_once_whenever_the_board_looks() {
+        const ROUNDS: usize = 5000;
+        let mut terminal = Terminal::new().expect("a terminal");
+        let path = terminal.path.clone();
+        let (turn, turns) = std::sync::mpsc::channel();
+        let clients = std::thread::spawn(move || {
+            while turns.recv().is_ok() {
+                drop(open_slave(&path).expect("opens"));
+            }
+        });
+        for round in 0..ROUNDS {
+            turn.send(()).expect("there are clients");
+            let began = std::time::Instant::now();
+            while !abandoned(&mut terminal).0 {
+                assert!(began.elapsed() < Duration::from_secs(60), "departure {round} is not noticed");
+            }
+        }
+        drop(turn);
+        clients.join().expect("clients end");
+        assert_eq!(abandoned(&mut terminal), (false, vec![]), "nobody else was there");
+    }
+
+    #[test]
+    fn a_closing_after_an_opening_is_told_from_one_before_it() {
+        let terminal = Terminal::new().expect("a terminal");
+        let read = || terminal.visits.as_ref().expect("a watch").read();
+        assert_eq!(read(), Events::default(), "nobody was there");
+        let first = client(&terminal);
+        assert_eq!(read(), Events::default(), "one has come");
+        drop(first);
+        let next = client(&terminal);
+        assert_eq!(read(), Events { any_closing: true, closing_after_opening: false });
+        drop(next);
+        drop(client(&terminal));
+        assert_eq!(read(), Events { any_closing: true, closing_after_opening: true });
     }
 
     #[test]
@@ -460,5 +545,27 @@ mod tests {
         assert_eq!(link(terminal, &path).expect_err("a folder").kind(), io::ErrorKind::AlreadyExists);
         let names = std::fs::read_dir(folder.path()).expect("reads").count();
         assert_eq!(names, 1, "nothing is left beside it");
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        /// Regression test: the system reports a closing before it takes effect. A board that looked in between never
+        /// noticed that its client had gone.
+        #[test]
+        fn a_client_that_is_still_closing_the_terminal_when_that_is_reported_is_noticed_later() {
+            let mut terminal = Terminal::new().expect("a terminal");
+            let mut reported = client(&terminal);
+            reported.write_all(b"half a req").expect("writes");
+            // Stands for the client's handle until its closing takes effect.
+            let closing = client(&terminal);
+            drop(reported);
+            assert_eq!(abandoned(&mut terminal), (false, vec![]), "it is still there");
+            drop(closing);
+            // No other closing is reported.
+            terminal.visits.as_ref().expect("a watch").read();
+            assert_eq!(abandoned(&mut terminal), (true, vec![]));
+            assert_eq!(abandoned(&mut terminal), (false, vec![]), "told once");
+        }
     }
 }

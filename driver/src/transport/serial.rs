@@ -2,13 +2,14 @@
 
 use std::fs::File;
 use std::io::{ErrorKind, IsTerminal, Read};
+use std::ops::{Deref, DerefMut};
 use std::os::fd::{AsRawFd, BorrowedFd};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::fs::OFlags;
+use rustix::fs::{FlockOperation, OFlags, flock};
 use serialport::TTYPort;
 
 use super::trace;
@@ -19,11 +20,49 @@ pub(crate) const BUFFER: usize = 65_536;
 /// Baud rate of boards with a UART; ports on USB ignore it.
 pub(crate) const BAUD_RATE: u32 = 921_600;
 
+/// Open serial port, for exclusive use until it is dropped.
+#[derive(Debug)]
+pub(crate) struct OpenPort(TTYPort);
+
+impl From<TTYPort> for OpenPort {
+    fn from(port: TTYPort) -> Self {
+        OpenPort(port)
+    }
+}
+
+impl Deref for OpenPort {
+    type Target = TTYPort;
+
+    fn deref(&self) -> &TTYPort {
+        &self.0
+    }
+}
+
+impl DerefMut for OpenPort {
+    fn deref_mut(&mut self) -> &mut TTYPort {
+        &mut self.0
+    }
+}
+
+impl Drop for OpenPort {
+    /// Unlocks the port, so that a copy of it does not hold the lock. A process that this one is starting has copies of
+    /// all open files until it runs its program.
+    fn drop(&mut self) {
+        let _ = flock(descriptor(&self.0), FlockOperation::Unlock);
+    }
+}
+
+fn descriptor(port: &TTYPort) -> BorrowedFd<'_> {
+    // SAFETY: the port is borrowed, and so its descriptor open, for as long as this one lives.
+    unsafe { BorrowedFd::borrow_raw(port.as_raw_fd()) }
+}
+
 /// Opens a serial port for exclusive use.
-pub(crate) fn open_port(path: &Path) -> Result<TTYPort, OpenError> {
+pub(crate) fn open_port(path: &Path) -> Result<OpenPort, OpenError> {
     let name = path.to_string_lossy();
     trace::opened(&path.display());
-    serialport::new(name, BAUD_RATE).timeout(Duration::from_millis(20)).open_native().map_err(|e| {
+    let opened = serialport::new(name, BAUD_RATE).timeout(Duration::from_millis(20)).open_native();
+    opened.map(OpenPort::from).map_err(|e| {
         // The crate reports `NoDevice` for a port that another program holds, and `Io` for one that does not exist.
         let is_held = e.kind() == serialport::ErrorKind::NoDevice;
         let source = std::io::Error::from(e);
@@ -47,11 +86,10 @@ fn is_no_port(path: &Path) -> bool {
 /// Reads bytes, waiting at most `timeout`, and a millisecond at least; returns 0 if none came. A plain read of the port
 /// waits too, but makes an error each time that nothing comes, which allocates.
 pub(crate) fn read_within(port: &mut TTYPort, timeout: Duration, buffer: &mut [u8]) -> std::io::Result<usize> {
-    // SAFETY: the port is borrowed, and so its descriptor open, for as long as this one lives.
-    let descriptor = unsafe { BorrowedFd::borrow_raw(port.as_raw_fd()) };
     let timeout = timeout.max(Duration::from_millis(1));
     let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: i64::from(timeout.subsec_nanos()) };
-    match poll(&mut [PollFd::new(&descriptor, PollFlags::IN)], Some(&timeout)) {
+    let polled = poll(&mut [PollFd::from_borrowed_fd(descriptor(port), PollFlags::IN)], Some(&timeout));
+    match polled {
         Ok(0) | Err(rustix::io::Errno::INTR) => Ok(0),
         Ok(_) => read(port, buffer),
         Err(e) => Err(e.into()),
@@ -73,4 +111,25 @@ pub(crate) fn read_more(port: &mut TTYPort, heard: &mut Vec<u8>) -> std::io::Res
     let count = read(port, &mut buffer)?;
     heard.extend_from_slice(buffer.get(..count).unwrap_or(&[]));
     Ok(())
+}
+
+#[cfg(test)]
+mod hard_cases {
+    use serialport::SerialPort;
+
+    use super::*;
+
+    /// Regression test: a port could not be opened again while another thread was starting a process.
+    #[test]
+    fn a_closed_port_can_be_opened_while_a_copy_of_it_is_open() {
+        let (_board, host) = TTYPort::pair().expect("a pty");
+        let name = host.name().expect("a name");
+        let path = Path::new(&name);
+        let port = open_port(path).expect("opens");
+        assert!(matches!(open_port(path), Err(OpenError::Busy)));
+        let copy = port.try_clone_native().expect("copies");
+        drop(port);
+        open_port(path).expect("opens again");
+        drop(copy);
+    }
 }

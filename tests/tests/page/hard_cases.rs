@@ -544,3 +544,18 @@ fn labels_that_another_program_has_changed_are_not_overwritten() {
     assert!(!served.stop(), "what was not saved is a failure");
     assert_eq!(labels(&recording), [(0.1, 0.5, "empty".to_owned())]);
 }
+
+/// A step within 0.2 s after two seeks was counted from the first one and lost to the second one, which was sent later.
+#[test]
+fn a_step_soon_after_seeks_is_counted_from_the_frame_that_was_sought_last() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let served = replay(&walk(folder.path(), 2.0, 4.0, 20), SLOW);
+    let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
+    pause(&mut browser);
+    browser.evaluate(
+        "['Home', 'End', 'ArrowLeft'].forEach(key => \
+         document.body.dispatchEvent(new KeyboardEvent('keydown', { key, bubbles: true })))",
+    );
+    browser.wait_until("radome.header.answer.sequence === 18");
+    assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+}

@@ -24,6 +24,17 @@ fn replay(recording: &Path, speed: &str) -> Served {
     Served::start(watch(recording, speed))
 }
 
+/// Speed at which a recording does not end before a key pauses it, however long the browser takes to start.
+const SLOW: &str = "0.001";
+
+/// Pauses the playback by its key. The page has to know first that the recording plays: the same key plays one that
+/// has ended again.
+fn pause(browser: &mut Browser) {
+    browser.wait_until("window.radome?.header && radome.labels && radome.playback?.playing");
+    browser.key(" ");
+    browser.wait_until("!radome.playback.playing");
+}
+
 fn labels(recording: &Path) -> Vec<(f64, f64, String)> {
     let span = |s: &Value| {
         let time = |name: &str| s[name].as_f64().expect("a time");
@@ -41,11 +52,9 @@ fn the_map_moves_with_who_walks_and_velocity_has_the_right_sign() {
     for (from_m, to_m, sign) in [(2.0, 8.0, 1.0), (8.0, 2.0, -1.0)] {
         let folder = tempfile::tempdir().expect("a folder");
         let recording = walk(folder.path(), from_m, to_m, 50);
-        let served = replay(&recording, "2");
+        let served = replay(&recording, SLOW);
         let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
-        browser.wait_until("window.radome?.header");
-        browser.key(" ");
-        browser.wait_until("radome.playback && !radome.playback.playing");
+        pause(&mut browser);
         let (mut ranges, mut with, mut pictures) = (Vec::new(), 0, std::collections::BTreeSet::new());
         for at in [10, 20, 30, 40] {
             browser.evaluate(&format!("radome.send({{do: 'seek_frame', sequence: {at}}})"));
@@ -72,11 +81,9 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = walk(folder.path(), 2.0, 8.0, 60);
     let before = maps_of(&recording);
-    let served = replay(&recording, "1");
+    let served = replay(&recording, SLOW);
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1000) else { return };
-    browser.wait_until("window.radome?.header && radome.labels");
-    browser.key(" ");
-    browser.wait_until("radome.playback && !radome.playback.playing");
+    pause(&mut browser);
 
     // Goes to the first frame, ten frames forward and one back; the page shows the requested frame.
     browser.key("Home");

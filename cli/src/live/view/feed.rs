@@ -251,12 +251,13 @@ impl Feed {
                 let Some(message) = picture.message(history.newest_rows(answers - told)) else { continue };
                 let mut pages = lock(&self.pages);
                 let Some(page) = pages.open.get_mut(&id) else { continue };
-                // A page that takes no pictures stays open until the server drops it.
+                // A page whose earlier pictures still wait gets this one later. One that takes none stays open until the
+                // server drops it.
                 if page.sender.try_send(message).is_ok() {
+                    page.version = version;
                     page.told = answers;
                     page.unseen += 1;
                 }
-                page.version = version;
                 page.sent_at = Instant::now();
             }
         }
@@ -349,6 +350,39 @@ mod tests {
             let rows = header(&pictures.blocking_recv().expect("a picture"))["history"].clone();
             assert_eq!(rows.as_array().map(Vec::len), Some(HISTORY));
             feed.leave(page);
+        }
+        feed.close();
+        serving.join().expect("an end");
+    }
+
+    /// Regression test: a page whose connection was stuck never got the newest picture if no frame came after it, as
+    /// while a recording is paused.
+    #[test]
+    fn a_page_that_was_stuck_gets_the_newest_picture() {
+        let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
+        let feed = Arc::new(Feed::new(&waveform, true));
+        let (page, mut pictures) = feed.join();
+        let of = feed.clone();
+        let serving = thread::spawn(move || of.serve(None));
+        // One picture more than can wait.
+        let newest = MOST_UNSEEN as u64 + 1;
+        for sequence in 0..=newest {
+            let published = Instant::now();
+            publish(&feed, sequence..sequence + 1);
+            while lock(&feed.pages).open[&page].sent_at < published {
+                assert!(published.elapsed() < PATIENCE, "picture {sequence} is not made");
+                thread::sleep(Duration::from_millis(5));
+            }
+            feed.seen(page);
+        }
+        let begun = Instant::now();
+        let mut shown = None;
+        while shown != Some(newest) {
+            match pictures.try_recv() {
+                Ok(picture) => shown = header(&picture)["answer"]["sequence"].as_u64(),
+                Err(_) => thread::sleep(Duration::from_millis(5)),
+            }
+            assert!(begun.elapsed() < PATIENCE, "the page shows frame {shown:?}");
         }
         feed.close();
         serving.join().expect("an end");

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use prost::Message;
-use serialport::{SerialPort, TTYPort};
+use serialport::SerialPort;
 
 use crate::board::host::{lost, open_port};
 use crate::board::{BoardError, DeepcraftError};
@@ -13,7 +13,7 @@ use crate::protocol::deepcraft::{
     ALL_DEVICES, Answer, CapabilitiesRequest, CapabilitiesResponse, Command, ConfigureResponse, ErrorCode,
     MAX_RESPONSE, MessageParser, Request, Response, StopRequest,
 };
-use crate::transport::serial::{BUFFER, read_within};
+use crate::transport::serial::{BUFFER, OpenPort, read_within};
 use crate::transport::trace;
 
 /// Longest time that a board takes to answer, for the first attempt to reach it and for later ones.
@@ -39,7 +39,7 @@ const WATCHDOG_RESET: [u8; 3] = [2, 5 << 3 | 2, 0];
 
 pub(super) struct Link {
     pub path: PathBuf,
-    port: TTYPort,
+    port: OpenPort,
     buffer: Vec<u8>,
     tag: i32,
 }

@@ -5,14 +5,13 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
-use serialport::TTYPort;
 
 use super::resequencer::Resequencer;
 use crate::board::BoardError;
 use crate::board::host::{lost, open_port};
 use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, next_event};
 use crate::protocol::ascii::{self, Line, LineParser};
-use crate::transport::serial::{BAUD_RATE, BUFFER, read, read_more};
+use crate::transport::serial::{BAUD_RATE, BUFFER, OpenPort, read, read_more};
 use crate::transport::trace;
 
 /// Longest wait for the line in which the firmware states its waveform.
@@ -28,7 +27,7 @@ const MAX_HEARD_BYTES: usize = 1 << 22;
 pub struct Esp32Stream {
     path: PathBuf,
     /// `None` while the board is disconnected.
-    port: Option<TTYPort>,
+    port: Option<OpenPort>,
     parser: LineParser,
     buffer: Vec<u8>,
     resequencer: Resequencer,
@@ -54,7 +53,7 @@ impl Esp32Stream {
     /// Starts a stream on an open port; `heard` are the bytes read from it so far.
     pub(in crate::board) fn listen(
         path: &Path,
-        mut port: TTYPort,
+        mut port: OpenPort,
         mut heard: Vec<u8>,
         waveform: Option<&Waveform>,
     ) -> Result<Self, BoardError> {
@@ -94,7 +93,7 @@ impl Esp32Stream {
 }
 
 /// Listens until the firmware states its waveform; appends all bytes to `heard`.
-fn read_waveform_line(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result<Waveform, BoardError> {
+fn read_waveform_line(path: &Path, port: &mut OpenPort, heard: &mut Vec<u8>) -> Result<Waveform, BoardError> {
     let began = Instant::now();
     let mut begin = 0;
     loop {
@@ -197,6 +196,7 @@ impl Reconnectable for Esp32Stream {
 #[cfg(test)]
 mod hard_cases {
     use radome_dsp::WaveformRequest;
+    use serialport::TTYPort;
 
     use super::*;
 
@@ -209,7 +209,7 @@ mod hard_cases {
         let wrong_key = b"I (312) main: radar started\r\nWaveform: {\"start_hz\": 60e9}\r\n".to_vec();
         for (heard, reason) in [(impossible, "if_gain_db is 7"), (wrong_key, "start_hz")] {
             let (_firmware, port) = TTYPort::pair().expect("a pty");
-            let error = Esp32Stream::listen(Path::new("port"), port, heard, None).err().expect("refused");
+            let error = Esp32Stream::listen(Path::new("port"), port.into(), heard, None).err().expect("refused");
             assert!(matches!(&error, BoardError::WaveformStated { reason: r, .. } if r.contains(reason)), "{error}");
             assert!(!error.is_passing() && error.to_string().contains("--waveform"), "{error}");
         }

@@ -236,22 +236,24 @@ let sought = null, resting = 0;
 function seek(time_s) {
   if (!page.hello?.tape || !Number.isFinite(time_s)) return;
   sought = time_s;
-  if (resting) return;
-  const go = () => {
-    resting = 0;
-    if (sought === null) return;
-    send({ do: 'seek', time_s: sought });
-    sought = null;
-    resting = setTimeout(go, 200);
-  };
-  go();
+  if (!resting) seekNow();
+}
+
+/** Sends the seek that waits, if there is one. */
+function seekNow() {
+  if (sought === null) return;
+  send({ do: 'seek', time_s: sought });
+  sought = null;
+  clearTimeout(resting);
+  resting = setTimeout(() => { resting = 0; seekNow(); }, 200);
 }
 
 function select(id) { timeline.selected = id; list.mark(id); timeline.draw(); }
 function who() { return $('who').value.trim() || null; }
 function label(occupancy) { send({ do: 'label', occupancy, who: who() }); }
-function play() { send({ do: page.playback?.playing ? 'pause' : 'play' }); }
-function step(frames) { send({ do: 'step', frames }); }
+// The recording plays from the frame that was sought, and steps are counted from it.
+function play() { seekNow(); send({ do: page.playback?.playing ? 'pause' : 'play' }); }
+function step(frames) { seekNow(); send({ do: 'step', frames }); }
 
 /** Selects the next or the previous option of a select element. */
 function turn(element, by, round = false) {

@@ -4,17 +4,17 @@ use std::io::{ErrorKind, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use serialport::{SerialPort, TTYPort};
+use serialport::SerialPort;
 
 use super::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
 use crate::board::BoardError;
 use crate::board::host::open_port;
 use crate::protocol::mcu7::{BoardEvent, BoardParser, Request, SliceLayout, Status};
-use crate::transport::serial::{BUFFER, read_within};
+use crate::transport::serial::{BUFFER, OpenPort, read_within};
 use crate::transport::trace;
 
 pub(super) struct Serial {
-    port: TTYPort,
+    port: OpenPort,
     parser: BoardParser,
     buffer: Vec<u8>,
     last_byte: Instant,
