@@ -418,7 +418,6 @@ mod hard_cases {
         }
     }
 
-    /// Asserts that the board stops if a client is silent for longer than the watchdog's time.
     #[test]
     fn a_board_whose_host_is_silent_stops_and_one_that_is_told_goes_on() {
         let w = small();

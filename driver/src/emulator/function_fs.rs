@@ -167,7 +167,6 @@ fn pass_on(board: &std::os::fd::OwnedFd, endpoint: &PathBuf) -> io::Result<()> {
 mod tests {
     use super::*;
 
-    /// Each header states the length of the data that follow it.
     #[test]
     fn descriptors_say_their_length() {
         for bytes in [descriptors(&[0x81]), descriptors(&[1, 0x82]), strings("Radar")] {

@@ -352,7 +352,6 @@ mod tests {
         }
     }
 
-    /// No reflection exceeds the bound of any range that contains its cosine, and the bound at a point is close.
     #[test]
     fn bounds_of_a_range_hold_in_it() {
         for wall in slabs() {
@@ -434,7 +433,6 @@ mod tests {
         }
     }
 
-    /// A conductor's reflected field cancels the incident tangential one, at any angle and polarisation.
     #[test]
     fn no_tangential_field_on_a_conductor() {
         let normal = DVec3::new(0.3, -0.2, 0.9).normalize();

@@ -282,7 +282,6 @@ fn a_recording_that_is_removed_meanwhile_ends_with_an_error() {
     }
 }
 
-/// The hundredth change of labels costs as much as the first, and the file does not grow by the changes.
 #[test]
 fn a_hundred_changes_of_labels_leave_a_file_as_long_as_one() {
     let folder = folder();
