@@ -24,7 +24,6 @@ const ENGLISH: u16 = 0x0409;
 const EVENT: usize = 12;
 const SETUP_EVENT: u8 = 4;
 const VENDOR_SPECIFIC: u8 = 0xFF;
-/// Bytes of a USB packet at full speed.
 const FULL_SPEED_PACKET: usize = 64;
 
 /// Returns the descriptors of one vendor-specific interface with bulk endpoints of these addresses.

@@ -43,7 +43,6 @@ impl Thermometer {
     }
 }
 
-/// Converts a temperature to its code.
 fn code(celsius: f64) -> u32 {
     let volts = OFFSET_V + SLOPE_V_PER_C * celsius;
     (volts / REFERENCE_V * LARGEST_CODE).round().clamp(0.0, LARGEST_CODE) as u32

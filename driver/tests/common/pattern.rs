@@ -93,7 +93,6 @@ pub fn waveform(antennas: &[u8], chirps: usize, samples: usize, frame_interval_s
     .expect("valid")
 }
 
-/// Waveform of the captured sessions.
 pub fn captured_waveform() -> Waveform {
     Waveform::realise(WaveformRequest {
         start_frequency_hz: 58e9,

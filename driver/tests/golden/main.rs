@@ -265,7 +265,6 @@ mod hard_cases {
         folder
     }
 
-    /// Recordings, each with its files.
     const RECORDINGS: [(&str, &[&str]); 4] = [
         ("recording.mcap", &["recording.mcap"]),
         ("judged.mcap", &["judged.mcap"]),

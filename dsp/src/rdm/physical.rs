@@ -24,7 +24,6 @@ const QUARTILES: [f32; MOST_RECEIVERS] = [0.287_682_1, 0.480_639_37, 0.575_766_4
 /// Purpose of the noise draws, which separates them from other draws with the same sequence number.
 const PURPOSE: u64 = 0x7068_7973_6963_616c;
 
-/// Matrices and buffers.
 pub(super) struct PhysicalTransform {
     level: KernelLevel,
     /// Indices of the samples of a chirp and of the chirps of a frame that are transformed.

@@ -79,7 +79,6 @@ fn name(processor: &RdmProcessor) -> String {
     format!("{}, {} lanes", processor.kernel_level(), if processor.uses_lanes() { "with" } else { "without" })
 }
 
-/// Map of the last of `frames`.
 fn last_map(processor: &mut RdmProcessor, frames: &[Frame]) -> Rdm {
     let mut map = processor.empty_map();
     let mut status = MapStatus::WarmingUp { have: 0, need: 1 };

@@ -304,7 +304,6 @@ impl WallTables {
         WallTables { wavenumber_per_m, transmission, diffuse_share, known: Vec::new() }
     }
 
-    /// Returns the table of a wall.
     pub(crate) fn of(&mut self, wall: Wall) -> Arc<WallTable> {
         if let Some(table) = self.known.iter().find(|table| table.wall == wall) {
             return Arc::clone(table);

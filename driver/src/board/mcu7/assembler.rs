@@ -17,7 +17,6 @@ use crate::chip::SampleTiming;
 use crate::protocol::mcu7::{DataError, Packet, SliceLayout};
 use crate::protocol::{fifo, packed12};
 
-/// Result of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Outcome {
     /// Taken, or ignored as a duplicate.
@@ -282,7 +281,6 @@ impl Assembler {
         self.buffer_start = self.start_byte(self.next_frame);
     }
 
-    /// Unpacks the complete frames.
     fn complete(&mut self) {
         let mut used = 0;
         while self.end_byte(self.next_frame) <= self.buffer_start + self.buffer.len() as u64 {

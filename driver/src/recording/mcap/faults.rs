@@ -328,7 +328,6 @@ fn labels_beside_another_recording_of_the_same_name_are_left_out() {
     assert!(labels_of(&path).is_empty());
 }
 
-/// Content of a disk.
 #[derive(Clone, Default)]
 struct Disk {
     names: BTreeMap<PathBuf, u64>,
@@ -336,7 +335,6 @@ struct Disk {
 }
 
 impl Disk {
-    /// Reads all files of a folder.
     fn of(folder: &Path) -> Disk {
         let mut disk = Disk::default();
         for entry in std::fs::read_dir(folder).expect("lists").map(|e| e.expect("an entry")) {
