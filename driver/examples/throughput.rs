@@ -24,7 +24,6 @@ fn same(waveform: Waveform) -> impl FrameSource {
     })
 }
 
-/// Processor time of this thread.
 fn thread_time() -> Result<Duration, Box<dyn Error>> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat")?;
     let nanoseconds = text.split_whitespace().next().ok_or("schedstat is empty")?.parse()?;

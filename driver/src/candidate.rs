@@ -154,7 +154,6 @@ mod tests {
         assert_eq!(Belief::by_usb_id(0x04B4, 0x0001), None);
     }
 
-    /// Every known device must have access by the rules.
     #[test]
     fn the_udev_rules_name_every_known_device() {
         let named = |vendor: u16, product: u16| {

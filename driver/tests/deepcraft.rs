@@ -228,7 +228,6 @@ fn layouts() -> impl Strategy<Value = ChunkLayout> {
 }
 
 proptest! {
-    /// Asserts that the fast encoder and decoder agree with protobuf.
     #[test]
     fn chunks_are_what_protobuf_makes_of_them(layout in layouts(), number: u32, frames in 1u32..4) {
         let line = chunk(layout, number, frames);
@@ -249,7 +248,6 @@ proptest! {
         }
     }
 
-    /// Asserts that time stamps and unknown fields of newer firmware are skipped.
     #[test]
     fn fields_that_are_not_known_are_skipped(layout in layouts(), number in 0u32..1_000_000, extra: u32, stamp: i64) {
         let mut chunk_of = DataChunk {
@@ -289,7 +287,6 @@ proptest! {
         prop_assert_eq!(decoded.tag, tag);
     }
 
-    /// Asserts that the result does not depend on how the bytes are divided into pieces.
     #[test]
     fn pieces_make_no_difference(
         layout in layouts(),
@@ -348,8 +345,6 @@ mod hard_cases {
         assert_eq!(layout.beginning(&bytes), Beginning::No);
     }
 
-    /// Asserts that a message cut at any position gives no wrong sample, on a line that is never silent or silent after
-    /// every byte.
     #[test]
     fn a_message_cut_short_anywhere_falsifies_nothing() {
         for layout in LAYOUTS {
@@ -396,8 +391,6 @@ mod hard_cases {
         assert!(matches!(parser.next_event(), Some(ChunkEvent::Frames { frame_number: 0, .. })));
     }
 
-    /// Asserts that no flipped bit gives a frame another number or changes the order of frames. Bits of samples that
-    /// only give another code are excluded.
     #[test]
     fn a_flipped_bit_before_the_samples_falsifies_nothing() {
         for layout in LAYOUTS {

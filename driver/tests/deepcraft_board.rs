@@ -189,7 +189,6 @@ fn large() -> Waveform {
     waveform(&[1, 2, 3], 32, 128, 0.1)
 }
 
-/// Gaps that these faults cause.
 fn gaps_with(waveform: &Waveform, faults: &[Fault], frames: usize) -> Vec<Gap> {
     let board = board(waveform, faults);
     read(&mut start(&board, waveform), frames)
@@ -418,7 +417,6 @@ mod hard_cases {
         }
     }
 
-    /// Asserts that the board stops if a client is silent for longer than the watchdog's time.
     #[test]
     fn a_board_whose_host_is_silent_stops_and_one_that_is_told_goes_on() {
         let w = small();
@@ -460,7 +458,6 @@ mod hard_cases {
         assert!(matches!(gaps[..], [Gap { reason: GapReason::Disconnected, .. }]), "{gaps:?}");
     }
 
-    /// Reads frames for this duration; returns the gaps.
     fn read_for(stream: &mut DeepcraftStream, duration: Duration) -> Vec<Gap> {
         let mut frame = Frame::zeroed(stream.waveform().shape());
         let end = std::time::Instant::now() + duration;

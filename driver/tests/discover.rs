@@ -298,7 +298,6 @@ mod hard_cases {
         );
     }
 
-    /// Asserts that nothing is sent to an unknown port, unless the caller permits it.
     #[test]
     fn unknown_ports_are_left_alone_unless_asked_for() {
         let machine = Machine::new();

@@ -496,7 +496,6 @@ mod hard_cases {
         assert!(stream.next_frame(&mut frame).expect_err("gone").to_string().contains("connection broke"));
     }
 
-    /// Asserts that the board answers the next valid request after any bytes of the host.
     #[test]
     fn garbage_from_the_host_is_survived() {
         let waveform = waveform(&[1], 8, 64, 0.1);

@@ -211,7 +211,6 @@ proptest! {
         let _ = Command::from_request(&Request { protocol, kind, request, value, index, length: 0, payload });
     }
 
-    /// Asserts that messages between any garbage are found, however the bytes are delivered.
     #[test]
     fn parser_finds_messages_after_garbage(
         garbage in prop::collection::vec(any::<u8>(), 0..200),
@@ -225,7 +224,6 @@ proptest! {
         prop_assert_eq!((found.first(), found.last()), (Some(&1), Some(&2)));
     }
 
-    /// Asserts that a flipped bit loses only its own packet.
     #[test]
     fn one_flipped_bit_costs_one_packet(at in 0usize..3 * 108, bit in 0u32..8) {
         let payload: Vec<u8> = (0..100).collect();

@@ -56,7 +56,6 @@ fn waveforms() -> impl Strategy<Value = Waveform> {
 proptest! {
     #![proptest_config(cases(48))]
 
-    /// Asserts that the folder preserves samples, times, temperatures and the waveform of any frames of a board.
     #[test]
     fn the_folder_gives_everything_back(
         waveform in waveforms(),
@@ -80,7 +79,6 @@ proptest! {
         prop_assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
     }
 
-    /// Asserts that the native file preserves all content, in order.
     #[test]
     fn the_native_file_gives_everything_back(
         waveform in waveforms(),
@@ -168,7 +166,6 @@ fn text_is_laid_out_as_the_vendor_lays_it_out() {
     assert!(folder.path().join("session.txt_config.json").exists());
 }
 
-/// Asserts that the folder has the keys of a real file, in the same order.
 #[test]
 fn the_folder_has_the_vendors_files_and_keys() {
     let (_folder, path) = in_folder("session");
@@ -496,7 +493,6 @@ mod hard_cases {
     proptest! {
         #![proptest_config(cases(128))]
 
-        /// Asserts that any bytes, alone or within a valid file, in each file of each format, give an error or frames.
         #[test]
         fn any_bytes_are_refused_or_read(
             bytes in prop::collection::vec(any::<u8>(), 0..600),

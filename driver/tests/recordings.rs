@@ -128,8 +128,6 @@ fn metrics_and_data_that_contradict_each_other_are_refused() {
     assert!(said.contains("fmcw_scene"), "{said}");
 }
 
-/// Asserts the known properties of the capture: 256 frames of 3 x 8 x 64, codes 1017..=2450, a DC level for each
-/// receiver.
 #[test]
 fn the_real_recording_opens_and_is_what_it_is_known_to_be() {
     let Some(path) = breathing() else { return };

@@ -221,7 +221,6 @@ mod hard_cases {
         }
     }
 
-    /// Asserts that a recording with a damaged chunk accepts labels without further loss.
     #[test]
     fn labels_leave_what_is_damaged() {
         let (folder, path) = in_folder("a.mcap");
@@ -307,8 +306,6 @@ mod hard_cases {
     proptest! {
         #![proptest_config(cases(100))]
 
-        /// Asserts that after any damage behind the header no frame is wrong, and that every missing frame lies in a
-        /// gap or at the end.
         #[test]
         fn every_missing_frame_lies_in_a_gap(
             changes in prop::collection::vec((any::<prop::sample::Index>(), prop::collection::vec(any::<u8>(), 1..40)), 1..6),
@@ -334,7 +331,6 @@ mod hard_cases {
             }
         }
 
-        /// Asserts that arbitrary bytes behind the magic, or within a valid file, are refused or read.
         #[test]
         fn arbitrary_bytes_are_refused_or_read(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
             let (folder, path) = in_folder("a.mcap");

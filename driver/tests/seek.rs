@@ -155,7 +155,6 @@ fn a_place_is_found_without_reading_the_file() {
 mod hard_cases {
     use super::*;
 
-    /// Asserts that a seek skips a damaged chunk and still finds the others.
     #[test]
     fn seeking_steps_around_damage() {
         let (_folder, path) = in_folder("a.mcap");

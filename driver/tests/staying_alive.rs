@@ -99,7 +99,6 @@ mod hard_cases {
         );
     }
 
-    /// Asserts that a stream without a reconnection policy ends with the error.
     #[test]
     fn without_leave_to_reconnect_the_error_comes_at_once() {
         let folder = tempfile::tempdir().expect("folder");

@@ -63,6 +63,7 @@
 mod frame;
 mod level;
 mod source;
+mod split_mix;
 mod waveform;
 mod window;
 
@@ -79,6 +80,7 @@ pub use frame::{Frame, FrameMismatch, FrameShape, MAX_CODE, Occupancy, ReceiverF
 pub use level::KernelLevel;
 pub use rdm::{MapFlags, MapStatus, Rdm, RdmProcessor, RdmShape, RdmSpec};
 pub use source::{FrameSource, Gap, GapReason, SourceError, SourceEvent, source_from_fn};
+pub use split_mix::split_mix_64;
 pub use statistics::noise_floor_db;
 pub use waveform::{
     ADC_START_DELAY_S, FIFO_SAMPLES, LEAST_BAND_HZ, REFERENCE_CLOCK_HZ, RF_BAND_HZ, RxMask, SLOPE_STEP_HZ_PER_S,

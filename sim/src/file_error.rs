@@ -27,7 +27,6 @@ impl FileError {
     }
 }
 
-/// Decodes a file's bytes as UTF-8 text.
 pub(crate) fn utf8<'a>(bytes: &'a [u8], hint: &str) -> Result<&'a str, FileError> {
     std::str::from_utf8(bytes).map_err(|e| {
         let line = 1 + bytes.iter().take(e.valid_up_to()).filter(|&&b| b == b'\n').count();

@@ -1,5 +1,6 @@
 //! Random draws that are functions of (seed, purpose, index), independent of thread and order.
 
+use radome_dsp::split_mix_64;
 use rand::{Rng, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -50,18 +51,11 @@ pub enum Purpose {
     Wander,
 }
 
-fn splitmix64(mut z: u64) -> u64 {
-    z = z.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
-}
-
 /// Generator for one purpose and index.
 pub fn generator(seed: u64, purpose: Purpose, index: [u64; 2]) -> Xoshiro256PlusPlus {
-    let mut state = splitmix64(seed);
+    let mut state = split_mix_64(seed);
     for word in [purpose as u64 + 1, index[0], index[1]] {
-        state = splitmix64(state ^ splitmix64(word));
+        state = split_mix_64(state ^ split_mix_64(word));
     }
     Xoshiro256PlusPlus::seed_from_u64(state)
 }

@@ -125,7 +125,6 @@ struct Script<'a> {
     has_told: Cell<bool>,
 }
 
-/// Makes the motion of a person with a script.
 fn scripted(scene: &Scene, ground: Option<&Ground>, actor: &ActorFile, steps: Steps, seed: u64, index: u64) -> Motion {
     let file = scene.file();
     let own_m = if let Steps::Actor(actor) = &steps { actor.height_m } else { 1.75 };
@@ -263,7 +262,6 @@ fn is_meant_outside(file: &SceneFile, place: [f64; 2]) -> bool {
     is_at_door || walls.all(|(is_beyond, is_passable)| !is_beyond || is_passable)
 }
 
-/// Makes a bed from its table in the scene file.
 fn bed(file: &BedFile) -> Bed {
     Bed {
         position_m: file.position_m,

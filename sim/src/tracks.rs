@@ -208,7 +208,6 @@ mod tests {
         }
     }
 
-    /// A path that is absent at one end takes the ratio of the other end.
     #[test]
     fn ratios_come_from_the_end_that_has_an_amplitude() {
         let (none, some) = (Complex64::ZERO, Complex64::new(2.0, 0.0));

@@ -133,7 +133,6 @@ fn a_captured_clip_walks_on_the_built_in_body() {
     check_walk(&walker(Steps::Clip(clip)), 0.25, 0.05);
 }
 
-/// Two kinds of files from other sources.
 #[test]
 fn the_cesium_man_and_a_captured_walk_go_down_the_corridor() {
     let (Some(man), Some(walk)) =
@@ -338,7 +337,6 @@ mod hard_cases {
         wrong_collada("<COLLADA", entities, &["no XML"]);
     }
 
-    /// Buffers of a glTF file must be files beside it.
     #[test]
     fn gltf_buffers_elsewhere_are_not_read() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -425,7 +423,6 @@ mod hard_cases {
         }
     }
 
-    /// A file that is cut off anywhere is either refused or complete; nothing panics.
     #[test]
     fn files_cut_off_anywhere_never_panic() {
         let (gltf, collada, bvh) = (biped::gltf(1.0).bytes(), biped::collada().into_bytes(), biped::bvh());

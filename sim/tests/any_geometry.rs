@@ -244,7 +244,6 @@ fn a_metal_cupboard_shadows_and_mirrors() {
     assert!(paths.iter().all(|path| path.kind != radome_sim::path_list::PathKind::Furniture));
 }
 
-/// A wall of polygons transmits the same as the wall of a box: the slab's transmission.
 #[test]
 fn facets_let_through_what_walls_of_boxes_do() {
     let glass = Wall::Slab { permittivity: Complex64::new(6.31, -0.26), thickness_m: 0.01 };

@@ -272,7 +272,6 @@ fn walls_and_furniture_off(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64)
     (from_furniture, from_walls)
 }
 
-/// Walking paths keep their distance from furniture and walls, for scripted and for random motion.
 #[test]
 fn ways_keep_off_furniture_and_walls() {
     for name in ["bedroom", "bathroom"] {

@@ -250,7 +250,6 @@ fn truth_counts_who_has_a_part_in_the_room() {
     assert_eq!(common::simulator(&scene, 1, Some(1)).truth(130).occupancy, Occupancy::One);
 }
 
-/// A person exactly behind another is shaded; beside the other, not.
 #[test]
 fn a_person_in_front_shades_the_one_behind() {
     let energy = |front_y: f64| {

@@ -32,7 +32,6 @@ fn echo_at(scene: &Scene, frame: &Frame, range_m: f64) -> (f64, f64) {
     (sum.norm(), sum.arg())
 }
 
-/// Wraps an angle to within half a turn of zero.
 fn within_half_a_turn(angle_rad: f64) -> f64 {
     angle_rad - std::f64::consts::TAU * (angle_rad / std::f64::consts::TAU).round()
 }

@@ -95,7 +95,6 @@ fn who_breathes_only_moves_only_that_much() {
     assert!((last[strongest].norm() / first[strongest].norm() - 1.0).abs() < 0.2);
 }
 
-/// Frames are byte-identical on any number of threads.
 #[test]
 fn frames_of_skins_are_the_same_on_any_number_of_threads() {
     let frames = || {
@@ -108,7 +107,6 @@ fn frames_of_skins_are_the_same_on_any_number_of_threads() {
 mod hard_cases {
     use super::*;
 
-    /// The person walks through the radar.
     #[test]
     fn a_skin_around_the_radar_is_finite_and_counted() {
         let through = HALL

@@ -204,7 +204,6 @@ fn mie_is_the_reference_mie() {
     }
 }
 
-/// Spheres of 20 thousand triangles agree with Mie, for conductor and skin, from several sides of the mesh.
 #[test]
 fn spheres_of_twenty_thousand_triangles_are_mies() {
     for radius_m in [0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1] {
@@ -225,7 +224,6 @@ fn spheres_of_twenty_thousand_triangles_are_mies() {
     }
 }
 
-/// Physical optics over facets agrees with its own closed form to its tolerance.
 #[test]
 fn facets_of_spheres_agree_with_the_closed_form_of_physical_optics() {
     for row in reference_rows("sphere") {
@@ -441,7 +439,6 @@ mod hard_cases {
         assert!((scalar - vectors).norm() < 1e-5 * scalar.norm(), "{scalar} {vectors}");
     }
 
-    /// Permuted triangles and rotated corners give the same sum within rounding, and the same facets.
     #[test]
     fn the_order_of_triangles_does_not_matter() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
@@ -488,7 +485,6 @@ mod hard_cases {
         }
     }
 
-    /// Grazing: a plate seen edge-on fades to nothing without a jump.
     #[test]
     fn grazing_incidence_fades() {
         let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
@@ -514,7 +510,6 @@ mod hard_cases {
         assert!(high - low < 0.1, "{values:?}");
     }
 
-    /// Impossible problems are refused with a message.
     #[test]
     fn impossible_targets_are_refused() {
         let plate = |width_m| Target::Plate { width_m, height_m: 0.1 };

@@ -155,7 +155,6 @@ fn breathing_is_seen_over_half_a_minute() {
 mod hard_cases {
     use super::*;
 
-    /// No sum depends on the order of threads, nor on which frames were requested before.
     #[test]
     fn the_same_bytes_on_any_number_of_threads_and_in_any_order() {
         let scene = scene("corridor");

@@ -277,7 +277,6 @@ fn people_disturb_static_echoes_behind_and_beside_them() {
     assert!(mean(1) > 0.02 && mean(1) > 3.0 * mean(0), "strip {}, edge {}", mean(1), mean(0));
 }
 
-/// Neutral values of keys do not change a bit.
 #[test]
 fn neutral_keys_leave_frames_as_they_are() {
     let (path, text) = fixture("hall");

@@ -111,7 +111,6 @@ fn a_person_behind_plasterboard_is_heard_through_it() {
     }
 }
 
-/// Without transmission a person behind the wall gives no echo; behind metal neither.
 #[test]
 fn without_transmission_nobody_is_behind_a_wall() {
     for (material, transmission) in [("plasterboard", false), ("metal", true)] {
@@ -142,7 +141,6 @@ fn an_open_wall_hides_nobody() {
     assert!(!is_seen([0.2, -2.0]), "the straight path crosses the metal wall");
 }
 
-/// Transmission through walls does not change the echoes of people in the room, to the last bit.
 #[test]
 fn inside_the_room_it_makes_no_difference() {
     for place in [[2.0, 9.0], [3.0, 12.0]] {

@@ -68,7 +68,6 @@ fn a_walker_in_an_l_crosses_no_wall() {
     }
 }
 
-/// A person within the box around the room, but beyond its walls, does not count.
 #[test]
 fn who_is_beyond_a_wall_is_not_in_the_room() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -76,7 +76,6 @@ impl Outage {
     }
 }
 
-/// Reconnection policy and state of a stream.
 #[derive(Debug, Default)]
 pub(super) struct Recovery {
     /// `None` ends the stream at the first error.
@@ -128,7 +127,6 @@ pub(super) trait Reconnectable {
     /// Time at which the last frame came.
     fn last_frame(&self) -> Instant;
 
-    /// Policy and state of reconnection.
     fn recovery(&mut self) -> &mut Recovery;
 }
 

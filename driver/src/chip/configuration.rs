@@ -530,7 +530,6 @@ mod tests {
         }
     }
 
-    /// Compares with the list that the vendor's client wrote.
     #[test]
     fn vendor_default_compiles_to_the_captured_list() {
         let captured = "01:0A0210 04:E967FD 05:0805B4 06:102BFF 07:010D00 08:0 09:0 0A:0 0B:000BE0 0C:0 0D:0 0E:0 \

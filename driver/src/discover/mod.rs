@@ -51,7 +51,6 @@ mod tests {
         use crate::discover::sysfs::node_access;
         use crate::discover::{Access, Roots, candidates, candidates_in};
 
-        /// Listing works on machines with and without USB.
         #[test]
         fn any_machine_can_be_looked_at() {
             candidates();

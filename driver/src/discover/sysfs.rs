@@ -83,7 +83,6 @@ fn candidate(path: PathBuf, transport: Transport, belief: Belief, usb: Option<Us
     Candidate { access: node_access(&path), path, transport, belief, usb, debug_probe: None }
 }
 
-/// Lists serial ports on USB.
 pub(super) fn serial_ports(roots: &Roots) -> Vec<Candidate> {
     let port = |name: String| {
         let (_, usb) = device_of(roots, "tty", &name)?;

@@ -110,7 +110,6 @@ impl Chip {
         self.reset_fifo();
     }
 
-    /// Puts the state machine to sleep.
     fn sleep(&mut self) {
         // The register keeps the last conversion.
         self.converted = self.slow_adc();

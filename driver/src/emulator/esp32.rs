@@ -19,7 +19,6 @@ use crate::protocol::mcu7::SliceLayout;
 const BANNER: &[u8] = b"I (312) main: radar started\r\n";
 /// Frames that the board's memory holds.
 const BUFFER_FRAMES: usize = 2;
-/// Frames between two statements of the waveform.
 const FRAMES_BETWEEN_WAVEFORMS: u64 = 16;
 
 /// Firmware that measures and prints as soon as it has power. It takes no requests.

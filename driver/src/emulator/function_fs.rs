@@ -24,7 +24,6 @@ const ENGLISH: u16 = 0x0409;
 const EVENT: usize = 12;
 const SETUP_EVENT: u8 = 4;
 const VENDOR_SPECIFIC: u8 = 0xFF;
-/// Bytes of a USB packet at full speed.
 const FULL_SPEED_PACKET: usize = 64;
 
 /// Returns the descriptors of one vendor-specific interface with bulk endpoints of these addresses.
@@ -167,7 +166,6 @@ fn pass_on(board: &std::os::fd::OwnedFd, endpoint: &PathBuf) -> io::Result<()> {
 mod tests {
     use super::*;
 
-    /// Each header states the length of the data that follow it.
     #[test]
     fn descriptors_say_their_length() {
         for bytes in [descriptors(&[0x81]), descriptors(&[1, 0x82]), strings("Radar")] {

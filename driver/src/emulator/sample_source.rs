@@ -392,7 +392,6 @@ impl SampleSource {
     }
 }
 
-/// Message of a thread that panicked.
 fn panic_message(thread: JoinHandle<()>) -> String {
     let Err(payload) = thread.join() else { return "the sample source ended without an error message".into() };
     let words =

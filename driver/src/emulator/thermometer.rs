@@ -7,6 +7,8 @@
 use std::f64::consts::TAU;
 use std::time::Instant;
 
+use radome_dsp::split_mix_64;
+
 const REFERENCE_V: f64 = 1.21;
 const LARGEST_CODE: f64 = 1023.0;
 const OFFSET_V: f64 = 0.789_84;
@@ -43,7 +45,6 @@ impl Thermometer {
     }
 }
 
-/// Converts a temperature to its code.
 fn code(celsius: f64) -> u32 {
     let volts = OFFSET_V + SLOPE_V_PER_C * celsius;
     (volts / REFERENCE_V * LARGEST_CODE).round().clamp(0.0, LARGEST_CODE) as u32
@@ -51,10 +52,7 @@ fn code(celsius: f64) -> u32 {
 
 /// Computes a number from 0 to 1 from a seed and an index (SplitMix64).
 fn unit(seed: u64, index: u64) -> f64 {
-    let mut z = seed.wrapping_add(index.wrapping_mul(0x9E37_79B9_7F4A_7C15)).wrapping_add(0x9E37_79B9_7F4A_7C15);
-    z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ z >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-    (z ^ z >> 31) as f64 / u64::MAX as f64
+    split_mix_64(seed.wrapping_add(index.wrapping_mul(0x9E37_79B9_7F4A_7C15))) as f64 / u64::MAX as f64
 }
 
 #[cfg(test)]

@@ -206,7 +206,6 @@ mod tests {
         Info::ALL.into_iter().map(Command::Info).chain(others).collect()
     }
 
-    /// Compares with the bytes of the specification's examples.
     #[test]
     fn commands_are_as_specified() {
         assert_eq!(Command::Info(Info::FirmwareVersion).encode(), [0, 9]);

@@ -19,7 +19,6 @@ pub(super) fn read(path: &Path, limit_bytes: u64) -> Result<Vec<u8>, RecordingEr
     radome_files::read(path, limit_bytes).map_err(RecordingError::io(path, "cannot be read"))
 }
 
-/// Reads a text file of at most `limit_bytes`.
 pub(super) fn read_text(path: &Path, limit_bytes: u64) -> Result<String, RecordingError> {
     String::from_utf8(read(path, limit_bytes)?).map_err(|e| RecordingError::Corrupt {
         path: path.to_owned(),

@@ -12,7 +12,6 @@ pub const TARGET: &str = "radome_driver::wire";
 /// Most bytes shown of a message.
 const MOST_SHOWN: usize = 96;
 
-/// Traces that a connection is opened.
 pub(crate) fn opened(carrier: &dyn fmt::Display) {
     tracing::trace!(target: TARGET, opened = %carrier);
 }
@@ -22,7 +21,6 @@ pub(crate) fn identity(uuid: &str) {
     tracing::trace!(target: TARGET, identity = %uuid);
 }
 
-/// Traces a message to the board.
 pub(crate) fn sent(bytes: &[u8]) {
     tracing::trace!(target: TARGET, sent = %Shown(bytes));
 }
@@ -52,7 +50,6 @@ pub(crate) fn event(event: &BoardEvent<'_>) {
     }
 }
 
-/// Traces a data packet.
 pub(crate) fn packet(packet: &Packet<'_>) {
     let (header, more) = (packet.header_bytes(), packet.payload.len());
     tracing::trace!(target: TARGET, received = %format_args!("{} and {more} bytes", Shown(&header)));
@@ -63,7 +60,6 @@ pub(crate) fn damaged() {
     tracing::trace!(target: TARGET, received = "bytes that are no message");
 }
 
-/// Traces a read that failed.
 pub(crate) fn failed(why: &dyn fmt::Debug) {
     tracing::trace!(target: TARGET, received = %format_args!("nothing: {why:?}"));
 }

@@ -9,7 +9,6 @@ use radome_dsp::Waveform;
 
 use crate::common::{self, Random};
 
-/// Kinds of boards and their names.
 const BOARDS: [(Board, &str); 5] = [
     (Board::Mcu7V4, "mcu7-4"),
     (Board::Mcu7V3, "mcu7-3"),

@@ -31,7 +31,6 @@ fn source(seed: u64, waveform: Waveform) -> impl FrameSource {
     })
 }
 
-/// Result of a job.
 #[derive(Debug, Clone, Default)]
 pub struct Outcome {
     pub injected: u64,

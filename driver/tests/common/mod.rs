@@ -25,7 +25,6 @@ pub const POLICY: Reconnect = Reconnect {
     give_up_after: Duration::from_secs(60),
 };
 
-/// Parses hexadecimal digits.
 pub fn unhex(digits: &str) -> Vec<u8> {
     (0..digits.len()).step_by(2).map(|i| u8::from_str_radix(&digits[i..i + 2], 16).expect("hex")).collect()
 }
@@ -124,13 +123,11 @@ pub fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
     chunks
 }
 
-/// Makes a named pipe.
 pub fn make_pipe(path: &Path) {
     let made = std::process::Command::new("mkfifo").arg(path).status().expect("mkfifo");
     assert!(made.success());
 }
 
-/// Records a source with one label.
 pub fn record(mut source: Pattern, label: &LabelSpan, path: &Path) {
     let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
     let mut frame = Frame::zeroed(source.waveform.shape());

@@ -2,7 +2,9 @@
 
 #![allow(dead_code)]
 
-use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
+use radome_dsp::{
+    Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest, split_mix_64,
+};
 
 /// Random number generator: splitmix64.
 #[derive(Debug, Clone)]
@@ -10,11 +12,9 @@ pub struct Random(pub u64);
 
 impl Random {
     pub fn next(&mut self) -> u64 {
+        let drawn = split_mix_64(self.0);
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ z >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ z >> 31
+        drawn
     }
 
     pub fn below(&mut self, end: u64) -> u64 {
@@ -93,7 +93,6 @@ pub fn waveform(antennas: &[u8], chirps: usize, samples: usize, frame_interval_s
     .expect("valid")
 }
 
-/// Waveform of the captured sessions.
 pub fn captured_waveform() -> Waveform {
     Waveform::realise(WaveformRequest {
         start_frequency_hz: 58e9,

@@ -125,7 +125,6 @@ fn a_recording_of_an_earlier_version_holds_what_it_held() {
     check_judged(EARLIER);
 }
 
-/// Asserts that the layout in the frames' schema, read as text, gives the codes and times of every frame.
 #[test]
 fn frames_can_be_read_by_the_schema_alone() {
     let bytes = golden_bytes("recording.mcap");
@@ -186,7 +185,6 @@ fn check_judged(name: &str) {
     assert_eq!((all.as_slice(), gap, error), (frames().as_slice(), Some(5), None));
 }
 
-/// Asserts that the reader and the repair of an unfinished recording find the results of every complete chunk.
 #[test]
 fn results_of_an_unfinished_recording_are_found() {
     let folder = tempfile::tempdir().expect("folder");
@@ -267,7 +265,6 @@ mod hard_cases {
         folder
     }
 
-    /// Recordings, each with its files.
     const RECORDINGS: [(&str, &[&str]); 4] = [
         ("recording.mcap", &["recording.mcap"]),
         ("judged.mcap", &["judged.mcap"]),
@@ -434,7 +431,6 @@ mod hard_cases {
         assert!(!folder.path().join("fixed.mcap").exists());
     }
 
-    /// Asserts the result of every cut and every flipped bit of the label files, which are small.
     #[test]
     fn damaged_label_files_are_refused_with_the_line_or_read() {
         for name in ["labels-audacity.txt", "labels-deepcraft.label"] {

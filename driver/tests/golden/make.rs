@@ -187,7 +187,6 @@ fn esp32() -> Vec<u8> {
     lines
 }
 
-/// Makes all golden files in a folder.
 pub fn make(folder: &Path) {
     recording(&folder.join("recording.mcap"), Format::Mcap, None);
     recording(&folder.join("judged.mcap"), Format::Mcap, Some(judge()));

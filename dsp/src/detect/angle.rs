@@ -184,7 +184,6 @@ mod tests {
         }
     }
 
-    /// A reflector in a known direction gives the calibration; then every direction is measured right.
     #[test]
     fn one_reflector_calibrates_all_directions() {
         let unlike = AngleCalibration { azimuth_phase_rad: 0.7, elevation_phase_rad: -1.1 };

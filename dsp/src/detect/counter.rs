@@ -308,7 +308,6 @@ mod tests {
         assert!(counts(&[(2.0, 0.8, 20.0), (4.5, -0.6, 4.0)], 5).iter().all(|people| *people == 2));
     }
 
-    /// The counter leaves out people beyond the greatest range who walk or breathe, and counts those before it.
     #[test]
     fn bodies_beyond_the_greatest_range_are_not_counted() {
         let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
@@ -330,7 +329,6 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// A static echo is not a person, however strong it is.
         #[test]
         fn walls_are_not_people() {
             assert!(counts(&[(3.0, 0.0, 400.0)], 100).iter().all(|people| *people == 0));

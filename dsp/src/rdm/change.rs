@@ -25,7 +25,6 @@ impl Change {
         Change { alpha: alpha as f32, frames: 0, mean: vec![[0.0; 2]; range], variance: vec![0.0; range] }
     }
 
-    /// Forgets all frames.
     pub(super) fn reset(&mut self) {
         self.frames = 0;
         self.mean.fill([0.0; 2]);

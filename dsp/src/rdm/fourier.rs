@@ -16,7 +16,6 @@ use crate::{FrameShape, KernelLevel};
 /// Chirps that are transformed before they are scattered into the range-major matrix: two cache lines of `Complex64`.
 const BLOCK: usize = 8;
 
-/// Transforms, buffers and the window of frames.
 pub(super) struct FourierTransform {
     doppler_window: Vec<f64>,
     range_fft: RangeFft,

@@ -14,7 +14,7 @@ use super::change::Change;
 use super::plan::MapPlan;
 use super::spec::RdmSpec;
 use crate::decibel::power_to_db_portable;
-use crate::{KernelLevel, MAX_CODE, Waveform, dispatch};
+use crate::{KernelLevel, MAX_CODE, Waveform, dispatch, split_mix_64};
 
 /// Number of receivers of the chip.
 const MOST_RECEIVERS: usize = 3;
@@ -24,7 +24,6 @@ const QUARTILES: [f32; MOST_RECEIVERS] = [0.287_682_1, 0.480_639_37, 0.575_766_4
 /// Purpose of the noise draws, which separates them from other draws with the same sequence number.
 const PURPOSE: u64 = 0x7068_7973_6963_616c;
 
-/// Matrices and buffers.
 pub(super) struct PhysicalTransform {
     level: KernelLevel,
     /// Indices of the samples of a chirp and of the chirps of a frame that are transformed.
@@ -274,11 +273,11 @@ impl UnmeasuredCells {
         self.noise[self.range..].fill(median);
 
         let [sequence, index] = key;
-        let key = mix(sequence ^ mix(index ^ PURPOSE));
+        let key = split_mix_64(sequence ^ split_mix_64(index ^ PURPOSE));
         self.power.fill(0.0);
         for receiver in 0..receivers {
             for (draw, cell) in self.draw.iter_mut().zip(&self.cells) {
-                let bits = mix(key ^ mix((cell * MOST_RECEIVERS + receiver) as u64));
+                let bits = split_mix_64(key ^ split_mix_64((cell * MOST_RECEIVERS + receiver) as u64));
                 // Above 0, up to 1, on a grid of 2^-24.
                 *draw = ((bits >> 40) + 1) as f32 / 16_777_216.0;
             }
@@ -300,14 +299,6 @@ fn quantile(values: &mut [f32], parts: usize) -> f32 {
         return 0.0;
     }
     *values.select_nth_unstable_by(index, f32::total_cmp).1
-}
-
-/// The finaliser of SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
-fn mix(x: u64) -> u64 {
-    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    x ^ (x >> 31)
 }
 
 dispatch! {

@@ -70,7 +70,6 @@ impl MapPlan {
         })
     }
 
-    /// Number of samples of a channel.
     pub(super) fn channel_length(&self) -> usize {
         self.frame_shape.chirps * self.frame_shape.samples
     }

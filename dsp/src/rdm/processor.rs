@@ -316,7 +316,6 @@ impl RdmProcessor {
         self.last_sequence = Some(sequence);
     }
 
-    /// Computes the map of `samples`.
     fn make_map(&mut self, sequence: u64, saturated_samples: u32, map: &mut Rdm) -> MapStatus {
         let used = self.plan.used();
         if self.plan.removes_chirp_mean {

@@ -1,7 +1,7 @@
 use std::f64::consts::TAU;
 
 use super::*;
-use crate::{Frame, FrameShape, KernelLevel, Window, noise_floor_db};
+use crate::{Frame, FrameShape, KernelLevel, Window, noise_floor_db, split_mix_64};
 use crate::{RxMask, Waveform, WaveformRequest};
 
 fn waveform(rx: usize, chirps: usize, samples: usize) -> Waveform {
@@ -21,11 +21,9 @@ fn waveform(rx: usize, chirps: usize, samples: usize) -> Waveform {
 struct Random(u64);
 impl Random {
     fn next(&mut self) -> u64 {
+        let drawn = split_mix_64(self.0);
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        drawn
     }
     fn uniform(&mut self) -> f64 {
         (self.next() >> 11) as f64 / (1u64 << 53) as f64
@@ -79,7 +77,6 @@ fn name(processor: &RdmProcessor) -> String {
     format!("{}, {} lanes", processor.kernel_level(), if processor.uses_lanes() { "with" } else { "without" })
 }
 
-/// Map of the last of `frames`.
 fn last_map(processor: &mut RdmProcessor, frames: &[Frame]) -> Rdm {
     let mut map = processor.empty_map();
     let mut status = MapStatus::WarmingUp { have: 0, need: 1 };

@@ -81,7 +81,6 @@ pub struct WallPoint {
     pub(crate) partner: Option<usize>,
 }
 
-/// Position on a wall of a room.
 #[derive(Clone, Copy)]
 pub(super) struct WallPosition {
     pub(super) wall: usize,

@@ -121,7 +121,6 @@ impl PatchPose {
         }
     }
 
-    /// Returns the nodes computed by [`Self::find_nodes`].
     pub(super) fn nodes(&self, rules: Rules) -> [&Nodes; HALVES] {
         let of_half = |half: usize| rules[half].map_or(&self.none, |rule| &self.nodes[rule][half].1);
         std::array::from_fn(of_half)

@@ -461,7 +461,6 @@ mod tests {
         }
     }
 
-    /// Every chirp is in exactly one interval, at the position of its time; so are chirps beyond the ends.
     #[test]
     fn every_chirp_is_in_one_stretch() {
         let chirps: Vec<f64> = (0..45).map(|i| -0.01 + f64::from(i) / 43.0).collect();

@@ -129,7 +129,6 @@ mod tests {
     use crate::geometry::shape;
     use crate::material::SKIN_PERMITTIVITY;
 
-    /// A ball behind a larger one does not contribute to the echo.
     #[test]
     fn a_ball_behind_a_larger_one_is_not_seen() {
         let integrator = Integrator::default();

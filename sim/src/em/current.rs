@@ -61,7 +61,6 @@ mod tests {
         assert!((back + (1.0 - index) / (1.0 + index)).norm() < 1e-12);
     }
 
-    /// A dielectric whose permittivity grows without bound is a conductor, at any angle between the two ends.
     #[test]
     fn a_conductor_is_the_limit_of_dielectrics() {
         let direction = DVec3::new(0.6, 0.1, -0.5).normalize();

@@ -238,7 +238,6 @@ fn bulges_body(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] {
 }
 
 compiled_for_levels! {
-    /// Builds triangles from their corners.
     pub(crate) fn triangle_rows(
         corners: &[Row3; 3],
         normals: &[Row3; 3],

@@ -140,7 +140,6 @@ mod tests {
         assert!(worst < 1e-8, "{worst} dB");
     }
 
-    /// A slab of air changes neither amplitude nor phase.
     #[test]
     fn air_is_no_wall() {
         let air = straight_through(Complex64::ONE, 0.3, K, 0.4);

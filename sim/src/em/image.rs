@@ -520,7 +520,6 @@ mod tests {
         }
     }
 
-    /// The field at every point of a ball stays below the bound of the cone around it.
     #[test]
     fn bounds_of_a_cone_hold_in_it() {
         let room = room();

@@ -106,7 +106,6 @@ mod tests {
         }
     }
 
-    /// The field within a cone does not exceed its bound, and the bound of a cone of zero width is exact.
     #[test]
     fn bounds_of_a_cone_hold_in_it() {
         let pattern = Pattern::new(0.5, 1.1, -20.0);

@@ -304,7 +304,6 @@ impl WallTables {
         WallTables { wavenumber_per_m, transmission, diffuse_share, known: Vec::new() }
     }
 
-    /// Returns the table of a wall.
     pub(crate) fn of(&mut self, wall: Wall) -> Arc<WallTable> {
         if let Some(table) = self.known.iter().find(|table| table.wall == wall) {
             return Arc::clone(table);
@@ -352,7 +351,6 @@ mod tests {
         }
     }
 
-    /// No reflection exceeds the bound of any range that contains its cosine, and the bound at a point is close.
     #[test]
     fn bounds_of_a_range_hold_in_it() {
         for wall in slabs() {
@@ -434,7 +432,6 @@ mod tests {
         }
     }
 
-    /// A conductor's reflected field cancels the incident tangential one, at any angle and polarisation.
     #[test]
     fn no_tangential_field_on_a_conductor() {
         let normal = DVec3::new(0.3, -0.2, 0.9).normalize();

@@ -34,7 +34,6 @@ pub(super) struct StaticGrids {
     pub(super) by_chirp: bool,
 }
 
-/// Empty set of static grids.
 pub(super) const NO_STATIC: StaticGrids = StaticGrids { grids: Vec::new(), by_chirp: false };
 
 impl FrameSimulator {

@@ -15,7 +15,6 @@ use crate::tracks::Tracks;
 /// Initial number of times that a frame is halved into intervals, for shadows and skins. The intervals are halved again
 /// (quarters, eighths) while the interpolation error of skins is too large.
 pub(super) const FIRST_HALVINGS: u32 = 1;
-/// Largest number of halvings for skins.
 pub(super) const MOST_SKIN_HALVINGS: u32 = 3;
 /// Allowed interpolation error between key times of an ellipsoid's echo for half a decibel, relative to it (-40 dB of
 /// error vector magnitude). Weak paths have cells of their own in a map, where nothing stronger hides their errors.

@@ -43,7 +43,6 @@ impl FrameSimulator {
         Some(skin)
     }
 
-    /// Returns the error budget of skins.
     fn budget(&self) -> ErrorBudget {
         let noise_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), 0.0);
         ErrorBudget { tolerance_db: self.options.tolerance_db, noise_lsb }

@@ -176,7 +176,6 @@ pub fn icosphere(semi_axes_m: DVec3, cuts: usize) -> Surface {
 mod tests {
     use super::*;
 
-    /// Every shape's triangles face in the direction of its normals, and their areas add up.
     #[test]
     fn shapes_have_their_areas_and_face_outwards() {
         let cases = [

@@ -123,7 +123,6 @@ mod tests {
     use super::*;
     use crate::em::image::Wall;
 
-    /// Every edge near a segment is found, and few others.
     #[test]
     fn all_edges_near_a_way_are_found() {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);

@@ -121,7 +121,6 @@ impl SoftEdge {
     }
 }
 
-/// Side of a facet.
 struct Side {
     facet: FacetId,
     ends: [DVec3; 2],
@@ -147,7 +146,6 @@ fn sides(flats: &[Flat]) -> Vec<Side> {
     all
 }
 
-/// Groups sides that coincide.
 fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
     let middles: Vec<f64> = sides.iter().map(|side| 0.5 * (side.ends[0].x + side.ends[1].x)).collect();
     let meet = |p: DVec3, q: DVec3| p.distance_squared(q) < SAME_END_M * SAME_END_M;

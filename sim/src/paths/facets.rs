@@ -120,7 +120,6 @@ mod tests {
     use crate::em::image::Wall;
     use crate::geometry::polygon;
 
-    /// The back of a facet has the same sides.
     #[test]
     fn the_other_side_of_a_facet_has_its_edges() {
         let corners = vec![DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];

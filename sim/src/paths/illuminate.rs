@@ -637,7 +637,6 @@ mod tests {
         assert!((2..=4).contains(&count), "{count}");
     }
 
-    /// Walls on the other side of an edge are listed as the path meets them.
     #[test]
     fn walls_beyond_an_edge_are_in_order() {
         let facets = [across(0.0, [-2.0, 0.0], slab(0)), across(0.5, [-2.0, 2.0], slab(1))].concat();

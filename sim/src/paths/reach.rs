@@ -113,7 +113,6 @@ mod tests {
     use super::*;
     use crate::em::pattern::Pattern;
 
-    /// Images that are left out contribute nothing in the sphere, and no image exceeds its bound.
     #[test]
     fn images_that_are_left_out_light_nothing() {
         let options = LaunchOptions { max_order: 2, refinements: 2, max_rays: 20_000 };

@@ -116,12 +116,10 @@ pub(super) fn parse_collada(bytes: &[u8]) -> Result<Rig, FileError> {
     Ok(rig)
 }
 
-/// Returns the first child with a name.
 fn child<'d, 'a>(of: Element<'d, 'a>, name: &str) -> Option<Element<'d, 'a>> {
     of.children().find(|c| c.has_tag_name(name))
 }
 
-/// Returns the first input with a semantic.
 fn input<'d, 'a>(of: Element<'d, 'a>, semantic: &str) -> Option<Element<'d, 'a>> {
     of.children().find(|c| c.has_tag_name("input") && c.attribute("semantic") == Some(semantic))
 }
@@ -161,7 +159,6 @@ impl<'d, 'a> Reader<'d, 'a> {
             .ok_or_else(|| self.fault(at, format!("{url:?} is nowhere, expected an element of that id")))
     }
 
-    /// Length of one unit in metres.
     fn metres(&self, unit: Element) -> Result<f64, FileError> {
         let given = unit.attribute("meter");
         let metres = given.unwrap_or("1").parse::<f64>().ok().filter(|m| *m > 0.0 && m.is_finite());
@@ -230,7 +227,6 @@ impl<'d, 'a> Reader<'d, 'a> {
         self.words(array, "names", |word| Some(word.to_owned()))
     }
 
-    /// Adds a node and its descendants.
     fn add_node(
         &self,
         rig: &mut Rig,

@@ -204,7 +204,6 @@ pub(super) fn centred(places: &[DVec3]) -> Vec<DVec3> {
     places.iter().map(|&place| place - middle).collect()
 }
 
-/// Root mean square of the distances between two lists of places.
 pub(super) fn rms_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
     let squares: f64 = a.iter().zip(b).map(|(p, q)| p.distance_squared(*q)).sum();
     (squares / a.len().max(1) as f64).sqrt()

@@ -311,7 +311,6 @@ fn rest(bound: &BoundMesh, standing: &[Map], poses: &[Vec<Map>]) -> Result<Mesh,
     Ok(rest)
 }
 
-/// Returns the height of the skin in a pose.
 fn height(rig: &Rig, pose: &[Map], upright: DMat3) -> Result<f64, FileError> {
     let heights = rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| (upright * follow(p, w, pose)).z);
     let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));

@@ -69,7 +69,6 @@ impl Motion {
         motion
     }
 
-    /// State of the motion at a time.
     fn moment(&self, time_s: f64) -> Moment {
         if let Some(wanderer) = &self.wanderer {
             return wanderer.moment(time_s);

@@ -141,7 +141,6 @@ mod tests {
         posture
     }
 
-    /// Ankles and soles stay in place during the whole descent.
     #[test]
     fn feet_stay_on_their_places() {
         for build in BUILDS {

@@ -39,7 +39,6 @@ pub(super) struct Rig {
     pub up: UpAxis,
 }
 
-/// A node of the tree.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Node {
     pub name: String,
@@ -91,7 +90,6 @@ pub(super) enum Between {
     Cubic,
 }
 
-/// Values at the keyframes.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Values {
     Translation(Vec<DVec3>),

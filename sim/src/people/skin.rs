@@ -553,7 +553,6 @@ mod tests {
         assert_eq!(moving.vertices, walker.mesh_at(t).vertices);
     }
 
-    /// Walking keeps the volume of the skin: skinning at the joints loses little.
     #[test]
     fn volume_is_kept_while_walking() {
         let walker = walker(1.75);

@@ -59,7 +59,6 @@ fn heavy_tailed(rng: &mut Xoshiro256PlusPlus, [least_s, longest_s]: [f64; 2]) ->
     (least_s * (1.0 - part).powf(-1.0 / TAIL)).min(longest_s)
 }
 
-/// Makes the person of an identity in a setting.
 fn person(setting: &Setting, identity: [u64; 2]) -> Person {
     let mut rng = generator(setting.seed, Purpose::Wander, [identity[0] | 1 << 40, identity[1]]);
     let person = Person::draw(setting.seed, identity, draw(&mut rng, setting.file.height_m));

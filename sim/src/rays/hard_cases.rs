@@ -170,7 +170,6 @@ fn what_is_met_is_what_trying_everything_meets() {
     }
 }
 
-/// The hit depends neither on the order of triangles nor on the structure.
 #[test]
 fn structure_and_order_do_not_matter() {
     let man = walker().mesh_at(2.0);
@@ -191,7 +190,6 @@ fn structure_and_order_do_not_matter() {
     assert!(met > 300, "{met}");
 }
 
-/// The processor's widest instructions give the same bits as the baseline instructions.
 #[test]
 fn the_processor_does_not_matter() {
     let room = corridor(2);
@@ -379,7 +377,6 @@ fn damaged_meshes_are_refused() {
     assert!(matches!(World::new(corridor(1), &[0]), Err(WorldError::Groups { expected: 12, given: 1 })));
 }
 
-/// Rays also meet a body that is far from the origin, large or small.
 #[test]
 fn a_body_may_be_far_large_or_small() {
     let mesh = ball(0.4, DVec3::ZERO);

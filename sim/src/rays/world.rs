@@ -95,7 +95,6 @@ impl World {
         self.closest_at(self.level, ray)
     }
 
-    /// Computes [`Self::closest`] with the instructions of a level.
     pub(super) fn closest_at(&self, level: KernelLevel, ray: &Ray) -> Option<Hit> {
         let probe = self.probe(ray)?;
         closest(level, self, &probe).map(|nearest| hit(&nearest, probe.start))
@@ -182,7 +181,6 @@ impl World {
 }
 
 compiled_for_levels! {
-    /// Finds the nearest triangle.
     fn closest(world: &World, probe: &Probe) -> Option<Nearest> = closest_body;
 }
 

@@ -68,7 +68,6 @@ fn interval(key: &'static str, [low, high]: [f64; 2], min: f64, max: f64, unit: 
     fault(key, [low, high], format!("[least, largest] within {min} to {max} {unit}"))
 }
 
-/// Checks probabilities, each with its key.
 fn probabilities<const N: usize>(all: [(&'static str, f64); N]) -> Result<(), Fault> {
     all.into_iter().try_for_each(|(key, probability)| within(key, probability, 0.0, 1.0, "(probability)"))
 }
@@ -148,7 +147,6 @@ pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
     Ok(())
 }
 
-/// Checks a material that the scene defines.
 fn check_own_material(name: &str, own: &OwnMaterial) -> Result<(), Fault> {
     if Material::named(name).is_some() {
         return fault("materials", name, "another name: this one is the table's");

@@ -470,7 +470,6 @@ fn read(path: &Path) -> Result<String, SceneError> {
     read_text(path, TEXT_LIMIT_BYTES).map_err(|source| SceneError::Read { path: path.to_owned(), source })
 }
 
-/// Error in a file that a scene file names.
 fn file_error(scene: &Path, text: &str, name: &str, source: FileError) -> SceneError {
     let file = scene.parent().unwrap_or(Path::new("")).join(name);
     SceneError::File { path: scene.to_owned(), line: line_of_key(text, name), file, source: Box::new(source) }

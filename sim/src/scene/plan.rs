@@ -434,7 +434,6 @@ pub(super) fn faces(file: &SceneFile, plan: &PlanFile, frequency_hz: f64) -> (Ve
     (builder.drafts, builder.outlines)
 }
 
-/// Returns the floor polygon at another height.
 fn raised(floor: &PlanarPolygon, height_m: f64) -> PlanarPolygon {
     let outline = floor.outline.iter().map(|corner| corner.with_z(height_m)).collect();
     PlanarPolygon { outline, offset_m: height_m, ..floor.clone() }

@@ -80,7 +80,6 @@ fn fields_are_numbers_everywhere() {
     }
 }
 
-/// The number and order of threads do not change the result.
 #[test]
 fn frames_of_polygons_are_the_same_on_any_number_of_threads() {
     let scene = made(&plan(""), WALKER, Path::new(""));

@@ -16,12 +16,10 @@ pub const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 /// Tables for a scene without people and without objects beside the radar.
 pub const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
 
-/// Folder of the fixtures.
 pub fn fixtures() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures")
 }
 
-/// A fixture scene.
 pub fn scene(name: &str) -> Scene {
     Scene::load(&fixture(name).0).expect("fixture scene")
 }
@@ -33,7 +31,6 @@ pub fn fixture(name: &str) -> (PathBuf, String) {
     (path, text)
 }
 
-/// A simulator of a scene.
 pub fn simulator(scene: &Scene, seed: u64, people: Option<usize>) -> Simulator {
     Simulator::new(scene, SimulateOptions { seed, people, ..SimulateOptions::default() }).expect("valid options")
 }
@@ -45,17 +42,14 @@ pub fn reference() -> serde_json::Value {
     serde_json::from_str(&text).expect("reference values are JSON")
 }
 
-/// Rows of a table of reference values.
 pub fn reference_rows(table: &str) -> Vec<serde_json::Value> {
     reference()[table]["rows"].as_array().expect("rows").clone()
 }
 
-/// A reference value.
 pub fn number(value: &serde_json::Value) -> f64 {
     value.as_f64().expect("number")
 }
 
-/// A vector of reference values.
 pub fn vector(value: &serde_json::Value) -> DVec3 {
     DVec3::from_array([0, 1, 2].map(|i| number(&value[i])))
 }
@@ -128,7 +122,6 @@ pub fn hall_with_room(room: &str, tables: &str) -> String {
     format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]")
 }
 
-/// Parses a scene from text.
 pub fn parse(text: &str) -> Scene {
     Scene::parse(text, Path::new("test.toml")).expect("valid scene")
 }
@@ -207,12 +200,10 @@ pub fn range_bin(frame: &Frame, bin: f64) -> Vec<Complex64> {
     (0..frame.shape.chirps).map(|chirp| frame.chirp(0, chirp).iter().enumerate().map(sample).sum()).collect()
 }
 
-/// Antenna with an isotropic pattern.
 pub fn isotropic(position: DVec3, polarisation: DVec3) -> Element {
     Element { position, polarisation, radar_from_world: DMat3::IDENTITY, pattern: Pattern::isotropic() }
 }
 
-/// Root mean square.
 pub fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64).sqrt()
 }

@@ -50,7 +50,6 @@ pub fn faces(low: [f64; 3], high: [f64; 3]) -> [Quad; 6] {
     [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]].map(|q| q.map(at))
 }
 
-/// Splits each quadrilateral into two triangles.
 pub fn triangles(quads: &[Quad]) -> Vec<[[f64; 3]; 3]> {
     quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect()
 }
@@ -192,7 +191,6 @@ pub fn is_free(kind: &EdgeKind) -> bool {
     *kind == EdgeKind::Free
 }
 
-/// Number of edges of a kind.
 pub fn count(surfaces: &Surfaces, kind: fn(&EdgeKind) -> bool) -> usize {
     surfaces.edges.iter().filter(|edge| kind(&edge.kind)).count()
 }

@@ -8,7 +8,6 @@ use radome_dsp::{Frame, Gap, GapReason, SourceEvent, Waveform};
 use crate::board::host::now_ns;
 use crate::protocol::fifo;
 
-/// State of the resequencer.
 pub(super) struct Resequencer {
     waveform: Waveform,
     /// Sequence number of the next frame.
@@ -150,7 +149,6 @@ impl Resequencer {
         self.ready.push_back(Ready::Gap(gap));
     }
 
-    /// Pops the next frame or gap.
     pub(super) fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
         match self.ready.pop_front()? {
             Ready::Gap(gap) => {

@@ -17,7 +17,6 @@ use crate::chip::SampleTiming;
 use crate::protocol::mcu7::{DataError, Packet, SliceLayout};
 use crate::protocol::{fifo, packed12};
 
-/// Result of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Outcome {
     /// Taken, or ignored as a duplicate.
@@ -282,7 +281,6 @@ impl Assembler {
         self.buffer_start = self.start_byte(self.next_frame);
     }
 
-    /// Unpacks the complete frames.
     fn complete(&mut self) {
         let mut used = 0;
         while self.end_byte(self.next_frame) <= self.buffer_start + self.buffer.len() as u64 {
@@ -410,6 +408,17 @@ mod tests {
     /// Feeds the packets `indices` of a slice that is complete at `time_us` by the board's clock. Returns the gaps, and
     /// the frames as sequence number and time.
     fn packets(assembler: &mut Assembler, slice: u64, indices: &[usize], time_us: u64) -> Vec<Result<(u64, u64), Gap>> {
+        let first_counter = slice as usize * assembler.slice.packets();
+        packets_from(assembler, first_counter, indices, time_us)
+    }
+
+    /// The same, where the first packet of the slice has this counter.
+    fn packets_from(
+        assembler: &mut Assembler,
+        first_counter: usize,
+        indices: &[usize],
+        time_us: u64,
+    ) -> Vec<Result<(u64, u64), Gap>> {
         let layout = assembler.slice;
         let bytes = [vec![0; layout.data_bytes()], time_us.to_le_bytes().to_vec()].concat();
         let mut rest = bytes.as_slice();
@@ -418,7 +427,7 @@ mod tests {
             rest = after;
             let last = index + 1 == layout.packets();
             let flags = PacketFlags { first: index == 0, last, timestamp: last, error: false };
-            let counter = (slice as usize * layout.packets() + index) as u16;
+            let counter = (first_counter + index) as u16;
             if indices.contains(&index) {
                 assert_eq!(assembler.packet(&Packet { flags, channel: 0, counter, payload }), Outcome::Taken);
             }
@@ -433,13 +442,6 @@ mod tests {
             }
         }
         found
-    }
-
-    /// Feeds the first slice after a start, without losses.
-    fn first_slice(assembler: &mut Assembler, time_us: u64) -> Vec<SourceEvent> {
-        let indices: Vec<usize> = (0..assembler.slice.packets()).collect();
-        let events = packets(assembler, 0, &indices, time_us);
-        events.into_iter().map(|event| event.map_or_else(SourceEvent::Gap, |_| SourceEvent::Frame)).collect()
     }
 
     mod hard_cases {
@@ -505,19 +507,8 @@ mod tests {
                 // The second and third ones come from the past.
                 assert_eq!(assembler.packet(&text), Outcome::Taken);
             }
-            let layout = assembler.slice;
-            let bytes = [vec![0; layout.data_bytes()], (HOUR_US + FRAME_US).to_le_bytes().to_vec()].concat();
-            for index in 0..4 {
-                let (first, last) = (index == 0, index == 3);
-                let flags = PacketFlags { first, last, timestamp: last, error: false };
-                let start = layout.offset(index);
-                let payload = bytes.get(start..start + layout.payload_length(index)).expect("a slice");
-                let packet = Packet { flags, channel: 0, counter: 5 + index as u16, payload };
-                assert_eq!(assembler.packet(&packet), Outcome::Taken);
-            }
-            let mut next = Frame::zeroed(assembler.shape);
-            assert_eq!(assembler.pop(&mut next), Some(SourceEvent::Frame));
-            assert_eq!((next.sequence, next.time_ns), (1, FRAME_NS));
+            let found = packets_from(&mut assembler, 5, &[0, 1, 2, 3], HOUR_US + FRAME_US);
+            assert_eq!(found, [frame(1)]);
             let code = Packet { flags, channel: 0, counter: 9, payload: &5u32.to_le_bytes() };
             assert_eq!(assembler.packet(&code), Outcome::Stopped(DataError::Other(5)));
         }
@@ -543,18 +534,21 @@ mod tests {
         /// running. Every later count was one short.
         #[test]
         fn a_clock_that_stands_where_it_stood_has_not_run_on() {
-            // A slice holds one frame.
+            // A slice holds one frame in four packets.
             let mut assembler = assembler(64, 128);
-            assert_eq!(first_slice(&mut assembler, 31_626), [SourceEvent::Frame]);
+            let first_slice = |assembler: &mut Assembler, time_us| packets(assembler, 0, &[0, 1, 2, 3], time_us);
+            assert!(matches!(first_slice(&mut assembler, 31_626)[..], [Ok(_)]));
             for (away_ms, first_sequence) in [(30, 1), (11, 3)] {
                 assembler.reconnected();
                 assembler.host_elapsed(Duration::from_millis(away_ms));
-                let gap = Gap { first_sequence, frames: 1, reason: GapReason::Disconnected };
-                assert_eq!(first_slice(&mut assembler, 0), [SourceEvent::Gap(gap), SourceEvent::Frame]);
+                let found = first_slice(&mut assembler, 0);
+                let gap = lost(first_sequence, 1, GapReason::Disconnected);
+                assert!(matches!(found[..], [first, Ok(_)] if first == gap), "{found:?}");
             }
             assembler.restart(GapReason::FifoOverflow);
-            let gap = Gap { first_sequence: 5, frames: 5, reason: GapReason::FifoOverflow };
-            assert_eq!(first_slice(&mut assembler, 6 * FRAME_US), [SourceEvent::Gap(gap), SourceEvent::Frame]);
+            let found = first_slice(&mut assembler, 6 * FRAME_US);
+            let gap = lost(5, 5, GapReason::FifoOverflow);
+            assert!(matches!(found[..], [first, Ok(_)] if first == gap), "{found:?}");
         }
     }
 }

@@ -111,7 +111,6 @@ pub(super) fn read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
     }
 }
 
-/// Resets all registers of the chip and reads CHIP_ID.
 pub(super) fn reset_and_read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
     link.request_ok(&Command::HardwareReset)?;
     let words = vec![SpiWord::write(register::SFCTL, SFCTL_READABLE)];

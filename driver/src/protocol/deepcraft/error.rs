@@ -58,7 +58,6 @@ impl std::fmt::Display for ErrorCode {
 mod tests {
     use super::*;
 
-    /// Compares with numbers captured from the firmware.
     #[test]
     fn codes_are_numbered_as_in_the_firmware() {
         for (code, name) in [

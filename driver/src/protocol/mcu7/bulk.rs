@@ -287,7 +287,6 @@ mod tests {
             assert_eq!(parse(&[&bytes]), (vec![], 1));
         }
 
-        /// The rest of a packet must not be taken from the next one.
         #[test]
         fn a_packet_cut_short_costs_itself_and_not_the_next() {
             let good = encoded(3, &[1; 40]);

@@ -41,7 +41,6 @@ pub(super) fn header_body(library: &str) -> Vec<u8> {
     out
 }
 
-/// Body of a metadata record.
 pub(super) fn metadata_body(name: &str, fields: &BTreeMap<String, String>) -> Vec<u8> {
     let mut pairs = Vec::new();
     for (key, value) in fields {
@@ -62,7 +61,6 @@ pub(super) fn metadata_index_body(offset: u64, length: u64, name: &str) -> Vec<u
     out
 }
 
-/// Body of a schema record.
 pub(super) fn schema_body(id: u16, name: &str, encoding: &str, data: &str) -> Vec<u8> {
     let mut out = id.to_le_bytes().to_vec();
     string(&mut out, name);
@@ -81,7 +79,6 @@ pub(super) fn channel_body(id: u16, schema: u16, topic: &str, encoding: &str) ->
     out
 }
 
-/// Body of a statistics record.
 pub(super) fn statistics_body(statistics: &Statistics) -> Vec<u8> {
     let mut out = statistics.message_count.to_le_bytes().to_vec();
     out.extend(statistics.schema_count.to_le_bytes());
@@ -96,7 +93,6 @@ pub(super) fn statistics_body(statistics: &Statistics) -> Vec<u8> {
     out
 }
 
-/// Body of a chunk index record.
 pub(super) fn chunk_index_body(index: &ChunkIndex) -> Vec<u8> {
     let mut out = Vec::new();
     for number in [index.message_start_time, index.message_end_time, index.chunk_start_offset, index.chunk_length] {

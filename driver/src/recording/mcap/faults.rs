@@ -282,7 +282,6 @@ fn a_recording_that_is_removed_meanwhile_ends_with_an_error() {
     }
 }
 
-/// The hundredth change of labels costs as much as the first, and the file does not grow by the changes.
 #[test]
 fn a_hundred_changes_of_labels_leave_a_file_as_long_as_one() {
     let folder = folder();
@@ -329,7 +328,6 @@ fn labels_beside_another_recording_of_the_same_name_are_left_out() {
     assert!(labels_of(&path).is_empty());
 }
 
-/// Content of a disk.
 #[derive(Clone, Default)]
 struct Disk {
     names: BTreeMap<PathBuf, u64>,
@@ -337,7 +335,6 @@ struct Disk {
 }
 
 impl Disk {
-    /// Reads all files of a folder.
     fn of(folder: &Path) -> Disk {
         let mut disk = Disk::default();
         for entry in std::fs::read_dir(folder).expect("lists").map(|e| e.expect("an entry")) {

@@ -34,7 +34,6 @@ impl Chunk {
         Chunk { offset, has_labels: false, has_results: false, frames: 0, gaps: 0, first: None }
     }
 
-    /// Counts messages of a channel.
     fn count(&mut self, topic: Topic, messages: u64) {
         match topic {
             Topic::Frame => self.frames += messages,

@@ -33,7 +33,6 @@ pub struct McapReader {
     wanted: Option<SeekTarget>,
 }
 
-/// Target of a seek.
 #[derive(Debug, Clone, Copy)]
 enum SeekTarget {
     Frame(u64),

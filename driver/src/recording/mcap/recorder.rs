@@ -42,7 +42,6 @@ const FINISHING: &str = "cannot be finished";
 const FRAME_ENCODING: &str = "radome.frame";
 /// Name of the language of [`FRAME_LAYOUT`].
 const LAYOUT_ENCODING: &str = "radome.layout";
-/// Number of the schema of frames.
 const FRAME_SCHEMA: u16 = 1;
 /// Numbers of the channels.
 const FRAME_CHANNEL: u16 = 1;

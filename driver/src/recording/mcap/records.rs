@@ -45,7 +45,6 @@ pub(super) fn topic(name: &str) -> Option<Topic> {
     topics.into_iter().find(|t| t.0 == name).map(|t| t.1)
 }
 
-/// Reader of the records of a file.
 #[derive(Debug)]
 pub(super) struct Records {
     pub path: PathBuf,

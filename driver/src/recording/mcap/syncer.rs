@@ -148,7 +148,6 @@ impl Syncer {
         }
     }
 
-    /// Returns the failure that ended the thread.
     fn ended(&self) -> Failure {
         Failure::ended(self.outcome.recv_timeout(self.patience).ok())
     }

@@ -18,7 +18,6 @@ pub(crate) trait Endpoints: Send {
     fn read_bulk(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, TransferError>;
 }
 
-/// Error of a transfer.
 #[derive(Debug)]
 pub(crate) enum TransferError {
     /// The device refused it.

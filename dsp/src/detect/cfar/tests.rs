@@ -1,16 +1,14 @@
 use super::*;
-use crate::{MapFlags, RdmShape};
+use crate::{MapFlags, RdmShape, split_mix_64};
 
 /// Uniform numbers in (0, 1).
 struct Draw(u64);
 
 impl Draw {
     fn next(&mut self) -> f64 {
+        let drawn = split_mix_64(self.0);
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64 + 1e-17
+        (drawn >> 11) as f64 / (1u64 << 53) as f64 + 1e-17
     }
 
     /// Power of complex Gaussian noise with mean one a look, summed over looks.

@@ -66,12 +66,10 @@ fn butterfly_8<const L: usize, V: Vector<L>>(x: [Complex<V>; 8]) -> [Complex<V>;
     [even[0], a_minus + sum, even[1], minus, even[2], a_minus - sum, even[3], plus]
 }
 
-/// Input of a transform.
 pub(super) trait Source<const L: usize, V: Vector<L>> {
     fn get(&self, index: usize) -> Complex<V>;
 }
 
-/// Output of a transform.
 pub(super) trait Sink<const L: usize, V: Vector<L>> {
     fn put(&mut self, position: usize, value: Complex<V>);
 }
@@ -123,7 +121,6 @@ impl Plan {
         Plan { length, passes, last_radix }
     }
 
-    /// Position of the result of each bin.
     pub(super) fn position_of_bin(&self) -> Vec<usize> {
         let radices = self.passes.iter().map(|pass| match pass {
             Pass::Radix4(_) => 4,

@@ -45,7 +45,6 @@ struct Untangling {
     cos: f32,
 }
 
-/// Plans and buffers.
 pub(super) struct Stages<const L: usize, V> {
     chirps: usize,
     samples: usize,

@@ -67,7 +67,6 @@ fn power_beyond_f32_is_infinite_and_counted() {
     }
 }
 
-/// Codes beyond twelve bits are processed as other numbers, and count as saturated.
 #[test]
 fn codes_beyond_twelve_bits_are_counted_and_scaled() {
     let w = waveform(1, 16, 32);

@@ -261,7 +261,6 @@ fn beyond_a_greatest_range_nothing_is_seen() {
     }
 }
 
-/// A receiver without signal is left out of the mean: the map is that of the others.
 #[test]
 fn a_dead_receiver_is_left_out() {
     let w = realised(|w| w.rx_antennas = RxMask::ALL);

@@ -23,7 +23,6 @@ const MOST_NUMBERS: usize = 1 << 25;
 /// Length of a GLB file's header, which is included in the length that it states.
 const GLB_HEADER_BYTES: u32 = 12;
 
-/// A glTF file and its buffers.
 pub(crate) struct GltfFile {
     pub document: gltf::Document,
     buffers: Vec<Vec<u8>>,

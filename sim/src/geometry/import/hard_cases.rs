@@ -267,7 +267,6 @@ fn coordinates_are_limited_in_metres() {
     assert!((scaled - DVec3::X * 12.0).length() < 1e-5, "{scaled}");
 }
 
-/// Damaged or missing bytes give a result or an error, never a panic.
 #[test]
 fn damaged_files_never_panic() {
     let mut rng = generator(11, Purpose::Build, [0, 0]);

@@ -20,7 +20,6 @@ const SWAY_HZ: [f64; 2] = [0.1, 1.0];
 /// Parts that sway: hips forward and left, lean, twist, two shoulders, two elbows.
 const PARTS: usize = 8;
 
-/// One sinusoid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Wave {
     amplitude: f64,

@@ -17,7 +17,6 @@ pub(super) const FIRST_S: f64 = -20.0;
 const LAST_S: f64 = 4e6;
 /// Number of steps of a block: 32 s.
 const BLOCK_STEPS: usize = 640;
-/// Number of blocks whose nodes are kept.
 const KEPT_BLOCKS: usize = 8;
 
 /// Consecutive steps of all people: `[slot][step]`. The last step is also the first of the next block.

@@ -92,7 +92,6 @@ fn speeds_never_jump() {
     }
 }
 
-/// The turning rate is bounded and continuous too.
 #[test]
 fn turns_keep_to_the_bound() {
     let scene = parsed("[people]\nturn_rate_deg_per_s = 100.0\n[people.wander]\n").expect("a scene");
@@ -155,7 +154,6 @@ fn people_stay_where_the_scene_wants_them() {
     assert!(beyond * 8 < all, "{beyond} of {all}");
 }
 
-/// Two people keep their distance in every mode, seated or not, and keep moving.
 #[test]
 fn two_people_never_come_too_close_and_go_on() {
     for mode in MODES {
@@ -291,7 +289,6 @@ fn radial_speeds_are_those_of_people_in_rooms() {
     assert!((1.0..2.8).contains(&middle_m), "{middle_m} m");
 }
 
-/// The motion is the same in any order of requests, and for every scenario of a seed. Other seeds differ.
 #[test]
 fn a_seed_is_one_way_in_any_order() {
     let scene = scene("");

@@ -32,7 +32,6 @@ pub(crate) enum Kind {
     Inside,
 }
 
-/// Cells of a ground plan.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Cells {
     size_m: DVec2,

@@ -34,7 +34,6 @@ pub(super) struct Sheet {
     pub ends_opposed: Option<bool>,
 }
 
-/// A polygon and the box around it.
 pub(super) struct Placed<'a> {
     pub polygon: &'a PlanarPolygon,
     /// Index of the face; `None` for a small triangle.
@@ -43,7 +42,6 @@ pub(super) struct Placed<'a> {
     high: DVec3,
 }
 
-/// Polygons, indexed by position.
 pub(super) struct Index<'a> {
     wide: Vec<Placed<'a>>,
     /// Polygons up to [`NARROW_M`] wide, sorted by their lowest x.

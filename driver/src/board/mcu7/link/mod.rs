@@ -17,13 +17,11 @@ const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 /// Silence after which the rest of a message will not come.
 const SILENCE: Duration = Duration::from_millis(200);
 
-/// Received data.
 pub(super) enum Incoming<'a> {
     Packet(Packet<'a>),
     Damaged,
 }
 
-/// Failure of a carrier.
 enum Failure {
     /// No answer came.
     NoAnswer,
@@ -36,7 +34,6 @@ enum Carrier {
     Bulk(Bulk),
 }
 
-/// Connection to a board.
 pub(super) struct Link {
     /// Name of the board's address in messages.
     pub path: PathBuf,
@@ -132,7 +129,6 @@ impl Link {
     }
 }
 
-/// Name of a command in messages.
 fn name(command: &Command) -> &'static str {
     match command {
         Command::BoardInfo | Command::BoardInfoFixed { .. } => "board info",
