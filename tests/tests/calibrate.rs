@@ -148,14 +148,12 @@ fn recordings_are_judged_by_their_labels() {
     let alone = recording.display().to_string();
     for (inputs, expected) in [(vec![alone], "no label"), (vec!["nowhere=one".to_owned(), labelled("one")], "nowhere")]
     {
-        let said = failure(command!("model evaluate --model", &model, ..&inputs));
-        assert!(said.contains(expected), "{inputs:?}: {said}");
+        fails_with(command!("model evaluate --model", &model, ..&inputs), &[expected]);
     }
     let inputs = [labelled("three"), labelled("one")];
     wrong_use_with(command!("model evaluate --model", &model, ..&inputs), &["three is not empty, one or two"]);
     let other = fixture("models/paper-hqnn.safetensors");
-    let said = failure(command!("model evaluate --model", other, labelled("one")));
-    assert!(said.contains("256 samples") && said.contains("64 samples"), "{said}");
+    fails_with(command!("model evaluate --model", other, labelled("one")), &["256 samples", "64 samples"]);
 }
 
 /// A name with a line's end broke the comment at the head of the file.
@@ -172,8 +170,7 @@ fn a_receiver_of_any_name_can_be_read() {
     assert!(text.contains(made), "{text}");
     assert_eq!(radome_sim::load_receiver(&file).expect("a receiver").name, "a\"b\nc");
     wrong_use_with(command!("scene calibrate", &recording, "--people 2"), &["--people needs --scene"]);
-    let part = failure(command!("scene calibrate", &recording, "--part 0.99"));
-    assert!(part.contains("hint: choose a --part nearer to 0.5"), "{part}");
+    fails_with(command!("scene calibrate", &recording, "--part 0.99"), &["hint: choose a --part nearer to 0.5"]);
     let hall = fixture("scenes/desk.toml");
     let other = failure(command!("scene calibrate", &recording, "--scene", hall));
     assert!(other.contains("desk.toml") && other.contains("hint: ") && !other.contains("model"), "{other}");

@@ -2,9 +2,7 @@
 
 use std::path::Path;
 
-use radome_tests::{
-    command, fails_with, failure, fixture, fixture_text, json_lines, radome, simulate, success, write_file,
-};
+use radome_tests::{command, fails_with, fixture, fixture_text, json_lines, radome, simulate, success, write_file};
 use serde_json::Value;
 
 /// Writes the hall scene without its reverberation, with which the detector counts one walker as two.
@@ -101,8 +99,7 @@ fn a_reflector_tells_what_receivers_are_unlike_in() {
     }
     json_lines(command!("recording echoes --frames 5 --people 0 --json --angles", &angles, &path));
     std::fs::write(&angles, "format = 7\n").expect("writable");
-    let said = failure(command!("recording echoes --frames 5 --angles", &angles, &path));
-    assert!(said.contains("hint:") && said.contains("angles.toml"), "{said}");
+    fails_with(command!("recording echoes --frames 5 --angles", &angles, &path), &["hint:", "angles.toml"]);
 }
 
 #[test]

@@ -7,8 +7,8 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
 use radome_tests::{
-    command, convert, failure, fixture, frames, json_lines, json_lines_of, labels_of, maps_of, radome, simulate,
-    subcommand, success, write_file, wrong_use,
+    command, convert, fails_with, failure, fixture, frames, json_lines, json_lines_of, labels_of, maps_of, radome,
+    simulate, subcommand, success, write_file, wrong_use,
 };
 use serde_json::Value;
 use tungstenite::Message;
@@ -30,8 +30,7 @@ fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
     assert!(maps_of(&path("run.mcap")) == before);
 
     std::fs::write(path("bad.txt"), "0.5\tempty\n").expect("writable");
-    let said = failure(command!("recording labels", path("run.mcap"), "--import", path("bad.txt")));
-    assert!(said.contains("bad.txt") && said.contains("line 1"), "{said}");
+    fails_with(command!("recording labels", path("run.mcap"), "--import", path("bad.txt")), &["bad.txt", "line 1"]);
 }
 
 /// Asserts that labels are checked against the recording wherever they go, and that near misses of classes are told.
@@ -42,8 +41,7 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     simulate(&fixture("scenes/desk.toml"), "--frames 40", &path("run.mcap"));
     let label = |name: &str, options: &[&str]| command!("recording label", path(name), ..options);
     // A time before the recording is out of range, and no option of the command.
-    let said = failure(label("run.mcap", &["--span", "-1:2=two"]));
-    assert!(said.contains("'two' from -1 to 2 s is out of range"), "{said}");
+    fails_with(label("run.mcap", &["--span", "-1:2=two"]), &["'two' from -1 to 2 s is out of range"]);
     let file = path("labels.txt").display().to_string();
     let said = failure(label("run.mcap", &["--span", "0:99=two", "-o", &file]));
     assert!(said.contains("out of range") && !path("labels.txt").exists(), "{said}");
@@ -78,8 +76,7 @@ fn labels_are_replaced_and_erased_where_it_is_asked_for() {
     simulate(&fixture("scenes/desk.toml"), "--frames 40", &recording);
     let label = |options: &[&str]| command!("recording label", &recording, ..options);
     success(label(&["--span", "0:3=two", "--span", "1:2=a knock"]));
-    let said = failure(label(&["--span", "1:2=one"]));
-    assert!(said.contains("overlap") && said.contains("--replace"), "{said}");
+    fails_with(label(&["--span", "1:2=one"]), &["overlap", "--replace"]);
     let found = || {
         let spans = json_lines(label(&["--json"])).remove(0);
         let of = |span: &Value| {

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use radome_tests::{command, failure, fixture, json_lines, shared, wrong_use_with};
+use radome_tests::{command, fails_with, failure, fixture, json_lines, shared, wrong_use_with};
 
 #[test]
 fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
@@ -66,8 +66,7 @@ fn an_array_on_stdout_is_the_file() {
     assert_eq!(array.shape(), [8, 2, 2, 4]);
     let picture = folder.path().join("map.png");
     for wrong in [["--frame", "100"], ["--across-frames", "1000"], ["--frames", "0"]] {
-        let said = failure(command!("recording maps", ..wrong, &input, "--png", &picture));
-        assert!(said.contains("map") && said.contains("frames") && said.contains("hint"), "{said}");
+        fails_with(command!("recording maps", ..wrong, &input, "--png", &picture), &["map", "frames", "hint"]);
         assert!(!picture.exists(), "{wrong:?}");
     }
     // Messages had the program's own index in place of the number that was given.

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Stdio;
 
 use radome_tests::{
-    command, fails_with, failure, fixture, json_lines, radome, simulate, subcommand, success, write_file, wrong_use,
+    command, fails_with, failure, fixture, json_lines, radome, simulate, subcommand, success, write_file,
     wrong_use_with,
 };
 use serde_json::json;
@@ -157,8 +157,7 @@ fn no_output_takes_the_place_of_what_is_read() {
         std::fs::copy(fixture(input), &copy).expect("copies");
         let before = std::fs::read(&copy).expect("readable");
         let words = command.split(' ').map(|word| word.replace("INPUT", &copy.to_string_lossy()));
-        let said = wrong_use(radome().args(words).arg("-o").arg(&copy).arg("--overwrite"));
-        assert!(said.contains("is input and output at once"), "{command}: {said}");
+        wrong_use_with(radome().args(words).arg("-o").arg(&copy).arg("--overwrite"), &["is input and output at once"]);
         assert!(std::fs::read(&copy).expect("readable") == before, "{command} changed its input");
     }
 }

@@ -255,8 +255,7 @@ fn a_recorder_that_is_killed_leaves_what_it_had_written() {
         // The exit status reports that the end was lost.
         command!("recording repair", &made, "-o", &repaired).output().expect("runs");
         assert!(readable(&repaired) == count && is_complete(&repaired));
-        let again = failure(command!("record", at("source.mcap"), "-o", &made));
-        assert!(again.contains("exists already"), "{again}");
+        fails_with(command!("record", at("source.mcap"), "-o", &made), &["exists already"]);
         assert_eq!(readable(&made), count);
     }
 }
