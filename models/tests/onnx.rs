@@ -144,7 +144,6 @@ fn every_circuit_answers_alike_in_onnxruntime() {
     eprintln!("circuits: {largest:.1e}");
 }
 
-/// Asserts that the exported shipped models give the same probabilities in onnxruntime.
 #[test]
 fn shipped_models_classify_alike_as_onnx_files() {
     let folder = tempfile::tempdir().expect("folder");

@@ -149,8 +149,6 @@ fn shards_in_any_order_make_the_report_of_one_run() {
     assert_eq!(bytes(&report(spec, maps, together)), bytes(&whole));
 }
 
-/// Asserts that the models of all labels are kept under the names of their results, and that the report has every
-/// epoch.
 #[test]
 fn models_of_all_labels_and_curves_of_all_epochs_are_kept() {
     let (maps, spec) = (maps(), spec());

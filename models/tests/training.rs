@@ -189,7 +189,6 @@ fn one_seed_gives_one_model_on_any_number_of_threads() {
     assert_eq!(run(1, &changed), run(3, &changed));
 }
 
-/// Asserts that a training that is stopped anywhere and continued ends with the weights of an uninterrupted one.
 #[test]
 fn a_stopped_training_ends_as_if_it_had_not_been() {
     let (set, spec) = brief();
@@ -460,7 +459,6 @@ mod hard_cases {
         assert!(matches!(refused(&none, &spec), TrainError::EmptySplit { .. }));
     }
 
-    /// Asserts that a class without maps is reported, and that batches of one map (one class) cause no error.
     #[test]
     fn a_missing_class_and_batches_of_one_class_are_survived() {
         use Occupancy::{Empty, One};
@@ -545,7 +543,6 @@ mod hard_cases {
         assert!(*step >= 1 && ["conv", "fc", "head"].iter().any(|layer| what.contains(layer)), "{error}");
     }
 
-    /// Asserts that descriptors of maps without levels over noise are refused in training and in a file.
     #[test]
     fn descriptors_of_other_maps_than_over_noise_are_refused() {
         let (set, spec) = brief();

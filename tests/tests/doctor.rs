@@ -252,7 +252,6 @@ fn the_remedy_for_a_write_that_fails_is_that_of_its_cause() {
     );
 }
 
-/// Asserts that the packaged udev rules are those that the program prints, and that the unit uses existing options.
 #[test]
 fn the_packaged_rules_are_the_programs_and_the_unit_names_options_that_exist() {
     let read =

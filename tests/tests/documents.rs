@@ -193,7 +193,6 @@ fn the_readme_links_every_page_of_docs() {
     }
 }
 
-/// Asserts that paths in the text exist, relative to the root or to the folder of the page.
 #[test]
 fn paths_in_the_text_exist() {
     let (mut count, mut wrong) = (0, Vec::new());

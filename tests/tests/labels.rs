@@ -169,7 +169,6 @@ fn a_label_with_a_line_end_is_one_line_of_the_table() {
     assert!(info.contains(r"two\npeople\u{1b}[2J 1.0 s"), "{info}");
 }
 
-/// Asserts that labels that the page reports as saved are in the file, even if the program is killed.
 #[test]
 fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -74,7 +74,6 @@ fn every_network_can_be_trained_by_name_and_says_what_it_is() {
     assert!(said.contains("reference is absolute") && said.contains("hint: "), "{said}");
 }
 
-/// Asserts that each of a dozen recordings can be the test split.
 #[test]
 fn one_recording_can_be_held_out() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -187,7 +186,6 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
     fails_with(on_recording(Path::new("cfar")), &["raw frames", "hint:"]);
 }
 
-/// Asserts that the settings of the shipped models can be read and used for training.
 #[test]
 fn shipped_settings_train_a_model() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -522,8 +520,6 @@ mod hard_cases {
         success(train(folder.path(), &["--spec", &spec.display().to_string()]));
     }
 
-    /// Asserts that impossible augmentation settings are refused: echo gains without levels over noise, a probability
-    /// above one, and an unknown key.
     #[test]
     fn settings_of_augmentation_that_cannot_be_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");

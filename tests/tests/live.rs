@@ -140,7 +140,6 @@ fn frames_before_the_one_that_is_sought_are_neither_printed_nor_counted() {
     assert_eq!(summary["summary"]["frames"], printed.len(), "{summary}");
 }
 
-/// Asserts the sign convention from scene to page: a receding walker has positive velocity in the browser.
 #[test]
 fn who_walks_away_has_positive_velocity_on_the_page() {
     for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {

@@ -168,7 +168,6 @@ fn a_walker_is_recovered_within_ten_centimetres_where_visible() {
     }
 }
 
-/// Asserts that two people who pass each other in the corridor keep their identities.
 #[test]
 fn two_who_pass_each_other_are_both_recovered() {
     let to: &Path2 = &[([7.0, 0.6], 0.0), ([1.5, 0.6], 1.2), ([5.0, 0.6], 1.0)];

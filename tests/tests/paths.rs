@@ -72,7 +72,6 @@ fn first_reflections_are_as_long_as_mirrors_say() {
     assert!(seen >= 12, "{seen} paths");
 }
 
-/// Asserts that the length of each path past a body and walls equals the sum of the distances between its corners.
 #[test]
 fn paths_by_somebody_are_as_long_as_their_corners_are_apart() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -262,7 +262,6 @@ fn people_who_are_there_from_the_first_frame_are_found_within_a_second() {
     }
 }
 
-/// Asserts that false alarms per hour are reported for each rung and for recordings.
 #[test]
 fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -150,7 +150,6 @@ fn tables_of_conditions_are_named_by_their_group() {
     assert_eq!(filled("page", &out, ""), (out.clone(), Vec::new()));
 }
 
-/// Asserts that the program makes the same report from the JSON file beside it, where there is one.
 #[test]
 fn reports_are_those_of_the_json_files_beside_them() {
     for entry in fs::read_dir(root().join("docs/studies")).expect("a folder").flatten() {

@@ -247,7 +247,6 @@ fn the_script_of_an_array_runs_the_study_in_shards() {
 mod hard_cases {
     use super::*;
 
-    /// Asserts that a run killed within a training repeats that training only.
     #[test]
     fn a_study_killed_within_a_training_repeats_no_other() {
         let place = Place::new(&STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
@@ -313,7 +312,6 @@ mod hard_cases {
         assert_eq!(report["done"].as_u64(), Some(0), "{report}");
     }
 
-    /// Asserts that one shard builds the missing dataset while the others wait.
     #[test]
     fn shards_build_one_dataset() {
         let place = Place::new(&STUDY.replace("none.toml", "maps.toml").replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));

@@ -166,7 +166,6 @@ fn the_time_stands_in_a_name_where_it_is_asked_for() {
     assert_eq!(files(folder.path()).len(), 3);
 }
 
-/// Asserts that runs which begin at once record to a file each, whatever the second in which each of them begins.
 #[test]
 fn runs_that_begin_at_once_in_one_folder_record_to_a_file_each() {
     let folder = tempfile::tempdir().expect("a folder");
