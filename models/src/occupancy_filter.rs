@@ -120,7 +120,7 @@ impl Default for Smoothing {
 
 impl Smoothing {
     /// Settings of model files without any: short presences, full weight of single frames.
-    pub(crate) fn of_old_models() -> Self {
+    pub(crate) const fn of_old_models() -> Self {
         Smoothing {
             dwell_s: 8.0,
             weight: Some(1.0),
@@ -312,24 +312,11 @@ mod tests {
     use crate::evaluate::{Metrics, most_probable};
 
     /// Settings of models from before `independent_s`: each frame is half a piece of evidence.
-    const BY_FRAME: Smoothing = Smoothing {
-        dwell_s: 8.0,
-        weight: Some(0.5),
-        independent_s: None,
-        temperature: 1.0,
-        newest: 0.0,
-        one_share: 0.5,
-    };
+    const BY_FRAME: Smoothing = Smoothing { weight: Some(0.5), ..Smoothing::of_old_models() };
 
     /// Settings for people who stay for long, by time.
-    const SLOW: Smoothing = Smoothing {
-        dwell_s: 60.0,
-        weight: None,
-        independent_s: Some(1.0),
-        temperature: 1.0,
-        newest: 0.0,
-        one_share: 0.5,
-    };
+    const SLOW: Smoothing =
+        Smoothing { dwell_s: 60.0, weight: None, independent_s: Some(1.0), ..Smoothing::of_old_models() };
 
     fn filter(smoothing: Smoothing) -> OccupancyFilter {
         OccupancyFilter::new(smoothing, 0.1)
@@ -423,17 +410,7 @@ mod tests {
     fn old_settings_are_read() {
         let old = r#"{"dwell_s":60.0,"unseen_share":0.3,"unseen_s":3.0,"weight":0.15}"#;
         let read: Smoothing = serde_json::from_str(old).expect("old settings");
-        assert_eq!(
-            read,
-            Smoothing {
-                dwell_s: 60.0,
-                weight: Some(0.15),
-                independent_s: None,
-                temperature: 1.0,
-                newest: 0.0,
-                one_share: 0.5
-            }
-        );
+        assert_eq!(read, Smoothing { dwell_s: 60.0, weight: Some(0.15), ..Smoothing::of_old_models() });
         assert_eq!(read.fault(), None);
         assert_eq!(serde_json::to_string(&read).expect("JSON"), r#"{"dwell_s":60.0,"weight":0.15}"#);
         // A frame's evidence to the power of its weight, at any frame interval.
@@ -476,13 +453,10 @@ mod tests {
                 assert_eq!(settings.fault().map(|fault| fault.0), Some(name), "{bad}");
             }
         }
-        for one_share in [0.0, 1.0, f64::NAN] {
-            let settings = Smoothing { one_share, ..Smoothing::default() };
-            assert_eq!(settings.fault().map(|fault| fault.0), Some("smoothing.one_share"), "{one_share}");
-        }
-        for newest in [-0.1, 1.1, f64::NAN] {
-            let settings = Smoothing { newest, ..Smoothing::default() };
-            assert_eq!(settings.fault().map(|fault| fault.0), Some("smoothing.newest"), "{newest}");
+        for (one_share, newest) in [(0.0, -0.1), (1.0, 1.1), (f64::NAN, f64::NAN)] {
+            let named = |settings: Smoothing| settings.fault().map(|fault| fault.0);
+            assert_eq!(named(Smoothing { one_share, ..Smoothing::default() }), Some("smoothing.one_share"));
+            assert_eq!(named(Smoothing { newest, ..Smoothing::default() }), Some("smoothing.newest"));
         }
         assert_eq!(Smoothing::default().fault(), None);
     }
