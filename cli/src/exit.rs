@@ -16,7 +16,6 @@ pub const HELP: &str = "Examples:\n  \
 /// Outcome of a command that did not fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ended {
-    /// Everything is done.
     Done,
     /// Everything is done, but data were lost.
     Lost,

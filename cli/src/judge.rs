@@ -112,7 +112,6 @@ enum Kind {
     Cfar(Box<CfarCounter>),
 }
 
-/// Prediction for one frame.
 pub enum Prediction {
     /// The window over frames holds `have` of the `need` frames.
     WarmingUp { have: usize, need: usize },

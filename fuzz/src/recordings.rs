@@ -19,7 +19,6 @@ pub const INFINEON_FILES: [&str; 6] = [
     "format.version",
 ];
 
-/// Waveform of the small recordings.
 pub fn waveform() -> Waveform {
     let request = WaveformRequest {
         rx_antennas: radome_dsp::RxMask::from_antennas(&[1]).expect("an antenna"),

@@ -15,7 +15,6 @@ const DEEPEST: usize = 12;
 
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Found {
-    /// Path to open.
     pub path: PathBuf,
     /// Session by its path from the folder; several radars may have recorded it.
     pub session: String,

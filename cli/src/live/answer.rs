@@ -89,7 +89,6 @@ pub struct Latency {
     pub p99: f64,
 }
 
-/// Summary of a run.
 #[derive(Debug, Clone, Serialize)]
 pub struct Summary {
     /// Frames that arrived.

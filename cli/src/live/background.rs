@@ -50,7 +50,6 @@ pub struct Background {
     level_db: Vec<f32>,
 }
 
-/// Capture in progress.
 #[derive(Default)]
 pub struct Capture {
     maps: Vec<Vec<f32>>,

@@ -31,7 +31,6 @@ const MOST_HEADERS: usize = 64;
 /// Pause after a connection could not be accepted. If file descriptors have run out, others must close first.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
-/// Limits of a server.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     /// Largest number of simultaneous connections.

@@ -13,7 +13,6 @@ pub(super) struct View {
     pub corner: Pixel,
     /// Pixels of a metre.
     pub per_m: f64,
-    /// Size of the room, m.
     pub size_m: DVec3,
 }
 

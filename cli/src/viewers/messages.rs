@@ -55,13 +55,9 @@ message! {
     /// Image without compression.
     "foxglove", RawImage, RAW_IMAGE, None;
     timestamp: Option<Timestamp> = message,
-    /// Pixels in a row.
     width: u32 = fixed32,
-    /// Rows.
     height: u32 = fixed32,
-    /// Type of a pixel.
     encoding: String = string,
-    /// Bytes in a row.
     step: u32 = fixed32,
     data: Vec<u8> = bytes,
     frame_id: String = string,
@@ -72,7 +68,6 @@ message! {
     "foxglove", CompressedImage, COMPRESSED_IMAGE, None;
     timestamp: Option<Timestamp> = message,
     data: Vec<u8> = bytes,
-    /// Format of the file.
     format: String = string,
     frame_id: String = string,
 }
@@ -88,7 +83,6 @@ message! {
     timestamp: Option<Timestamp> = message,
     level: i32 = int32,
     message: String = string,
-    /// Source of the line.
     name: String = string,
     file: String = string,
     line: u32 = fixed32,
@@ -98,13 +92,11 @@ message! {
     /// Numbers of a frame. An unknown number is NaN, which plots skip.
     "radome", State, STATE, None;
     timestamp: Option<Timestamp> = message,
-    /// Sequence number of the frame.
     sequence: u64 = uint64,
     /// Temperature of the chip, degrees Celsius.
     temperature_celsius: f64 = double,
     /// Frame rate by the frames' own clock, from the interval to the previous frame.
     frames_per_s: f64 = double,
-    /// Frames lost so far.
     frames_lost: u64 = uint64,
     /// Samples of the frame at either end of the ADC.
     saturated_samples: u32 = uint32,
@@ -118,15 +110,10 @@ message! {
     /// Answer of a classifier to a frame. Without a label the text is empty and the probabilities are NaN.
     "radome", Answer, ANSWER, None;
     timestamp: Option<Timestamp> = message,
-    /// Sequence number of the frame.
     sequence: u64 = uint64,
-    /// Most likely class.
     label: String = string,
-    /// Probability of nobody.
     p_empty: f32 = float,
-    /// Probability of one person.
     p_one: f32 = float,
-    /// Probability of two people or more.
     p_two: f32 = float,
     /// Number of people, after the classifier's delays.
     people: u32 = uint32,

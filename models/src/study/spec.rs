@@ -193,7 +193,6 @@ impl StudySpec {
         Ok(spec)
     }
 
-    /// Learning rates that are tried.
     pub(super) fn rates(&self) -> Vec<f64> {
         if self.learning_rates.is_empty() { vec![self.train.learning_rate] } else { self.learning_rates.clone() }
     }

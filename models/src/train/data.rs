@@ -266,7 +266,6 @@ fn class_weights(spec: &TrainSpec, train: &Part, partners: Option<&Partners>) ->
     shown.iter().zip(spec.label_weights).map(|(&n, by)| of_class(n) * by as f32).collect()
 }
 
-/// Measures the standardisation on the training maps.
 fn standardisation(spec: &TrainSpec, rows: &[ManifestRow], train: &Part) -> Result<Standardisation, TrainError> {
     let bounded = train.maps.iter().map(|map| spec.reference.bounded(map));
     let mut standardisation = Standardisation::measure(spec.reference, bounded)?;

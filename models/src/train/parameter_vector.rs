@@ -32,7 +32,6 @@ impl<'a> ParameterVector<'a> {
         self.iter().flat_map(|parameter| vec![number(parameter); parameter.variable.elem_count()]).collect()
     }
 
-    /// Present values.
     pub(super) fn numbers(&self) -> Result<Vec<f64>> {
         let mut numbers = Vec::new();
         for parameter in self.iter() {
@@ -41,7 +40,6 @@ impl<'a> ParameterVector<'a> {
         Ok(numbers)
     }
 
-    /// Sets the parameters of the network.
     pub(super) fn set(&self, numbers: &[f64]) -> Result<()> {
         let mut rest = numbers.iter();
         for Parameter { variable, .. } in self.iter() {

@@ -172,7 +172,6 @@ struct Judged {
     frames: u64,
     /// Fraction of them that were predicted correctly.
     right: f64,
-    /// Predictions for each label.
     by_label: Vec<OfLabel>,
     /// Intervals of one label, each with the time in seconds until its first correct frame.
     stretches: Vec<Stretch>,

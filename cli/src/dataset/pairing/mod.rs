@@ -89,7 +89,6 @@ pub struct Settings {
     seed: u64,
 }
 
-/// Stored pair.
 pub struct Paired {
     pub name: String,
     /// Number of maps of both sides.

@@ -27,7 +27,6 @@ const MOST_UNSEEN: u32 = 2;
 /// Time after which a page gets a picture even without an acknowledgement, in case it cannot send.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Identifier of a page.
 pub type PageId = u64;
 
 struct PageState {

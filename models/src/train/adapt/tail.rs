@@ -182,12 +182,10 @@ impl<'a> Tail<'a> {
         Some(Tail { network, given, parameters, temperature, inputs, weight, bias, outputs, logits })
     }
 
-    /// Present parameters.
     pub(super) fn numbers(&self) -> Result<Vec<f64>, AdaptError> {
         Ok(self.parameters.numbers()?)
     }
 
-    /// Sets the parameters of the network.
     pub(super) fn set(&self, numbers: &[f64]) -> Result<(), AdaptError> {
         Ok(self.parameters.set(numbers)?)
     }

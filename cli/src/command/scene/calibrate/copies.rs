@@ -18,13 +18,11 @@ pub struct Copies {
     pub has_scene: bool,
     people: Option<usize>,
     seeds: std::ops::Range<u64>,
-    /// Frames of each copy.
     frames: u64,
 }
 
 /// Samples of copies simulated with one receiver.
 pub struct Simulated {
-    /// Samples by seed.
     pub samples: Vec<Sample>,
     /// Fit of each receiver over all copies.
     pub channels: Vec<ChannelFit>,

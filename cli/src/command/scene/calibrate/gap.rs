@@ -54,7 +54,6 @@ pub struct Channel {
     pub noise_by_bin_db: Vec<f64>,
     /// Difference between the mean chirps' lowest range bins, relative to those of the recording.
     pub leakage_error: f64,
-    /// Figures of the maps.
     #[serde(flatten)]
     pub figures: Figures,
     /// Interval that holds 95 of 100 draws, by name of the figure.

@@ -14,7 +14,6 @@ const EMPTY_RECORDING_S: f64 = 360.0;
 
 /// Rung, ready to be simulated.
 pub(super) struct Rung {
-    /// Short name.
     pub(super) name: String,
     /// One sentence that describes the difference from training.
     pub(super) about: String,
