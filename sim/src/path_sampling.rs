@@ -107,7 +107,7 @@ pub struct SamplingTolerance {
 pub struct KeyedPaths {
     /// The paths, to all receivers.
     pub tracks: Tracks,
-    /// Weak paths in each interval of the frame. Without intervals, all paths are in `tracks`.
+    /// Weak paths in each interval of the frame, both directions as one echo. Without intervals, all paths are in `tracks`.
     pub weak: Vec<HeldEchoes>,
     /// Number of traced paths that are audible.
     pub received: usize,

@@ -227,7 +227,7 @@ impl PathSegment {
     }
 
     /// Delay, s, with its first and second time derivative, at `u`.
-    pub fn bent_delay(&self, u: f64) -> [f64; 3] {
+    pub fn delay_with_derivatives(&self, u: f64) -> [f64; 3] {
         let (mut value, mut slope, mut half_curve) = (0.0, 0.0, 0.0);
         for c in self.delay_s.iter().rev() {
             half_curve = half_curve * u + slope;

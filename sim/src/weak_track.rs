@@ -1,6 +1,6 @@
 //! Weak paths as echoes with held positions on the frequency grid ([`HeldEcho`]), which are synthesised much faster.
 //!
-//! The error of a held echo is a few per cent of its amplitude. That of a weak path is therefore far below the noise.
+//! The error of a held echo is a few per cent of its amplitude. That of a weak path is therefore below the noise.
 
 use std::f64::consts::PI;
 
@@ -12,7 +12,7 @@ use crate::synthesis::{HeldEcho, HeldEchoes};
 use crate::tracks::{RECEIVERS, Track};
 
 /// Largest amplitude of a weak path, relative to the amplitude below which a path is invisible. With that limit 10 dB
-/// below the noise, such a path is 10 dB above it, and 4 % of its amplitude are 18 dB below it.
+/// below the noise, such a path is 19.5 dB above it, and 4 % of its amplitude are 8.5 dB below it.
 const MOST: f64 = 30.0;
 /// Largest deviation of a weak path's amplitude from a straight line over an interval, in the same unit.
 const MOST_BEND: f64 = 0.3;
@@ -45,9 +45,10 @@ pub fn add(
         return false;
     }
     let ends: Vec<End> = (0..=count).map(|i| End::new(first, exchanged.as_ref(), place(2 * i), chirp)).collect();
-    // A phasor that turns between two ends deviates from a straight line by an eighth of the square of the angle.
-    let turned_rad = |[a, b]: &[End; 2]| PI * (b.apart_cycles - a.apart_cycles);
-    if ends.array_windows().any(|ends| turned_rad(ends).powi(2) > 8.0 * MOST_BEND / MOST) {
+    // Each direction turns by half of the angle between them, and deviates from a straight line by an eighth of the square
+    // of its angle.
+    let half_turn_rad = |[a, b]: &[End; 2]| PI * (b.apart_cycles - a.apart_cycles);
+    if ends.array_windows().any(|ends| half_turn_rad(ends).powi(2) > 8.0 * MOST_BEND / MOST) {
         return false;
     }
     for ([begin, end], interval) in ends.array_windows().zip(intervals) {
@@ -69,8 +70,8 @@ struct End {
 
 impl End {
     fn new(first: &Track, exchanged: Option<&Track>, u: f64, chirp: &Chirp) -> Self {
-        let own = first.first.bent_delay(u);
-        let other = exchanged.map_or(own, |track| track.first.bent_delay(u));
+        let own = first.first.delay_with_derivatives(u);
+        let other = exchanged.map_or(own, |track| track.first.delay_with_derivatives(u));
         let delay: [f64; 3] = std::array::from_fn(|order| 0.5 * (own[order] + other[order]));
         let carrier_hz = chirp.start_hz + chirp.slope_hz_per_s * (chirp.middle_s - delay[0]);
         let mut amplitudes = [Complex64::ZERO; RECEIVERS];

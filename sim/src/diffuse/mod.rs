@@ -20,7 +20,7 @@
 //! `points.rs` generates the points of a room, with `facets.rs` for rooms of any shape; [`crate::echo::diffuse`] adds a
 //! person's echoes over them. There are thousands of echoes. Each is weak, and together they are a field of random
 //! phases, of which only the mean power at each delay and rate matters. If the tolerance permits, each segment of a
-//! body takes a part of the points ([`crate::echo::diffuse::points_a_segment`]), and echoes are added for many chirps
+//! body takes a part of the points ([`crate::echo::diffuse::Thinning`]), and echoes are added for many chirps
 //! at once ([`crate::synthesis::RateGrids`]).
 
 mod facets;

@@ -63,7 +63,7 @@ impl From<(ImageIndex, ImageIndex)> for AudiblePair {
 }
 
 /// Selects image pairs, with the segments of a person that may be audible through them at any of these instants. Each
-/// pair stands for both directions. The direct pair is the first and is always kept.
+/// pair of different images stands for both directions. The direct pair is the first and is always kept.
 pub fn audible_paths(prepared: &PreparedScene, motion: &Motion, instants_s: &[f64]) -> Vec<AudiblePair> {
     let bodies: Vec<[Ellipsoid; SEGMENTS]> = instants_s.iter().map(|&time_s| motion.body(time_s)).collect();
     // The list has every pair in both orders.

@@ -7,9 +7,9 @@
 //! All ways end with few legs: between a segment and each antenna, and between it and each point. A leg has a length
 //! with two time derivatives, and a field; an echo adds the lengths and multiplies the fields of its two ways.
 //!
-//! An echo weaker than a path that is invisible in any map matters by its mean power only. Of such echoes, a part is
-//! taken that has the same mean power: each with a probability that is its power relative to that of the invisible path,
-//! with the amplitude of that path.
+//! An echo weaker than a path that is invisible in any map matters by its mean power only. Of such echoes, only a part is
+//! taken, with the same mean power: an echo is taken if its power, relative to that of the invisible path, exceeds a
+//! number from an even sequence, and then has the amplitude of that path ([`Thinning`]).
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
@@ -35,11 +35,35 @@ use crate::tracks::RECEIVERS;
 /// individual detections, like a second person.
 const LEAST_POINTS: usize = 64;
 
-/// Returns the number of the walls' points that each segment of a body takes at a tolerance: all of them up to 0.5 dB,
-/// a quarter at 1 dB.
-pub fn points_a_segment(points: usize, tolerance_db: f64) -> usize {
-    let part = (0.5 / tolerance_db).powi(2);
-    ((points as f64 * part).ceil() as usize).clamp(LEAST_POINTS.min(points), points)
+/// Tolerance up to which the echoes of all points are computed, dB.
+const ALL_POINTS_DB: f64 = 0.5;
+
+/// Part of the diffuse echoes that is computed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Thinning {
+    /// Number of the walls' points that each segment of a body takes.
+    points_a_segment: usize,
+    /// Amplitude at the ADC of a path that is invisible in any map, LSB.
+    invisible_lsb: f64,
+}
+
+impl Thinning {
+    /// Takes all points up to 0.5 dB, and a quarter of them at 1 dB. `threshold_lsb` is the amplitude below which a path
+    /// may be neglected at the tolerance. It is visible at coarse tolerances, where that of 0.5 dB is the limit.
+    pub fn new(points: usize, tolerance_db: f64, threshold_lsb: f64) -> Self {
+        let part = (ALL_POINTS_DB / tolerance_db).powi(2);
+        Thinning {
+            points_a_segment: ((points as f64 * part).ceil() as usize).clamp(LEAST_POINTS.min(points), points),
+            invisible_lsb: threshold_lsb * (ALL_POINTS_DB / tolerance_db).min(1.0),
+        }
+    }
+
+    /// Returns the largest number of a person's diffuse echoes in an interval.
+    pub fn most_echoes(&self) -> usize {
+        /// Number of echoes for each point: by way of the point and directly, and half of an echo by way of two points.
+        const ECHOES: usize = 2;
+        ECHOES * SEGMENTS * self.points_a_segment
+    }
 }
 
 /// Returns the indices of the points that a segment takes: evenly spread over all, with another offset for each
@@ -49,58 +73,51 @@ fn points_of(segment: usize, taken: usize, points: usize) -> impl Iterator<Item 
     (0..taken).map(move |i| ((i as f64 + shift) * points as f64 / taken as f64) as usize).filter(move |&i| i < points)
 }
 
-/// Returns the chances of a segment's echoes by way of a point, 0 to 1: with a direct way back, and by way of its partner.
-/// An echo is taken if its power, relative to that of an invisible path, exceeds its chance. For all segments and points
-/// the chances are spread evenly (Roberts's sequence, multiples of powers of the inverse plastic number).
-fn chances(segment: usize, point: usize) -> [f64; 2] {
+/// Returns the draws for a segment's echoes by way of one of the points that it takes, 0 to 1: with a direct way back,
+/// and by way of the point's partner. An echo is taken if its power, relative to that of an invisible path, exceeds its
+/// draw. For all segments and the places of points among those taken, the draws are spread evenly (Roberts's sequence,
+/// multiples of powers of the inverse plastic number).
+fn draws(segment: usize, place: usize) -> [f64; 2] {
     const STEPS: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
-    let chance = (point as f64 * STEPS[0] + segment as f64 * STEPS[1]).fract();
-    [chance, (chance + 0.5).fract()]
-}
-
-/// Returns the largest number of a person's diffuse echoes in an interval.
-pub fn most_echoes(prepared: &PreparedScene, points_a_segment: usize) -> usize {
-    /// Number of echoes for each point: by way of the point and directly, and half of an echo by way of two points.
-    const ECHOES: usize = 2;
-    ECHOES * SEGMENTS * points_a_segment.min(prepared.wall_points.len())
+    let draw = (0.5 + place as f64 * STEPS[0] + segment as f64 * STEPS[1]).fract();
+    [draw, (draw + 0.5).fract()]
 }
 
 /// Adds a person's diffuse echoes to those of each interval of a frame. `own` is that person at the ends of the
-/// intervals. Each segment of the body takes `points_a_segment` of the points, with echoes scaled so that the mean
-/// power does not depend on that number.
-pub fn add(prepared: &PreparedScene, points_a_segment: usize, own: &[&Snapshot], intervals: &mut [HeldEchoes]) {
-    let points = &prepared.wall_points;
+/// intervals. Echoes are scaled so that the mean power does not depend on the part of them that is computed.
+pub fn add(prepared: &PreparedScene, thinning: &Thinning, own: &[&Snapshot], intervals: &mut [HeldEchoes]) {
+    let (points, points_a_segment) = (&prepared.wall_points, thinning.points_a_segment);
     let share = (points.len() as f64 / points_a_segment.max(1) as f64).sqrt();
     let segments: Vec<Segment> =
         (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(prepared, own, s, share)).collect();
     let strongest = segments.iter().map(Segment::most_strength).fold(0.0, f64::max);
-    let audible = audible(prepared, own, strongest);
+    let audible = audible(prepared, thinning, own, strongest);
     let mut taken: [Vec<Taken>; 2] = Default::default();
     for (number, segment) in segments.iter().enumerate() {
         taken.iter_mut().for_each(Vec::clear);
         let weaker = (segment.most_strength() / strongest.max(1e-300)).powi(2);
-        for index in points_of(number, points_a_segment, points.len()) {
+        for (place, index) in points_of(number, points_a_segment, points.len()).enumerate() {
             let (Some(point), Some(&[alone, paired])) = (points.get(index), audible.get(index)) else { continue };
-            let [chance, paired_chance] = chances(number, index);
-            if alone * weaker > chance {
-                taken[0].push(Taken { point, partner: None, chance });
+            let [draw, paired_draw] = draws(number, place);
+            if alone * weaker > draw {
+                taken[0].push(Taken { point, partner: None, draw });
             }
-            let partner = point.partner.filter(|_| paired * weaker > paired_chance);
+            let partner = point.partner.filter(|_| paired * weaker > paired_draw);
             if let Some(partner) = partner.and_then(|number| points.get(number)) {
-                taken[1].push(Taken { point, partner: Some(partner), chance: paired_chance });
+                taken[1].push(Taken { point, partner: Some(partner), draw: paired_draw });
             }
         }
         for lanes in taken.iter().flat_map(|of_a_kind| of_a_kind.chunks(WIDE)) {
-            segment.add(prepared, lanes, intervals);
+            segment.add(prepared, thinning, lanes, intervals);
         }
     }
 }
 
-/// Way over a point, or over it and its partner, whose echo is taken if its power exceeds its chance.
+/// Way over a point, or over it and its partner, whose echo is taken if its power exceeds its draw.
 struct Taken<'a> {
     point: &'a WallPoint,
     partner: Option<&'a WallPoint>,
-    chance: f64,
+    draw: f64,
 }
 
 impl Taken<'_> {
@@ -123,7 +140,7 @@ impl Taken<'_> {
 /// Bounds the power of the echoes over each point, relative to that of an invisible path: by way of the point and
 /// directly, and by way of it and its partner. The bound uses the distance of the whole body, and the strength of its
 /// strongest segment.
-fn audible(prepared: &PreparedScene, own: &[&Snapshot], strongest: f64) -> Vec<[f64; 2]> {
+fn audible(prepared: &PreparedScene, thinning: &Thinning, own: &[&Snapshot], strongest: f64) -> Vec<[f64; 2]> {
     let chest = |now: &Snapshot| now.body[CHEST].centre;
     let reach = |now: &Snapshot| now.body.iter().map(|e| e.centre.distance(chest(now))).fold(0.0, f64::max);
     let reach_m = own.iter().map(|now| reach(now)).fold(0.0, f64::max);
@@ -131,7 +148,7 @@ fn audible(prepared: &PreparedScene, own: &[&Snapshot], strongest: f64) -> Vec<[
         let distance_m = own.iter().map(|now| chest(now).distance(position)).fold(f64::INFINITY, f64::min);
         1.0 / (distance_m - reach_m).max(LEAST_LEG_M)
     };
-    let relative = prepared.lsb.first().copied().unwrap_or(0.0) * strongest / prepared.threshold_lsb;
+    let relative = prepared.lsb.first().copied().unwrap_or(0.0) * strongest / thinning.invisible_lsb;
     let near_rx = prepared.rx.first().map_or(0.0, |rx| near(rx.position));
     let direct = AntennaPaths::new((0.0, near(prepared.tx.position)), &[(0.0, near_rx)], prepared.wavelength_m);
     let points = &prepared.wall_points;
@@ -216,8 +233,8 @@ impl Segment {
         self.strength.iter().copied().fold(0.0, f64::max)
     }
 
-    /// Adds echoes, one per lane and all of one kind, whose largest power exceeds their chance ([`chances`]).
-    fn add(&self, prepared: &PreparedScene, taken: &[Taken], intervals: &mut [HeldEchoes]) {
+    /// Adds echoes, one per lane and all of one kind, whose largest power exceeds their draw ([`draws`]).
+    fn add(&self, prepared: &PreparedScene, thinning: &Thinning, taken: &[Taken], intervals: &mut [HeldEchoes]) {
         let Some(first) = taken.first() else { return };
         let (level, lsb) = (KernelLevel::detect(), prepared.lsb.first().copied().unwrap_or(0.0));
         let rows = |of: &dyn Fn(&Taken) -> Option<DVec3>| {
@@ -247,13 +264,13 @@ impl Segment {
             heard_by_ways(level, prepared, lsb * strength, [&there, &back], &between_m, &mut heard);
             for (l, (power, taken)) in power.iter_mut().zip(taken).enumerate() {
                 let (paths, factor) = taken.back(direct, points);
-                let stronger = factor * taken.point.antennas.stronger_way(paths) / prepared.threshold_lsb;
+                let stronger = factor * taken.point.antennas.stronger_way(paths) / thinning.invisible_lsb;
                 *power = power.max(heard.power[l] * stronger * stronger);
             }
             times.push(heard);
         }
         for (l, (&power, taken)) in
-            power.iter().zip(taken).enumerate().filter(|(_, (power, taken))| **power > taken.chance)
+            power.iter().zip(taken).enumerate().filter(|(_, (power, taken))| **power > taken.draw)
         {
             let louder = power.sqrt().recip().max(1.0);
             let key = |(heard, direct): (&HeardRows, &DirectPaths)| -> Key {
@@ -281,8 +298,15 @@ mod tests {
     /// Subsets cover all points evenly, and all of them at a tight tolerance.
     #[test]
     fn segments_take_points_evenly() {
-        assert_eq!([0.1, 0.5, 0.75, 1.0, 5.0].map(|db| points_a_segment(256, db)), [256, 256, 114, 64, 64]);
-        assert_eq!([0.5, 5.0].map(|db| points_a_segment(64, db)), [64, 64]);
+        let of = |points: usize, tolerance_db: f64| Thinning::new(points, tolerance_db, 2.0 * tolerance_db);
+        let points = |of: Thinning| of.points_a_segment;
+        assert_eq!([0.1, 0.5, 0.75, 1.0, 5.0].map(|db| points(of(256, db))), [256, 256, 114, 64, 64]);
+        assert_eq!([0.5, 5.0].map(|db| points(of(64, db))), [64, 64]);
+        assert_eq!(
+            [0.1, 0.5, 1.0, 5.0].map(|db| of(256, db).invisible_lsb),
+            [0.2, 1.0, 1.0, 1.0],
+            "it stays invisible"
+        );
         assert!(points_of(5, 100, 100).eq(0..100));
         let mut taken = [0; 256];
         for segment in 0..13 {
@@ -296,15 +320,14 @@ mod tests {
     /// Of echoes of any power below that of an invisible path, a part is taken that is this power, in every segment: so
     /// those that are taken, with the power of the invisible path, have the same mean power.
     #[test]
-    fn chances_keep_the_mean_power() {
-        const POINTS: usize = 256;
-        for power in [0.01, 0.05, 0.2, 0.5, 0.9] {
-            for way in 0..2 {
-                let taken = |segment: usize| (0..POINTS).filter(|&point| power > chances(segment, point)[way]).count();
-                let of_segments: Vec<f64> = (0..SEGMENTS).map(|s| taken(s) as f64 / POINTS as f64).collect();
+    fn draws_keep_the_mean_power() {
+        for (points, most_mean, most) in [(256, 0.001, 0.012), (64, 0.005, 0.05)] {
+            for (power, way) in [0.01, 0.05, 0.2, 0.5, 0.9].into_iter().flat_map(|power| [(power, 0), (power, 1)]) {
+                let taken = |segment: usize| (0..points).filter(|&place| power > draws(segment, place)[way]).count();
+                let of_segments: Vec<f64> = (0..SEGMENTS).map(|s| taken(s) as f64 / points as f64).collect();
                 let mean = of_segments.iter().sum::<f64>() / SEGMENTS as f64;
-                assert!((mean - power).abs() < 0.001 + 0.01 * power, "{power}: {mean}");
-                assert!(of_segments.iter().all(|part| (part - power).abs() < 0.012), "{power}: {of_segments:?}");
+                assert!((mean - power).abs() < most_mean + 0.01 * power, "{points}, {power}: {mean}");
+                assert!(of_segments.iter().all(|part| (part - power).abs() < most), "{power}: {of_segments:?}");
             }
         }
     }

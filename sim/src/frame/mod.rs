@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use radome_dsp::{Frame, FrameShape, Waveform};
 
-use crate::echo::diffuse;
+use crate::echo::diffuse::Thinning;
 use crate::echo::skin::SkinnedPerson;
 use crate::em::curved_triangle::Integrator;
 use crate::people::motion::Motion;
@@ -73,7 +73,7 @@ pub(crate) struct FrameSimulator {
     floor: Floor,
     prepared: PreparedScene,
     /// Number of wall points that each segment of a body takes.
-    points_a_segment: usize,
+    thinning: Thinning,
     sway: SwayingReflectors,
     /// Errors common to all echoes of a chirp; `None` where there are none.
     turns: Option<ChirpTurns>,
@@ -117,7 +117,7 @@ impl FrameSimulator {
             options,
             scenario: Scenario::new(scene, options.seed, options.people),
             floor: Floor::of(scene),
-            points_a_segment: diffuse::points_a_segment(prepared.wall_points.len(), options.tolerance_db),
+            thinning: Thinning::new(prepared.wall_points.len(), options.tolerance_db, prepared.threshold_lsb),
             sway: SwayingReflectors::new(scene, &prepared, options.seed),
             turns: ChirpTurns::new(scene, options.seed),
             spurs: (0..prepared.channels.len()).map(spurs).collect(),

@@ -17,7 +17,8 @@ use crate::tracks::Tracks;
 pub(super) const FIRST_HALVINGS: u32 = 1;
 pub(super) const MOST_SKIN_HALVINGS: u32 = 3;
 /// Allowed interpolation error between key times of an ellipsoid's echo for half a decibel, relative to it (-40 dB of
-/// error vector magnitude). Weak paths have cells of their own in a map, where nothing stronger hides their errors.
+/// error vector magnitude). Weak paths have cells of their own in a map, where nothing stronger hides their errors. Weak paths
+/// that are held have larger errors ([`crate::weak_track`]).
 const KEY_TOLERANCE: f64 = 0.01;
 
 /// Paths of all people in a frame.
@@ -83,7 +84,7 @@ impl FrameSimulator {
         }
         let halvings = halvings.min(FIRST_HALVINGS);
         let mut held = vec![HeldEchoes::new(self.active_s() / f64::from(1u32 << halvings)); 1 << halvings];
-        let most = people * diffuse::most_echoes(&self.prepared, self.points_a_segment);
+        let most = people * self.thinning.most_echoes();
         held.iter_mut().for_each(|interval| interval.reserve(most));
         held
     }
@@ -95,7 +96,7 @@ impl FrameSimulator {
         for me in 0..people {
             let own: Vec<&Snapshot> =
                 traced.snapshots.iter().step_by(step).filter_map(|people| people.get(me)).collect();
-            diffuse::add(&self.prepared, self.points_a_segment, &own, &mut traced.held);
+            diffuse::add(&self.prepared, &self.thinning, &own, &mut traced.held);
         }
     }
 
@@ -117,8 +118,8 @@ impl FrameSimulator {
     /// Samples the paths of all people, each at as many key times as it needs.
     fn keyed_paths(&self, instants: &Instants, halvings: Option<u32>) -> (KeyedPaths, EchoReport) {
         let demand = SamplingTolerance {
-            // The limit is 6 dB below a path alone in its cell, since many weak paths add up; the limit of errors is
-            // lower still.
+            // The limit is 6 dB below a path alone in its cell, since many weak paths add up. Errors may be 20 dB below
+            // such a path.
             heard_lsb: HEARD * self.prepared.threshold_lsb,
             least_lsb: 0.1 * self.prepared.threshold_lsb,
             tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,

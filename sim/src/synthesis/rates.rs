@@ -10,7 +10,7 @@
 //!   `(pi q)^3 / 24` of the amplitude.
 //! - The delay changes. To first order a tone that moves by `d` cells until the run's ends is itself plus its
 //!   derivative by both frequencies; the error is `(0.9 d)^2 / 2`.
-//! - The amplitude changes, on a straight line. The product of this change and a quadratic phase is neglected.
+//! - The amplitude changes, on a straight line. Its products with a quadratic phase and with the movement are neglected.
 //!
 //! Echoes for which one of these effects is too large are left to [`super::held`].
 
@@ -50,6 +50,8 @@ const MOST_BENT_MOVE: f32 = 0.02;
 /// Largest product of the quadratic phase and the change of the first receiver's amplitude until the run's ends, relative
 /// to it.
 const MOST_BENT_CHANGE: f32 = 0.02;
+/// Largest product of the movement and that change.
+const MOST_MOVED_CHANGE: f32 = 0.1;
 
 /// Interleaved real and imaginary parts of an echo's cells by rate.
 type Wide = [f32; 2 * RATE_TAPS];
@@ -296,7 +298,8 @@ fn middle(kernel: &Kernel, pack: &Pack, receivers: usize) -> Middle {
         changes[e] = (bend[e].abs() > MOST_BEND)
             | (moved[e].abs() > MOST_MOVED)
             | ((bend[e] * moved[e]).abs() > MOST_BENT_MOVE)
-            | (bend[e] * bend[e] * change > MOST_BENT_CHANGE * MOST_BENT_CHANGE * square);
+            | (bend[e] * bend[e] * change > MOST_BENT_CHANGE * MOST_BENT_CHANGE * square)
+            | (moved[e] * moved[e] * change > MOST_MOVED_CHANGE * MOST_MOVED_CHANGE * square);
     }
     Middle { position, rate, moved, bend, re, im, change_re, change_im, changes }
 }

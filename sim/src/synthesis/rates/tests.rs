@@ -96,8 +96,8 @@ fn echoes_that_change_more_are_less_exact_and_then_left_out() {
     assert!(laid > 200 && left > 200, "{laid} {left}");
 }
 
-/// Echoes whose amplitudes change, in phase or in magnitude, are as exact as others. One whose phase also bends is
-/// rejected if the amplitude changes much.
+/// Echoes whose amplitudes change, in phase or in magnitude, are as exact as others. One whose phase also bends, or that
+/// moves much, is rejected if the amplitude changes much.
 #[test]
 fn changing_amplitudes_are_followed() {
     let level = KernelLevel::detect();
@@ -115,6 +115,11 @@ fn changing_amplitudes_are_followed() {
     let bent = echo(1.0, 20.0);
     let left = |echoes: &[HeldEcho]| spread(level, &held(echoes), 0, RUN).1.len();
     assert_eq!(factors.map(|factor| left(&[changing(bent, factor)])), [0, 0, 1]);
+    // At 6 m/s an echo moves by 0.28 cells until the run's ends.
+    let steps = [1.0, 0.0].map(|end| changing(echo(6.0, 0.0), Complex64::new(end, 0.0)));
+    assert_eq!(steps.map(|echo| left(&[echo])), [0, 0]);
+    let fading = changing(echo(6.0, 0.0), Complex64::new(-1.0, 0.0));
+    assert_eq!(left(&[fading]), 1);
 }
 
 #[test]
