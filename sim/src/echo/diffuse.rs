@@ -317,8 +317,8 @@ mod tests {
         assert!(taken.iter().all(|&times| (2..=4).contains(&times)), "{taken:?}");
     }
 
-    /// Of echoes of any power below that of an invisible path, a part is taken that is this power, in every segment: so
-    /// those that are taken, with the power of the invisible path, have the same mean power.
+    /// The part of the echoes that is taken equals their power relative to that of an invisible path, in every segment. With
+    /// the power of the invisible path, this part has the same mean power as all of them.
     #[test]
     fn draws_keep_the_mean_power() {
         for (points, most_mean, most) in [(256, 0.001, 0.012), (64, 0.005, 0.05)] {

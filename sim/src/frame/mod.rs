@@ -72,7 +72,7 @@ pub(crate) struct FrameSimulator {
     /// Floor area in which people count as in the room.
     floor: Floor,
     prepared: PreparedScene,
-    /// Number of wall points that each segment of a body takes.
+    /// Part of the diffuse echoes that is computed.
     thinning: Thinning,
     sway: SwayingReflectors,
     /// Errors common to all echoes of a chirp; `None` where there are none.

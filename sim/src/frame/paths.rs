@@ -17,8 +17,8 @@ use crate::tracks::Tracks;
 pub(super) const FIRST_HALVINGS: u32 = 1;
 pub(super) const MOST_SKIN_HALVINGS: u32 = 3;
 /// Allowed interpolation error between key times of an ellipsoid's echo for half a decibel, relative to it (-40 dB of
-/// error vector magnitude). Weak paths have cells of their own in a map, where nothing stronger hides their errors. Weak paths
-/// that are held have larger errors ([`crate::weak_track`]).
+/// error vector magnitude). Weak paths have cells of their own in a map, where nothing stronger hides their errors. Those
+/// that are held have larger errors, below the noise ([`crate::weak_track`]).
 const KEY_TOLERANCE: f64 = 0.01;
 
 /// Paths of all people in a frame.
