@@ -94,6 +94,16 @@ pub enum ScriptError {
     Order { person: usize, time_s: f64, before_s: f64 },
 }
 
+impl ScriptError {
+    /// Time without a known position, s; infinite for other errors, which are mended first.
+    fn missing_s(&self) -> f64 {
+        match self {
+            ScriptError::Unknown { from_s, to_s, .. } => to_s - from_s,
+            ScriptError::TooFast { .. } | ScriptError::Order { .. } => f64::INFINITY,
+        }
+    }
+}
+
 /// Assigns tracklets to this number of people. Each tracklet goes to the person who was last seen nearest to its
 /// beginning.
 pub fn deal(tracklets: Vec<Tracklet>, people: usize) -> Vec<Role> {
@@ -132,8 +142,8 @@ fn others(roles: &[Role], person: usize, frame: usize) -> usize {
 /// mirror's echoes of them are not hidden; ways through a door stay as they are.
 ///
 /// # Errors
-/// [`ScriptError::Unknown`] where nothing says where a person was, [`ScriptError::Order`] where way-points are out of
-/// order.
+/// [`ScriptError::Unknown`] where nothing says where a person was: of several people, the one who is missing longest.
+/// [`ScriptError::Order`] where way-points are out of order.
 pub fn fill(
     roles: &mut [Role],
     detections: &[Detections],
@@ -157,8 +167,16 @@ pub fn fill(
             (state.x, state.y) = (at.x, at.y);
         }
     }
-    let all: Vec<Vec<Knot>> =
-        (0..roles.len()).map(|person| knots(roles, person, detections, scene, points)).collect::<Result<_, _>>()?;
+    let (mut all, mut errors) = (Vec::new(), Vec::new());
+    for person in 0..roles.len() {
+        match knots(roles, person, detections, scene, points) {
+            Ok(knots) => all.push(knots),
+            Err(error) => errors.push(error),
+        }
+    }
+    if let Some(error) = errors.into_iter().max_by(|a, b| a.missing_s().total_cmp(&b.missing_s())) {
+        return Err(error);
+    }
     roles.iter_mut().zip(all).for_each(|(role, knots)| role.knots = knots);
     Ok(())
 }
@@ -573,6 +591,19 @@ mod tests {
             let mut roles = [Role { tracklets: vec![tracklet(followed)], knots: Vec::new() }];
             fill(&mut roles, &[], scene, &WayPoints::default()).expect("no way-points");
             roles[0].tracklets[0].track.iter().map(|s| (s.x, s.y)).collect()
+        }
+
+        /// The first person is missing for the last three seconds, the second one all the time.
+        #[test]
+        fn the_person_who_is_missing_longest_is_named() {
+            let frame = |frame: i32| Detections { time_s: 0.1 * f64::from(frame), people: 2, echoes: Vec::new() };
+            let detections: Vec<Detections> = (0..60).map(frame).collect();
+            let followed = Role { tracklets: vec![tracklet(&[(5.0, 1.0); 30])], knots: Vec::new() };
+            let fill = |mut roles: [Role; 2]| fill(&mut roles, &detections, corridor().file(), &WayPoints::default());
+            for (roles, missing) in [([followed.clone(), Role::default()], 2), ([Role::default(), followed], 1)] {
+                let error = fill(roles).expect_err("nobody knows where they are");
+                assert!(matches!(error, ScriptError::Unknown { person, .. } if person == missing), "{error}");
+            }
         }
 
         #[test]
