@@ -5,6 +5,7 @@ pub mod dense;
 pub mod diffuse;
 mod diffuse_legs;
 pub mod error_budget;
+mod facing_rows;
 mod obstruction;
 mod patch;
 mod patch_field;

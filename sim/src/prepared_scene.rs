@@ -172,7 +172,11 @@ impl PreparedScene {
     pub fn pairs_near(&self, middle: DVec3, reach_m: f64) -> Cow<'_, [(ImageIndex, ImageIndex)]> {
         match &self.room {
             Surroundings::Box(_) => Cow::Borrowed(&self.body_pairs),
-            Surroundings::Polygons(room) => Cow::Owned(room.pairs_near(self.tx.position, middle, reach_m)),
+            Surroundings::Polygons(room) => {
+                let images = room.images_near(self.tx.position, middle, reach_m);
+                let pairs = room.pairs_among(&images);
+                Cow::Owned(pairs.into_iter().map(|[p, q]| (images[p], images[q])).collect())
+            }
         }
     }
 

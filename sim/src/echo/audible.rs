@@ -7,17 +7,18 @@
 //!
 //! [`BoxRoom::most_field`]: crate::em::image::BoxRoom::most_field
 
-use std::borrow::Cow;
 use std::sync::Arc;
 
 use glam::DVec3;
-use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
+use super::facing_rows::{EllipsoidRows, facing_rows};
 use super::obstruction::facing;
 use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, distinct_images, echoes, faded};
 use crate::em::fresnel::half_space;
-use crate::em::image::{ImageIndex, order};
+use crate::em::image::{BoxRoom, ImageIndex, order};
 use crate::em::specular::Ellipsoid;
+use crate::lanes::WIDE;
 use crate::material::SKIN_PERMITTIVITY;
 use crate::paths::{PolygonRoom, Surroundings};
 use crate::people::body::{CHEST, SEGMENTS};
@@ -66,53 +67,103 @@ impl From<(ImageIndex, ImageIndex)> for AudiblePair {
 /// pair of different images stands for both directions. The direct pair is the first and is always kept.
 pub fn audible_paths(prepared: &PreparedScene, motion: &Motion, instants_s: &[f64]) -> Vec<AudiblePair> {
     let bodies: Vec<[Ellipsoid; SEGMENTS]> = instants_s.iter().map(|&time_s| motion.body(time_s)).collect();
+    let images = Images::near(prepared, &bodies);
+    let bounds: Vec<SegmentBound> =
+        (0..SEGMENTS).filter_map(|segment| SegmentBound::new(prepared, motion, &images, segment, &bodies)).collect();
+    let pairs = images.pairs(prepared, |image| bounds.iter().any(|bound| bound.lights(image)));
+    let mut all = Vec::with_capacity(pairs.len());
     // The list has every pair in both orders.
-    let pairs: Vec<_> = pairs_of(prepared, &bodies).iter().copied().filter(|(p, q)| p <= q).collect();
-    let images = Images::new(prepared, &pairs);
-    let audible = |&pair: &(ImageIndex, ImageIndex)| AudiblePair { pair, segments: 0, both_ways: pair.0 != pair.1 };
-    let mut all: Vec<AudiblePair> = pairs.iter().map(audible).collect();
-    for segment in 0..SEGMENTS {
-        let at: Vec<Ellipsoid> = bodies.iter().filter_map(|body| body.get(segment)).copied().collect();
-        let Some(bound) = SegmentBound::new(prepared, motion, &images, segment, at) else { continue };
-        for (pair, &numbers) in all.iter_mut().zip(&images.pairs) {
-            if bound.is_heard(prepared, numbers) {
-                pair.segments |= 1 << segment;
-            }
+    for numbers in pairs.into_iter().filter(|[p, q]| p <= q) {
+        let heard = bounds.iter().enumerate().filter(|(_, bound)| bound.is_heard(prepared, numbers));
+        let segments = heard.fold(0, |all, (segment, _)| all | 1 << segment);
+        let [p, q] = numbers.map(|number| images.indices[number]);
+        if segments != 0 || prepared.room.order(p) + prepared.room.order(q) == 0 {
+            all.push(AudiblePair { pair: (p, q), segments, both_ways: p != q });
         }
     }
-    let is_direct = |p: ImageIndex, q: ImageIndex| prepared.room.order(p) + prepared.room.order(q) == 0;
-    all.retain(|AudiblePair { pair: (p, q), segments, .. }| *segments != 0 || is_direct(*p, *q));
     all
 }
 
-/// Returns the image pairs that may reach these bodies of a person, the direct pair first.
-fn pairs_of<'a>(prepared: &'a PreparedScene, bodies: &[[Ellipsoid; SEGMENTS]]) -> Cow<'a, [(ImageIndex, ImageIndex)]> {
-    let middle = bodies.get(bodies.len() / 2).map_or(DVec3::ZERO, |body| body[CHEST].centre);
-    let reach = |e: &Ellipsoid| e.semi_axes_m.max_element() + e.centre.distance(middle);
-    prepared.pairs_near(middle, bodies.iter().flatten().map(reach).fold(0.0, f64::max))
-}
-
-/// Distinct images of all pairs.
+/// Images of the transmitter, which stand for those of all antennas.
 struct Images {
+    /// The images, ascending.
     indices: Vec<ImageIndex>,
-    /// Indices of both images of each pair of the scene.
-    pairs: Vec<[usize; 2]>,
-    /// Distance of the farthest receiver from the transmitter, m. The transmitter stands for all antennas.
+    /// In rooms of plane faces, whether each image may light each segment at each instant, if nothing is hidden:
+    /// `[image][segment][instant]`.
+    reached: Vec<bool>,
+    instants: usize,
+    /// Distance of the farthest receiver from the transmitter, m.
     apart_m: f64,
 }
 
 impl Images {
-    fn new(prepared: &PreparedScene, pairs: &[(ImageIndex, ImageIndex)]) -> Self {
-        let indices = distinct_images(pairs.iter().flat_map(|&(p, q)| [p, q]));
+    /// Finds the images that may light these bodies of a person.
+    fn near(prepared: &PreparedScene, bodies: &[[Ellipsoid; SEGMENTS]]) -> Self {
+        let antenna = prepared.tx.position;
+        let apart_m = prepared.rx.iter().map(|rx| rx.position.distance(antenna)).fold(0.0, f64::max);
+        let instants = bodies.len();
+        let (indices, reached) = match &prepared.room {
+            Surroundings::Box(_) => {
+                (distinct_images(prepared.body_pairs.iter().flat_map(|&(p, q)| [p, q])), Vec::new())
+            }
+            Surroundings::Polygons(room) => {
+                let middle = bodies.get(instants / 2).map_or(DVec3::ZERO, |body| body[CHEST].centre);
+                let reach = |e: &Ellipsoid| e.semi_axes_m.max_element() + e.centre.distance(middle);
+                let reach_m = bodies.iter().flatten().map(reach).fold(0.0, f64::max);
+                let indices = room.images_near(antenna, middle, reach_m);
+                let reached = reached(room, antenna, &indices, bodies);
+                (indices, reached)
+            }
+        };
+        Images { indices, reached, instants, apart_m }
+    }
+
+    /// Returns whether an image may light a segment at each instant.
+    fn reached(&self, image: usize, segment: usize) -> &[bool] {
+        let first = (image * SEGMENTS + segment) * self.instants;
+        self.reached.get(first..first + self.instants).unwrap_or_default()
+    }
+
+    /// Returns the pairs of images of which both are lit or the antennas themselves, as indices, in both orders. The
+    /// direct pair is the first.
+    fn pairs(&self, prepared: &PreparedScene, is_lit: impl Fn(usize) -> bool) -> Vec<[usize; 2]> {
+        let counts = |number: usize| is_lit(number) || self.indices.get(number).is_some_and(|i| *i == [0; 3]);
         // The list holds every image of the pairs.
-        let number = |index: &ImageIndex| indices.binary_search(index).unwrap_or_default();
-        let pairs = pairs.iter().map(|(p, q)| [number(p), number(q)]).collect();
-        let apart_m = prepared.rx.iter().map(|rx| rx.position.distance(prepared.tx.position)).fold(0.0, f64::max);
-        Images { indices, pairs, apart_m }
+        let number = |index: &ImageIndex| self.indices.binary_search(index).unwrap_or_default();
+        match &prepared.room {
+            Surroundings::Box(_) => {
+                let all = prepared.body_pairs.iter().map(|(p, q)| [number(p), number(q)]);
+                all.filter(|pair| pair.iter().all(|&number| counts(number))).collect()
+            }
+            Surroundings::Polygons(room) => {
+                let lit: Vec<usize> = (0..self.indices.len()).filter(|&number| counts(number)).collect();
+                let indices: Vec<ImageIndex> = lit.iter().map(|&number| self.indices[number]).collect();
+                room.pairs_among(&indices).into_iter().map(|pair| pair.map(|at| lit[at])).collect()
+            }
+        }
     }
 }
 
+/// Returns whether each image may light the side of each segment that faces it at each instant, if nothing is hidden:
+/// `[image][segment][instant]`.
+fn reached(room: &PolygonRoom, antenna: DVec3, images: &[ImageIndex], bodies: &[[Ellipsoid; SEGMENTS]]) -> Vec<bool> {
+    let of_segment = |segment: usize| bodies.iter().filter_map(move |body| body.get(segment)).copied();
+    let all: Vec<Ellipsoid> = (0..SEGMENTS).flat_map(of_segment).collect();
+    let (level, rows) = (KernelLevel::detect(), EllipsoidRows::of(&all));
+    let (mut points, mut ways) = (vec![[[0.0; WIDE]; 3]; rows.len()], vec![[0.0; WIDE]; rows.len()]);
+    let mut reached = Vec::with_capacity(images.len() * all.len());
+    for &index in images {
+        let source = room.image_position(index, antenna).to_array();
+        rows.iter().zip(&mut points).for_each(|(row, points)| facing_rows(level, row, source, points));
+        ways.fill([0.0; WIDE]);
+        room.add_reached(level, index, antenna, &points, &mut ways);
+        reached.extend(ways.as_flattened().iter().take(all.len()).map(|&ways| ways > 0.0));
+    }
+    reached
+}
+
 /// Bound on the field of an image at a segment.
+#[derive(Debug, Clone, Copy, Default)]
 struct Lit {
     source: DVec3,
     /// Distance from the middle of the segment, m.
@@ -143,35 +194,65 @@ impl SegmentBound {
         motion: &Motion,
         images: &Images,
         segment: usize,
-        at: Vec<Ellipsoid>,
+        bodies: &[[Ellipsoid; SEGMENTS]],
     ) -> Option<Self> {
+        let at: Vec<Ellipsoid> = bodies.iter().filter_map(|body| body.get(segment)).copied().collect();
         let middle = at.get(at.len() / 2)?.centre;
         let largest = |of: &dyn Fn(&Ellipsoid) -> f64| at.iter().map(of).fold(0.0, f64::max);
         let flattest_m = largest(&|e| 0.5 * e.semi_axes_m.element_product() / e.semi_axes_m.min_element().powi(2));
         let reach_m = images.apart_m + largest(&|e| e.semi_axes_m.max_element() + e.centre.distance(middle));
-        let mut lit: Vec<Lit> =
-            images.indices.iter().map(|&index| Lit::new(prepared, index, middle, reach_m)).collect();
         let cloth = motion.person.cloth.get(segment).copied().unwrap_or(1.0);
-        let aperture = prepared.aperture_m();
-        let lsb_m = prepared.lsb.first().copied().unwrap_or_default() * aperture * cloth;
-        if let Surroundings::Box(room) = &prepared.room
-            && at.iter().all(|e| room.is_behind_walls(e.centre, e.half_widths_m()))
-        {
-            let reflected = lit.iter_mut().zip(&images.indices).filter(|&(_, &index)| order(index) > 0);
-            reflected.for_each(|(lit, _)| lit.most_per_m = 0.0);
+        let lsb_m = prepared.lsb.first().copied().unwrap_or_default() * prepared.aperture_m() * cloth;
+        let mut bound = SegmentBound { at, flattest_m, lit: Vec::new(), lsb_m, reach_m, apart_m: images.apart_m };
+        bound.lit = match &prepared.room {
+            Surroundings::Box(room) => bound.lit_in_box(prepared, room, images, middle),
+            Surroundings::Polygons(room) => bound.lit_by_facets(prepared, room, images, segment, middle),
+        };
+        Some(bound)
+    }
+
+    /// Bounds the fields of images of a box.
+    fn lit_in_box(&self, prepared: &PreparedScene, room: &BoxRoom, images: &Images, middle: DVec3) -> Vec<Lit> {
+        let is_behind = self.at.iter().all(|e| room.is_behind_walls(e.centre, e.half_widths_m()));
+        let bounded = |&index: &ImageIndex| {
+            let lit = Lit::new(prepared, index, middle, self.reach_m);
+            if is_behind && order(index) > 0 { Lit { most_per_m: 0.0, ..lit } } else { lit }
+        };
+        images.indices.iter().map(bounded).collect()
+    }
+
+    /// Bounds the fields of images by facets, with their obstruction.
+    fn lit_by_facets(
+        &self,
+        prepared: &PreparedScene,
+        room: &PolygonRoom,
+        images: &Images,
+        segment: usize,
+        middle: DVec3,
+    ) -> Vec<Lit> {
+        let bounded = |(number, &index): (usize, &ImageIndex)| {
+            let may_count = room.counts_in_shadow(index) || images.reached(number, segment).contains(&true);
+            if may_count { Lit::new(prepared, index, middle, self.reach_m) } else { Lit::default() }
+        };
+        let mut lit: Vec<Lit> = images.indices.iter().enumerate().map(bounded).collect();
+        let most_per_m = lit.iter().map(|lit| lit.most_per_m).fold(0.0, f64::max);
+        // Weaker images are inaudible even when paired with the strongest; skip their obstruction.
+        let by_edges = room.paths().most_by_edges();
+        let threshold_lsb = HEARD * prepared.threshold_lsb;
+        let least_per_m = threshold_lsb / (self.lsb_m * self.flattest_m * most_per_m * by_edges * by_edges);
+        for ((number, &index), lit) in images.indices.iter().enumerate().zip(&mut lit) {
+            let may_be_heard = lit.most_per_m > least_per_m;
+            let least = least_per_m / lit.most_per_m;
+            let reached = images.reached(number, segment);
+            let left = || left(prepared, room, index, lit.source, &self.at, reached, least);
+            lit.most_per_m *= if may_be_heard { left() } else { 0.0 };
         }
-        if let Surroundings::Polygons(room) = &prepared.room {
-            let most_per_m = lit.iter().map(|lit| lit.most_per_m).fold(0.0, f64::max);
-            // Weaker images are inaudible even when paired with the strongest; skip their obstruction.
-            let by_edges = room.paths().most_by_edges();
-            let least_per_m = HEARD * prepared.threshold_lsb / (lsb_m * flattest_m * most_per_m * by_edges * by_edges);
-            for (lit, &index) in lit.iter_mut().zip(&images.indices) {
-                let may_be_heard = lit.most_per_m > least_per_m;
-                let least = least_per_m / lit.most_per_m;
-                lit.most_per_m *= if may_be_heard { left(prepared, room, index, lit.source, &at, least) } else { 0.0 };
-            }
-        }
-        Some(SegmentBound { at, flattest_m, lit, lsb_m, reach_m, apart_m: images.apart_m })
+        lit
+    }
+
+    /// Returns whether an image may light the segment.
+    fn lights(&self, image: usize) -> bool {
+        self.lit.get(image).is_some_and(|lit| lit.most_per_m > 0.0)
     }
 
     fn is_heard(&self, prepared: &PreparedScene, [there, back]: [usize; 2]) -> bool {
@@ -216,22 +297,23 @@ impl Lit {
     }
 }
 
-/// Bounds the part of an image's field that obstructions leave, at any of these segments or instants. Specular points
-/// of frames have the same obstructions ([`SharedWays`](super::obstruction::SharedWays)). Fields below the part `least`
-/// are inaudible.
+/// Bounds the part of an image's field that obstructions leave, at any of these segments or instants; `reached` tells
+/// where the image may light one. Specular points of frames have the same obstructions
+/// ([`SharedWays`](super::obstruction::SharedWays)). Fields below the part `least` are inaudible.
 fn left(
     prepared: &PreparedScene,
     room: &PolygonRoom,
     index: ImageIndex,
     source: DVec3,
     at: &[Ellipsoid],
+    reached: &[bool],
     least: f64,
 ) -> f64 {
-    let antenna = prepared.tx.position;
-    // Start with the middle, whose rays have already been traced.
-    let middle = at.len() / 2;
-    let mut all = at.iter().skip(middle).chain(at.iter().take(middle));
-    if all.any(|ellipsoid| room.is_lit(index, antenna, facing(ellipsoid, source))) {
+    let (antenna, middle) = (prepared.tx.position, at.len() / 2);
+    let all = at.iter().zip(reached);
+    // Start with the middle, which most often decides.
+    let mut all = all.clone().skip(middle).chain(all.take(middle)).filter(|(_, reached)| **reached);
+    if all.any(|(ellipsoid, _)| room.is_lit(index, antenna, facing(ellipsoid, source))) {
         return room.paths().most_by_edges();
     }
     if least > MOST_IN_SHADOW || !room.counts_in_shadow(index) {
@@ -255,7 +337,8 @@ pub fn audible_pairs(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64
     let centre = body[CHEST].centre;
     let aperture = prepared.aperture_m();
     let lsb = prepared.lsb.first().copied().unwrap_or(0.0) * aperture * BODY_BOUND_M;
-    let reach = |index: ImageIndex| match &prepared.room {
+    let images = Images::near(prepared, &[body]);
+    let reach = |(number, &index): (usize, &ImageIndex)| match &prepared.room {
         Surroundings::Box(room) => {
             let i = room.illuminate(&prepared.tx, index, centre);
             (i.field.magnitude() / i.distance_m.max(0.2), i.distance_m)
@@ -266,23 +349,22 @@ pub fn audible_pairs(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64
             let offset = centre - source;
             let distance_m = offset.length();
             let most = room.most_free_field(&prepared.tx, index, centre, BODY_REACH_M);
-            let left = if most > 0.0 { left(prepared, room, index, source, &body, 0.0) } else { 0.0 };
+            let reached = images.reached.get(number * SEGMENTS..).unwrap_or_default();
+            let left = if most > 0.0 { left(prepared, room, index, source, &body, reached, 0.0) } else { 0.0 };
             (most * left / (distance_m - BODY_REACH_M).max(0.2), distance_m)
         }
     };
-    let pairs = pairs_of(prepared, &[body]);
-    let images = Images::new(prepared, &pairs);
-    let reaches: Vec<(f64, f64)> = images.indices.iter().map(|&index| reach(index)).collect();
-    let audible = |&(p, q): &(ImageIndex, ImageIndex), numbers: [usize; 2]| {
+    let reaches: Vec<(f64, f64)> = images.indices.iter().enumerate().map(reach).collect();
+    let audible = |&[there, back]: &[usize; 2]| {
+        let [(p, (a, r)), (q, (b, s))] = [there, back].map(|number| (images.indices[number], reaches[number]));
         if prepared.room.order(p) + prepared.room.order(q) == 0 {
             return true;
         }
-        let [(a, r), (b, s)] = numbers.map(|number| reaches.get(number).copied().unwrap_or_default());
         let beat_hz = prepared.chirp.beat_hz((r + s) / SPEED_OF_LIGHT_M_PER_S, 0.0);
         lsb * a * b * prepared.filters.response(beat_hz).norm() > prepared.threshold_lsb
     };
-    let numbered = pairs.iter().zip(&images.pairs);
-    numbered.filter(|&(pair, &numbers)| audible(pair, numbers)).map(|(pair, _)| *pair).collect()
+    let pairs = images.pairs(prepared, |image| reaches[image].0 > 0.0).into_iter().filter(audible);
+    pairs.map(|[p, q]| (images.indices[p], images.indices[q])).collect()
 }
 
 /// Selects the image pairs whose echoes, approximated by ellipsoids, are together above the threshold. Returns them

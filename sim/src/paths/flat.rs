@@ -101,7 +101,10 @@ pub(super) struct Flat {
     /// Centre and radius of a bounding sphere, m.
     pub middle: DVec3,
     pub radius_m: f64,
-    axes: [DVec3; 2],
+    /// Perpendicular unit vectors in the plane.
+    pub axes: [DVec3; 2],
+    /// Lowest and highest coordinates along the axes, with a margin for points on the sides, m.
+    pub extent_m: [DVec2; 2],
     outline: Vec<DVec2>,
     holes: Vec<Vec<DVec2>>,
 }
@@ -134,6 +137,8 @@ impl Flat {
             corners.iter().map(|c| DVec2::new(c.dot(axes[0]), c.dot(axes[1]))).collect()
         };
         let outline = flat(&facet.corners);
+        let low = outline.iter().fold(DVec2::INFINITY, |low, &corner| low.min(corner));
+        let high = outline.iter().fold(DVec2::NEG_INFINITY, |high, &corner| high.max(corner));
         let holes = facet.holes.iter().map(|hole| flat(hole)).collect();
         let middle = facet.corners.iter().sum::<DVec3>() / facet.corners.len() as f64;
         let radius_m = facet.corners.iter().map(|corner| corner.distance(middle)).fold(0.0, f64::max);
@@ -148,6 +153,7 @@ impl Flat {
             middle,
             radius_m,
             axes,
+            extent_m: [low - 2.0 * SEAM_M, high + 2.0 * SEAM_M],
             outline,
             holes,
             facet,

@@ -23,6 +23,7 @@ mod flat;
 mod groups;
 mod illuminate;
 mod leg;
+mod mirror_rows;
 mod reach;
 #[cfg(test)]
 mod rooms;

@@ -5,11 +5,13 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use num_complex::Complex64;
+use radome_dsp::KernelLevel;
 
 use super::discovery::{DiscoveryReport, ImagePaths, LaunchOptions};
 use super::environment::{Environment, EnvironmentError, FacetId};
 use super::illuminate::{EdgesBeside, Obstruction};
 use crate::em::image::{BoxRoom, Element, Illumination, ImageIndex, Wall, images, order};
+use crate::lanes::{WideRow, WideRow3};
 use crate::scene::Scene;
 use crate::scene::surfaces::Surfaces;
 use crate::scene_file::SolverFile;
@@ -139,24 +141,45 @@ impl PolygonRoom {
         if !self.paths.may_light(number, element.position, middle, reach_m) {
             return 0.0;
         }
-        let source = self.paths.images().get(number).map_or(element.position, |image| image.of(element.position));
+        let source = self.image_position(index, element.position);
         let distance_m = middle.distance(source).max(1e-9);
         let spread_rad = (reach_m / distance_m).min(1.0).asin();
         self.paths.most_free_field(element, number, (middle - source) / distance_m, spread_rad)
     }
 
-    /// Pairs of antenna images that may see points within a distance of a place, the direct pair first.
-    pub fn pairs_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64) -> Vec<(ImageIndex, ImageIndex)> {
+    /// Antenna images that may light points within a distance of a place, the antenna itself first, sorted by order.
+    pub fn images_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64) -> Vec<ImageIndex> {
         let near = self.paths.images_near(antenna, middle, reach_m, self.max_body_reflections);
-        let order = |number: usize| self.paths.images().get(number).map_or(0, |image| image.order);
-        let index = |number: usize| [number as i32, 0, 0];
-        let mut pairs = Vec::with_capacity(2 * near.len());
-        for &p in &near {
+        near.into_iter().map(|number| [number as i32, 0, 0]).collect()
+    }
+
+    /// Position of an image, m.
+    pub fn image_position(&self, index: ImageIndex, antenna: DVec3) -> DVec3 {
+        self.paths.images().get(number(index)).map_or(antenna, |image| image.of(antenna))
+    }
+
+    /// Pairs of such images with few enough reflections, as indices into the list.
+    pub fn pairs_among(&self, images: &[ImageIndex]) -> Vec<[usize; 2]> {
+        let order = |index: ImageIndex| self.paths.images().get(number(index)).map_or(0, |image| image.order);
+        let mut pairs = Vec::with_capacity(2 * images.len());
+        for (p, &there) in images.iter().enumerate() {
             // Images are sorted by order.
-            let fits = near.iter().take_while(|&&q| order(p) + order(q) <= self.max_body_reflections);
-            pairs.extend(fits.map(|&q| (index(p), index(q))));
+            let fits = images.iter().take_while(|&&back| order(there) + order(back) <= self.max_body_reflections);
+            pairs.extend((0..fits.count()).map(|q| [p, q]));
         }
         pairs
+    }
+
+    /// Adds 1 or more in lanes whose points an image may light ([`ImagePaths::add_reached`]).
+    pub fn add_reached(
+        &self,
+        level: KernelLevel,
+        index: ImageIndex,
+        antenna: DVec3,
+        points: &[WideRow3],
+        out: &mut [WideRow],
+    ) {
+        self.paths.add_reached(level, number(index), antenna, points, out);
     }
 }
 
@@ -244,9 +267,7 @@ impl Surroundings {
     pub fn image_position(&self, index: ImageIndex, antenna: DVec3) -> DVec3 {
         match self {
             Surroundings::Box(room) => room.image_position(index, antenna),
-            Surroundings::Polygons(room) => {
-                room.paths.images().get(number(index)).map_or(antenna, |image| image.of(antenna))
-            }
+            Surroundings::Polygons(room) => room.image_position(index, antenna),
         }
     }
 

@@ -1,0 +1,95 @@
+//! Quick test, without rays, of which points an image may light: vectorised over points.
+
+// Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
+#![allow(clippy::needless_range_loop)]
+
+use glam::DVec3;
+use radome_dsp::KernelLevel;
+
+use super::discovery::{ImagePaths, MAX_ORDER};
+use super::flat::{Flat, SEAM_M};
+use crate::lanes::vector::{Vector, add, dot, scale, subtract};
+use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
+
+/// Facet as a mirror of one antenna: its plane, the rectangle around it, and the antenna's image by it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Mirror {
+    normal: Vector,
+    offset_m: f64,
+    axes: [Vector; 2],
+    /// Lowest and highest coordinates along the axes, m.
+    extent_m: [[f64; 2]; 2],
+    source: Vector,
+    /// Distance of the antenna's image behind the plane, m.
+    behind_m: f64,
+}
+
+impl Mirror {
+    fn new(flat: &Flat, source: DVec3) -> Self {
+        Mirror {
+            normal: flat.normal.to_array(),
+            offset_m: flat.offset_m,
+            axes: flat.axes.map(|axis| axis.to_array()),
+            extent_m: flat.extent_m.map(|corner| corner.to_array()),
+            source: source.to_array(),
+            behind_m: -flat.height(source),
+        }
+    }
+}
+
+compiled_for_levels! {
+    /// Adds 1 in lanes whose points may be lit by way of these mirrors, the last of which is met last.
+    fn reflected_rows(mirrors: &[Mirror], points: &WideRow3, out: &mut WideRow) = reflected_rows_body;
+}
+
+#[inline(always)]
+fn reflected_rows_body(mirrors: &[Mirror], points: &WideRow3, out: &mut WideRow) {
+    let (mut targets, mut left) = (*points, [1.0; WIDE]);
+    for mirror in mirrors.iter().rev() {
+        let (low, high) = (mirror.extent_m[0], mirror.extent_m[1]);
+        for l in 0..WIDE {
+            let target = wide_lane(&targets, l);
+            let over_m = dot(mirror.normal, target) - mirror.offset_m;
+            let met = add(target, scale(subtract(mirror.source, target), over_m / (over_m + mirror.behind_m)));
+            let (u, v) = (dot(mirror.axes[0], met), dot(mirror.axes[1], met));
+            let is_missed = (over_m < -2.0 * SEAM_M) | (u < low[0]) | (u > high[0]) | (v < low[1]) | (v > high[1]);
+            left[l] = if is_missed { 0.0 } else { left[l] };
+            targets[0][l] = met[0];
+            targets[1][l] = met[1];
+            targets[2][l] = met[2];
+        }
+    }
+    for l in 0..WIDE {
+        out[l] += left[l];
+    }
+}
+
+impl ImagePaths {
+    /// Adds 1 or more in lanes whose points an image may light. Facets are replaced by the rectangles around them, and
+    /// nothing is hidden, so every point for which [`ImagePaths::is_lit`] holds is found.
+    pub fn add_reached(
+        &self,
+        level: KernelLevel,
+        image: usize,
+        antenna: DVec3,
+        points: &[WideRow3],
+        out: &mut [WideRow],
+    ) {
+        let Some(image) = self.images.get(image) else { return };
+        for sequence in &image.sequences {
+            let Some(images) = self.images_along(sequence, antenna) else { continue };
+            let mut mirrors = [Mirror::default(); MAX_ORDER];
+            let flats = sequence.iter().filter_map(|&facet| self.environment.flat(facet));
+            for ((mirror, flat), &source) in mirrors.iter_mut().zip(flats).zip(&images[1..]) {
+                *mirror = Mirror::new(flat, source);
+            }
+            let Some(mirrors) = mirrors.get(..sequence.len()) else { continue };
+            if mirrors.iter().any(|mirror| mirror.behind_m <= 0.0) {
+                continue;
+            }
+            for (points, out) in points.iter().zip(out.iter_mut()) {
+                reflected_rows(level, mirrors, points, out);
+            }
+        }
+    }
+}
