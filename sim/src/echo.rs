@@ -217,7 +217,7 @@ impl<'a> Paths<'a> {
         report: &mut EchoReport,
     ) -> Option<DVec3> {
         let mut instant = Instant { people, own: people.get(self.me)?, ways: None };
-        self.trace_at(path, &mut instant, near, out, report)
+        self.trace_at(path, &mut instant, near, out, report).map(|met| met.unit)
     }
 
     /// Traces one path as [`Self::trace`] does, at an instant whose one-way paths may be shared.
@@ -228,7 +228,7 @@ impl<'a> Paths<'a> {
         near: Option<DVec3>,
         out: &mut Vec<PathSample>,
         report: &mut EchoReport,
-    ) -> Option<DVec3> {
+    ) -> Option<Met> {
         if let Some(&(number, segment)) = self.specular_points.get(path) {
             return self.specular_point(self.pairs.get(number)?, segment, instant, near, out, report);
         }
@@ -254,7 +254,7 @@ impl<'a> Paths<'a> {
         near: Option<DVec3>,
         out: &mut Vec<PathSample>,
         report: &mut EchoReport,
-    ) -> Option<DVec3> {
+    ) -> Option<Met> {
         let (prepared, Pair { there: way_there, back: way_back, sinks, .. }) = (self.prepared, pair);
         let own = instant.own;
         let ellipsoid = own.body.get(segment)?;
@@ -269,16 +269,16 @@ impl<'a> Paths<'a> {
             out.extend(sinks.iter().map(|_| nothing));
             return None;
         };
-        let [(there, left_there), (back, left_back)] = self.seen(pair, segment, h.point, instant)?;
-        let weight = inside_room(prepared, h.point) * left_there * left_back * faded(h.cosine);
-        let reflected = reflect_at_skin(there, -h.towards.0, h.normal);
+        let [there, back] = self.seen(pair, segment, h.point, instant)?;
+        let weight = inside_room(prepared, h.point) * there.left * back.left * faded(h.cosine);
+        let reflected = reflect_at_skin(there.field, -h.towards.0, h.normal);
         let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
         report.clamped += usize::from(clamped || h.inside.0 || h.inside.1);
         let (r_t, r_r) = (h.distances_m.0.max(LEAST_DISTANCE_M), h.distances_m.1.max(LEAST_DISTANCE_M));
         let aperture = prepared.aperture_m();
         let spreading = 0.5 * aperture * h.cosine / (h.det_j.sqrt() * r_t * r_r);
         let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
-        let amplitude = reflected.received_by(back) * (spreading * cloth * weight);
+        let amplitude = reflected.received_by(back.field) * (spreading * cloth * weight);
         let velocity = own.velocity(segment, h.unit);
         for (rx, sink) in sinks.iter().enumerate() {
             let to_rx = *sink - h.point;
@@ -290,19 +290,19 @@ impl<'a> Paths<'a> {
             let beat_hz = prepared.chirp.beat_hz(delay_s, delay_rate);
             out.push(PathSample { delay_s, delay_rate, amplitude: prepared.at_adc(rx, amplitude, beat_hz) });
         }
-        Some(h.unit)
+        Some(Met { unit: h.unit, is_clear: there.is_clear && back.is_clear })
     }
 
-    /// Returns the fields of both antenna images at a point of a segment, each with the factor that people in the path
-    /// leave.
-    fn seen(&self, pair: &Pair, segment: usize, point: DVec3, instant: &mut Instant) -> Option<[(Phasor3, f64); 2]> {
+    /// Returns the fields of both antenna images at a point of a segment.
+    fn seen(&self, pair: &Pair, segment: usize, point: DVec3, instant: &mut Instant) -> Option<[Seen; 2]> {
         let (prepared, people) = (self.prepared, instant.people);
         let first_rx = prepared.rx.first()?;
         let [there, back] = [(&prepared.tx, &pair.there, pair.images[0]), (first_rx, &pair.back, pair.images[1])];
         if let Some(ways) = &mut instant.ways {
             let mut shared = |(element, way, number): (&Element, &Way, usize)| {
-                let (field, past_people) = ways.field((number, way.image), element, segment, point)?;
-                Some((field, past_people * past_own(prepared, instant.own, segment, way.source, point)))
+                let seen = ways.field((number, way.image), element, segment, point)?;
+                let past_own = past_own(prepared, instant.own, segment, way.source, point);
+                Some(Seen { left: seen.left * past_own, is_clear: seen.is_clear && past_own == 1.0, ..seen })
             };
             return Some([shared(there)?, shared(back)?]);
         }
@@ -311,8 +311,28 @@ impl<'a> Paths<'a> {
         let is_lit = fields.iter().all(|field| field.magnitude() > 0.0);
         let left = |way: &Way| if is_lit { visibility(prepared, people, self.me, segment, way, point) } else { 0.0 };
         let [of_there, of_back] = fields;
-        Some([(of_there, left(there.1)), (of_back, left(back.1))])
+        let seen = |field: Phasor3, way: &Way| Seen { field, left: left(way), is_clear: false };
+        Some([seen(of_there, there.1), seen(of_back, back.1)])
     }
+}
+
+/// Specular point that was found.
+#[derive(Debug, Clone, Copy)]
+struct Met {
+    /// The point on the unit sphere of the segment.
+    unit: DVec3,
+    /// Whether nothing obstructs the path, and no edge is beside it.
+    is_clear: bool,
+}
+
+/// Field of an antenna's image at a point of a segment.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    field: Phasor3,
+    /// Factor that people in the path leave.
+    left: f64,
+    /// Whether it is known that nobody obstructs the path and no edge is beside it.
+    is_clear: bool,
 }
 
 /// People at the instant at which paths are traced.

@@ -31,6 +31,10 @@ const BODY_BOUND_M: f64 = 0.25;
 const BODY_REACH_M: f64 = 1.2;
 /// Part of the threshold of a single path below which segments are not traced. Path sampling uses the same limit.
 pub const HEARD: f64 = 0.5;
+/// Largest factor by which edges increase a field where rays arrive: 1.17 for each of two edges that cross. More is
+/// possible only in slits as narrow as a Fresnel zone. The paths that are lost there are weaker than the threshold of a
+/// single path.
+const MOST_IN_LIGHT: f64 = 1.4;
 /// Largest part of a field that remains behind a straight edge.
 const MOST_IN_SHADOW: f64 = 0.5;
 /// Largest factor by which the field in an edge's shadow grows within a frame, where no ray arrives.
@@ -70,18 +74,21 @@ pub fn audible_paths(prepared: &PreparedScene, motion: &Motion, instants_s: &[f6
     let images = Images::near(prepared, &bodies);
     let bounds: Vec<SegmentBound> =
         (0..SEGMENTS).filter_map(|segment| SegmentBound::new(prepared, motion, &images, segment, &bodies)).collect();
-    let pairs = images.pairs(prepared, |image| bounds.iter().any(|bound| bound.lights(image)));
-    let mut all = Vec::with_capacity(pairs.len());
+    let mut pairs = images.pairs(prepared, |image| bounds.iter().any(|bound| bound.lights(image)));
     // The list has every pair in both orders.
-    for numbers in pairs.into_iter().filter(|[p, q]| p <= q) {
-        let heard = bounds.iter().enumerate().filter(|(_, bound)| bound.is_heard(prepared, numbers));
-        let segments = heard.fold(0, |all, (segment, _)| all | 1 << segment);
-        let [p, q] = numbers.map(|number| images.indices[number]);
-        if segments != 0 || prepared.room.order(p) + prepared.room.order(q) == 0 {
-            all.push(AudiblePair { pair: (p, q), segments, both_ways: p != q });
+    pairs.retain(|[p, q]| p <= q);
+    let mut segments = vec![0u16; pairs.len()];
+    for (segment, bound) in bounds.iter().enumerate() {
+        for (segments, &numbers) in segments.iter_mut().zip(&pairs) {
+            *segments |= u16::from(bound.is_heard(prepared, numbers)) << segment;
         }
     }
-    all
+    let of_pair = |(numbers, segments): ([usize; 2], u16)| {
+        let [p, q] = numbers.map(|number| images.indices[number]);
+        let is_direct = prepared.room.order(p) + prepared.room.order(q) == 0;
+        (segments != 0 || is_direct).then_some(AudiblePair { pair: (p, q), segments, both_ways: p != q })
+    };
+    pairs.into_iter().zip(segments).filter_map(of_pair).collect()
 }
 
 /// Images of the transmitter, which stand for those of all antennas.
@@ -314,7 +321,7 @@ fn left(
     // Start with the middle, which most often decides.
     let mut all = all.clone().skip(middle).chain(all.take(middle)).filter(|(_, reached)| **reached);
     if all.any(|(ellipsoid, _)| room.is_lit(index, antenna, facing(ellipsoid, source))) {
-        return room.paths().most_by_edges();
+        return room.paths().most_by_edges().min(MOST_IN_LIGHT);
     }
     if least > MOST_IN_SHADOW || !room.counts_in_shadow(index) {
         return 0.0;

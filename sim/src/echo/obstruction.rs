@@ -5,9 +5,8 @@ use std::cell::RefCell;
 
 use glam::{DVec2, DVec3};
 
-use super::Snapshot;
+use super::{Seen, Snapshot};
 use crate::diffraction::{self, Column, REACH_M};
-use crate::em::Phasor3;
 use crate::em::image::{BoxRoom, Element, ImageIndex, order};
 use crate::em::specular::Ellipsoid;
 use crate::paths::{EdgesBeside, Obstruction, PolygonRoom, Surroundings};
@@ -169,26 +168,28 @@ impl<'a> SharedWays<'a> {
         slot.as_ref().filter(|way| way.obstruction.left() > 0.0)
     }
 
-    /// Returns the field of an element's image at a point of a segment, and the factor of obstruction by people.
+    /// Returns the field of an element's image at a point of a segment.
     pub(super) fn field(
         &mut self,
         (number, image): (usize, ImageIndex),
         element: &Element,
         segment: usize,
         point: DVec3,
-    ) -> Option<(Phasor3, f64)> {
+    ) -> Option<Seen> {
         let (room, beside) = (self.room, self.beside);
         let way = self.of(number, image, segment)?;
         let paths = room.paths();
         let mut edges = beside.borrow_mut();
-        let field = match edges.get_mut(number * SEGMENTS + segment).filter(|edges| !edges.is_empty()) {
+        let edges = edges.get_mut(number * SEGMENTS + segment).filter(|edges| !edges.is_empty());
+        let is_clear = edges.is_none() && way.past_people == 1.0;
+        let field = match edges {
             Some(edges) => {
                 let own = room.obstruction(image, element.position, point, Some(edges));
                 paths.illuminate_past(element, &own, point).field
             }
             None => paths.illuminate_past(element, &way.obstruction, point).field,
         };
-        Some((field, way.past_people))
+        Some(Seen { field, left: way.past_people, is_clear })
     }
 }
 

@@ -42,7 +42,8 @@ pub struct TracedPath {
     point: DVec3,
     /// Whether obstruction by people has not been applied.
     is_bare: bool,
-    /// Whether people, and the limbs and trunk of the person that reflects, leave the path as it is.
+    /// Whether people, and the limbs and trunk of the person that reflects, leave the path as it is, and no edge of a facet
+    /// is beside it.
     pub is_clear: bool,
 }
 
@@ -173,9 +174,10 @@ impl Paths<'_> {
         let mut keys = Vec::with_capacity(RECEIVERS);
         for (met, &(path, near)) in met.iter_mut().zip(asked).filter(|(met, _)| met.receivers == 0) {
             keys.clear();
-            let place = self.trace_at(path, &mut instant, near, &mut keys, report);
-            *met = TracedPath::new(&keys, place);
-            if let Some(exchanged) = place.and_then(|unit| self.exchanged(path, own, unit)) {
+            let found = self.trace_at(path, &mut instant, near, &mut keys, report);
+            *met = TracedPath::new(&keys, found.map(|found| found.unit));
+            met.is_clear = found.is_some_and(|found| found.is_clear);
+            if let Some(exchanged) = met.place.and_then(|unit| self.exchanged(path, own, unit)) {
                 met.exchanged = exchanged;
             }
         }

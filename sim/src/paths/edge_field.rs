@@ -7,11 +7,11 @@
 //! otherwise. Each side of the outline contributes separately; for an infinite side the contribution is Fresnel's
 //! integral ([`half_plane`]).
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use num_complex::Complex64;
 
-use crate::diffraction::half_plane;
+use crate::diffraction::{half_plane, wave};
 
 /// Positive abscissae and weights of the Gauss-Legendre rules with 4, 8 and 16 nodes on -1..1.
 const GAUSS_4: [(f64, f64); 2] =
@@ -65,7 +65,6 @@ fn quadrature(p: f64, s: f64) -> Complex64 {
     if s == 0.0 {
         return Complex64::ZERO;
     }
-    let wave = |square: f64| Complex64::from_polar(1.0, -0.5 * PI * square);
     let at = |t: f64| {
         let square = t * t;
         wave(square) * (p / (p * p + square))

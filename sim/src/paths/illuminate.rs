@@ -20,7 +20,7 @@ use num_complex::Complex64;
 use super::aperture::{Aperture, Kept};
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::edges::SoftEdge;
-use super::environment::Environment;
+use super::environment::{Environment, Passing};
 use super::flat::{FacetId, SEAM_M};
 use super::leg::{Leg, Passage, UNSURE_M};
 use crate::em::fresnel::Reflection;
@@ -270,7 +270,9 @@ impl ImagePaths {
         let length_m = from.distance(to);
         let direction = (to - from) / length_m.max(1e-12);
         let leg = Leg { from, direction, length_m, before_m: 0.0, total_m: length_m };
-        let Some(OnLeg { kept, crossed, others }) = self.on_leg(&leg, to, Ends { on, sequence: &[] }, None) else {
+        let ends = Ends { on, sequence: &[] };
+        let passing = self.passing(&leg, to, ends);
+        let Some(OnLeg { kept, crossed, others }) = self.on_leg(&leg, to, ends, &passing, None) else {
             return 0.0;
         };
         let through = |&facet: &FacetId| {
@@ -389,17 +391,28 @@ impl ImagePaths {
         if let Some(aperture) = aperture {
             weight = weight.and(aperture.kept);
         }
-        let mut before_m = 0.0;
-        let mut followed = Followed { kept: weight, crossed: Vec::new(), others: Vec::new() };
-        let mut is_from_edge = false;
+        let (mut legs, mut before_m, mut is_from_edge) = (Vec::with_capacity(points.len()), 0.0, false);
         for i in 0..=sequence.len() {
             let leg = leg(i, before_m);
             before_m += leg.length_m;
             let leg = if is_from_edge { leg.off_edge() } else { leg };
             is_from_edge = leg.length_m < BEFORE_M;
-            let known = known.as_mut().map(|(known, number)| (&mut **known, (*number, i as u32)));
             let ends = Ends { on: self.ends_on(sequence, i, antenna), sequence };
-            followed.over(i, self.on_leg(&leg, folded.point(i + 1), ends, known)?);
+            legs.push((leg, ends, self.passing(&leg, folded.point(i + 1), ends)));
+        }
+        // Most paths in shadow end at a leg that is blocked and has no edge beside it. The edges of others are then not
+        // searched.
+        let mut on_legs: Vec<Option<OnLeg>> = legs.iter().map(|_| None).collect();
+        let is_blocked = |(_, (_, _, passing)): &(usize, &(Leg, Ends, Passing))| passing.is_blocked;
+        let (blocked, free) = (legs.iter().enumerate(), legs.iter().enumerate());
+        for (i, (leg, ends, passing)) in blocked.filter(is_blocked).chain(free.filter(|leg| !is_blocked(leg))) {
+            let known = known.as_mut().map(|(known, number)| (&mut **known, (*number, i as u32)));
+            let on_leg = self.on_leg(leg, folded.point(i + 1), *ends, passing, known)?;
+            on_legs.get_mut(i)?.replace(on_leg);
+        }
+        let mut followed = Followed { kept: weight, crossed: Vec::new(), others: Vec::new() };
+        for (i, on_leg) in on_legs.into_iter().flatten().enumerate() {
+            followed.over(i, on_leg);
         }
         let Followed { kept, crossed, others } = followed;
         let first = Arrival { sequence, part: kept.field, is_whole: kept.is_whole, crossed };
@@ -407,15 +420,19 @@ impl ImagePaths {
         Some((first, others.collect()))
     }
 
+    /// Facets and obstacles on a leg, except the facets on which it ends.
+    fn passing(&self, leg: &Leg, to: DVec3, ends: Ends) -> Passing {
+        if leg.length_m < BEFORE_M { Passing::default() } else { self.environment.passing([leg.from, to], ends.on) }
+    }
+
     /// Relative field on a leg past all facets except those on which it ends, and the walls that it crosses.
-    fn on_leg(&self, leg: &Leg, to: DVec3, ends: Ends, known: KnownBeside) -> Option<OnLeg> {
+    fn on_leg(&self, leg: &Leg, to: DVec3, ends: Ends, passing: &Passing, known: KnownBeside) -> Option<OnLeg> {
         let environment = &*self.environment;
         let mut others: Vec<(Complex64, Vec<FacetId>)> = Vec::new();
         if leg.length_m < BEFORE_M {
             let kept = Kept { field: Complex64::ONE, is_whole: true };
             return Some(OnLeg { kept, crossed: Vec::new(), others });
         }
-        let passing = environment.passing([leg.from, to], ends.on);
         let mut field = if passing.is_blocked { Complex64::ZERO } else { Complex64::ONE };
         let mut is_left = !passing.is_blocked;
         let found;
@@ -455,7 +472,7 @@ impl ImagePaths {
             is_left = true;
         }
         let kept = Kept { field, is_whole: !passing.is_blocked };
-        is_left.then_some(OnLeg { kept, crossed: passing.crossed, others })
+        is_left.then(|| OnLeg { kept, crossed: passing.crossed.clone(), others })
     }
 
     /// Diffracting edges beside a leg: within reach (or up to `farther_m` beyond), seen from both ends, and with other
