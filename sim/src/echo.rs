@@ -28,7 +28,7 @@ use std::collections::BTreeSet;
 
 use glam::DVec3;
 use num_complex::Complex64;
-use obstruction::{SharedWays, Way, past_own, past_people, visibility};
+use obstruction::{BesideWay, SharedWays, Way, past_own, past_people, visibility};
 use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use crate::diffraction::Column;
@@ -39,7 +39,7 @@ use crate::em::{Phasor3, incidence_frame};
 use crate::material::SKIN_PERMITTIVITY;
 use crate::math::smooth_step;
 use crate::path_segment::PathSample;
-use crate::paths::{EdgesBeside, Surroundings};
+use crate::paths::Surroundings;
 use crate::people::body::{CHEST, PELVIS, SEGMENTS};
 use crate::people::motion::{AtDesk, BodyPoint, Motion};
 use crate::prepared_scene::PreparedScene;
@@ -153,7 +153,7 @@ pub struct Paths<'a> {
     /// Instruction set of the vectorised kernels.
     level: KernelLevel,
     /// Edges near the one-way path to each segment in rooms of plane faces, filled on first use: `[image][segment]`.
-    beside: RefCell<Vec<EdgesBeside>>,
+    beside: RefCell<Vec<BesideWay>>,
 }
 
 impl<'a> Paths<'a> {
@@ -192,7 +192,7 @@ impl<'a> Paths<'a> {
             Surroundings::Box(_) => 0,
             Surroundings::Polygons(_) => images.len() * SEGMENTS,
         };
-        let (images, beside) = (images.len(), RefCell::new(vec![EdgesBeside::default(); ways]));
+        let (images, beside) = (images.len(), RefCell::new(vec![BesideWay::default(); ways]));
         Paths { prepared, motion, me, pairs, images, specular_points, level, beside }
     }
 

@@ -74,7 +74,8 @@ pub fn audible_paths(prepared: &PreparedScene, motion: &Motion, instants_s: &[f6
     let images = Images::near(prepared, &bodies);
     let bounds: Vec<SegmentBound> =
         (0..SEGMENTS).filter_map(|segment| SegmentBound::new(prepared, motion, &images, segment, &bodies)).collect();
-    let mut pairs = images.pairs(prepared, |image| bounds.iter().any(|bound| bound.lights(image)));
+    let is_lit = |image: usize| bounds.iter().any(|bound| bound.lights(image));
+    let mut pairs = images.pairs(prepared, is_lit);
     // The list has every pair in both orders.
     pairs.retain(|[p, q]| p <= q);
     let mut segments = vec![0u16; pairs.len()];
@@ -134,16 +135,16 @@ impl Images {
     /// Returns the pairs of images of which both are lit or the antennas themselves, as indices, in both orders. The
     /// direct pair is the first.
     fn pairs(&self, prepared: &PreparedScene, is_lit: impl Fn(usize) -> bool) -> Vec<[usize; 2]> {
-        let counts = |number: usize| is_lit(number) || self.indices.get(number).is_some_and(|i| *i == [0; 3]);
+        let counts: Vec<bool> = self.indices.iter().zip(0..).map(|(i, at)| *i == [0; 3] || is_lit(at)).collect();
         // The list holds every image of the pairs.
         let number = |index: &ImageIndex| self.indices.binary_search(index).unwrap_or_default();
         match &prepared.room {
             Surroundings::Box(_) => {
                 let all = prepared.body_pairs.iter().map(|(p, q)| [number(p), number(q)]);
-                all.filter(|pair| pair.iter().all(|&number| counts(number))).collect()
+                all.filter(|[p, q]| counts[*p] && counts[*q]).collect()
             }
             Surroundings::Polygons(room) => {
-                let lit: Vec<usize> = (0..self.indices.len()).filter(|&number| counts(number)).collect();
+                let lit: Vec<usize> = (0..self.indices.len()).filter(|&number| counts[number]).collect();
                 let indices: Vec<ImageIndex> = lit.iter().map(|&number| self.indices[number]).collect();
                 room.pairs_among(&indices).into_iter().map(|pair| pair.map(|at| lit[at])).collect()
             }

@@ -118,10 +118,18 @@ pub(super) fn facing(segment: &Ellipsoid, source: DVec3) -> DVec3 {
 
 /// Obstruction of the one-way path between an image and a segment.
 pub(super) struct SharedWay<'a> {
-    /// Obstruction by facets, edges and walls.
-    pub(super) obstruction: Obstruction<'a>,
+    /// Obstruction by facets, edges and walls; `None` where every specular point has its own.
+    pub(super) obstruction: Option<Obstruction<'a>>,
     /// Factor of obstruction by people.
     pub(super) past_people: f64,
+}
+
+/// Edges beside the one-way paths between an image and a segment in a frame.
+#[derive(Debug, Clone, Default)]
+pub(super) struct BesideWay {
+    edges: EdgesBeside,
+    /// Whether something arrived when the edges were searched. It may begin to arrive later, but seldom.
+    arrives: bool,
 }
 
 /// Obstructions of the one-way paths between images and a person's segments at an instant, in a room of plane faces.
@@ -133,7 +141,7 @@ pub(super) struct SharedWays<'a> {
     people: &'a [Snapshot],
     me: usize,
     /// Edges near the paths at any instant: `[image][segment]`.
-    beside: &'a RefCell<Vec<EdgesBeside>>,
+    beside: &'a RefCell<Vec<BesideWay>>,
     /// Obstructions computed so far: `[image][segment]`.
     known: Vec<Option<SharedWay<'a>>>,
 }
@@ -145,7 +153,7 @@ impl<'a> SharedWays<'a> {
         room: &'a PolygonRoom,
         people: &'a [Snapshot],
         me: usize,
-        beside: &'a RefCell<Vec<EdgesBeside>>,
+        beside: &'a RefCell<Vec<BesideWay>>,
     ) -> Self {
         let known = beside.borrow().iter().map(|_| None).collect();
         SharedWays { prepared, room, people, me, beside, known }
@@ -160,12 +168,19 @@ impl<'a> SharedWays<'a> {
             let (room, antenna) = (self.room, self.prepared.tx.position);
             let point = facing(ellipsoid, self.prepared.room.image_position(image, antenna));
             let mut beside = self.beside.borrow_mut();
-            let obstruction = room.obstruction(image, antenna, point, beside.get_mut(number * SEGMENTS + segment));
-            let way = room.paths().polyline_past(&obstruction, antenna, point);
+            let beside = beside.get_mut(number * SEGMENTS + segment)?;
+            let (obstruction, way) = if beside.arrives && !beside.edges.is_empty() {
+                (None, room.way(image, antenna, point))
+            } else {
+                let obstruction = room.obstruction(image, antenna, point, Some(&mut beside.edges));
+                beside.arrives = obstruction.left() > 0.0;
+                let way = room.paths().polyline_past(&obstruction, antenna, point);
+                (Some(obstruction), way)
+            };
             let past_people = past_along(self.prepared, self.people, self.me, &way);
             *slot = Some(SharedWay { obstruction, past_people });
         }
-        slot.as_ref().filter(|way| way.obstruction.left() > 0.0)
+        slot.as_ref().filter(|way| way.obstruction.as_ref().is_none_or(|obstruction| obstruction.left() > 0.0))
     }
 
     /// Returns the field of an element's image at a point of a segment.
@@ -179,15 +194,16 @@ impl<'a> SharedWays<'a> {
         let (room, beside) = (self.room, self.beside);
         let way = self.of(number, image, segment)?;
         let paths = room.paths();
-        let mut edges = beside.borrow_mut();
-        let edges = edges.get_mut(number * SEGMENTS + segment).filter(|edges| !edges.is_empty());
-        let is_clear = edges.is_none() && way.past_people == 1.0;
-        let field = match edges {
-            Some(edges) => {
+        let mut beside = beside.borrow_mut();
+        let edges = &mut beside.get_mut(number * SEGMENTS + segment)?.edges;
+        let shared = way.obstruction.as_ref().filter(|_| edges.is_empty());
+        let is_clear = shared.is_some() && way.past_people == 1.0;
+        let field = match shared {
+            Some(shared) => paths.illuminate_past(element, shared, point).field,
+            None => {
                 let own = room.obstruction(image, element.position, point, Some(edges));
                 paths.illuminate_past(element, &own, point).field
             }
-            None => paths.illuminate_past(element, &way.obstruction, point).field,
         };
         Some(Seen { field, left: way.past_people, is_clear })
     }

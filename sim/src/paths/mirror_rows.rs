@@ -93,3 +93,62 @@ impl ImagePaths {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use glam::DVec2;
+    use rand::{Rng, SeedableRng};
+    use rand_xoshiro::Xoshiro256PlusPlus;
+
+    use super::super::LaunchOptions;
+    use super::super::environment::Environment;
+    use super::super::rooms::{extruded, l_shape, sheet, slab};
+    use super::*;
+    use crate::lanes::tests::assert_same_at_every_level;
+    use crate::lanes::vector::store;
+
+    #[test]
+    fn every_lit_point_is_found_and_few_others() {
+        let options = LaunchOptions { max_order: 2, refinements: 2, max_rays: 20_000 };
+        let (mut lit, mut reached, mut all) = (0, 0, 0);
+        for seed in 0..6 {
+            let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+            let outline = l_shape(&mut rng);
+            let mut facets = extruded(&outline, 2.6);
+            facets.extend(sheet(DVec2::new(0.35, -0.25), DVec2::new(0.35, -0.25).lerp(outline[0], 0.5), 2.0, slab(2)));
+            let environment = Arc::new(Environment::new(facets, 1_257.507).expect("facets"));
+            let antenna = DVec3::new(rng.random_range(-0.2..0.2), rng.random_range(-0.2..0.2), 1.3);
+            let paths = ImagePaths::discover(environment, antenna, &options);
+            let mut points = vec![[[0.0; WIDE]; 3]; 5];
+            for point in &mut points {
+                for l in 0..WIDE {
+                    store(
+                        point,
+                        l,
+                        [rng.random_range(-2.0..2.0), rng.random_range(-2.0..2.0), rng.random_range(0.1..2.5)],
+                    );
+                }
+            }
+            for image in 0..paths.images().len() {
+                let ways = |level: KernelLevel| {
+                    let mut ways = vec![[0.0; WIDE]; points.len()];
+                    paths.add_reached(level, image, antenna, &points, &mut ways);
+                    ways
+                };
+                assert_same_at_every_level(ways);
+                for (points, ways) in points.iter().zip(ways(KernelLevel::Portable)) {
+                    for (l, ways) in ways.into_iter().enumerate() {
+                        let is_lit = paths.is_lit(image, antenna, DVec3::from_array(wide_lane(points, l)));
+                        assert!(!is_lit || ways > 0.0, "{seed} {image} {l}");
+                        lit += usize::from(is_lit);
+                        reached += usize::from(ways > 0.0);
+                        all += 1;
+                    }
+                }
+            }
+        }
+        assert!(lit > 300 && reached < 2 * lit && reached < all, "{lit} lit, {reached} reached, {all} in all");
+    }
+}
