@@ -10,7 +10,7 @@ first, last = (int(a) for a in (sys.argv[1:3] or ("100001", "100020")))
 model = ["--model", sys.argv[3]] if len(sys.argv) > 3 else []
 runs = []
 for seed in range(first, last + 1):
-    command = [root / "target/release/radome", "demo", "--frames", "200", "--speed", "0", "--json", "--seed", str(seed)]
+    command = [root / "target/release/radome", "demo", "--speed", "0", "--json", "--seed", str(seed)]
     lines = subprocess.check_output([*command, *model], text=True, stderr=subprocess.DEVNULL).splitlines()
     summary = json.loads(lines[-1])["summary"]
     runs.append({
