@@ -10,7 +10,7 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform};
 
-use crate::common::{self, Pattern, board, in_folder, read_frames, realised, waveform};
+use crate::common::{self, Pattern, board, in_folder, read_frames, realised, spawn, waveform};
 
 /// Starts and stops a board three times; asserts that no frame of an earlier run appears in a later one.
 pub(crate) fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7Board {
@@ -384,6 +384,24 @@ mod hard_cases {
         assert!(gaps.iter().any(|g| g.reason == GapReason::FifoOverflow), "{gaps:?}");
         let last = sequences.last().copied().unwrap_or(0);
         assert_eq!(sequences.len() as u64 + missing, last + 1, "{sequences:?} {gaps:?}");
+    }
+
+    /// A board from whose source two thousand frames a second were due discarded one at each poll, and its next client
+    /// took it for silent.
+    #[test]
+    fn a_board_that_nobody_has_read_sends_to_its_next_client_at_once() {
+        let waveform = waveform(&[1], 8, 64, 0.05);
+        let options = EmulatorOptions { pace: Pace::RealTime(100.0), ..EmulatorOptions::default() };
+        let board = spawn(&waveform, u64::MAX, options);
+        let mut frame = Frame::zeroed(waveform.shape());
+        for _ in 0..2 {
+            let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
+            for _ in 0..20 {
+                stream.next_frame(&mut frame).expect("a frame, or a gap where this machine was slow");
+            }
+            drop(stream);
+            std::thread::sleep(Duration::from_secs(1));
+        }
     }
 
     /// Asserts that the board answers a start with a waveform other than its source's, but sends no frames. The

@@ -1,4 +1,6 @@
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
@@ -11,7 +13,7 @@ use serde_json::json;
 
 use crate::exit::Ended;
 use crate::live::pipeline::{End, Failure, Inlet, Item, Pipeline, Policy};
-use crate::live::recorder::ended_after;
+use crate::live::recorder::{LAST_PATIENCE, PATIENCE, ended_after, join_last};
 use crate::live::screen;
 use crate::output_file::{self, NewRecording, Overwrite};
 use crate::source::{self, SourceArgs};
@@ -67,13 +69,26 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let recorder = output.create(&header, &recorder_options)?;
     let bar = output::progress(arguments.source.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
     let mut pipeline = Pipeline::default();
-    let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
+    let policy = if source.is_live { Policy::Lossless(PATIENCE) } else { Policy::Wait };
     let inlet = pipeline.consumer("recorder", 64, policy);
     let reader = pipeline.start(source.frames, arguments.source.frames);
     let backlog = source.is_live.then(Backlog::default);
-    let (tally, end) = capture(&inlet, recorder, &source.outage, &bar, backlog);
+    let taken = Arc::<AtomicU64>::default();
+    let queue = inlet.queue.clone();
+    let thread = {
+        let (outage, bar, taken) = (source.outage, bar.clone(), taken.clone());
+        std::thread::spawn(move || capture(&inlet, recorder, &outage, &bar, backlog, &taken))
+    };
+    // The output may hang: this thread watches it, and hears the user.
+    while !(thread.is_finished() || queue.end.get().is_some() || output::interrupted()) {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    // What waits when the output stalls may still be written, and the file be finished.
+    let has_stalled = || queue.has_stalled.load(Ordering::SeqCst);
+    let captured = join_last(thread, &taken, || if has_stalled() { PATIENCE } else { LAST_PATIENCE });
     reader.stop();
     bar.finish_and_clear();
+    let (tally, end) = captured.with_context(|| format!("{file} is not whole"))?;
     let Tally { frames, dropped, gaps, unknown } = tally;
     let more = screen::lost_besides(unknown);
     let said = match arguments.json {
@@ -137,7 +152,7 @@ impl Backlog {
 }
 
 /// Records until the source ends or fails, the disk fails, or the user stops it. `backlog` is given for a board, which does
-/// not wait for the output.
+/// not wait for the output. `taken` counts the items that the file has taken.
 ///
 /// The file is finished unless the disk has failed or the source has panicked: then it stays marked unfinished. A board
 /// that is lost for good, or away when the user stops, leaves a gap of unknown length at the end.
@@ -147,19 +162,21 @@ fn capture(
     outage: &Outage,
     bar: &indicatif::ProgressBar,
     backlog: Option<Backlog>,
+    taken: &AtomicU64,
 ) -> (Tally, anyhow::Result<()>) {
     let mut writer = Writer { recorder, tally: Tally::default(), next_sequence: 0, backlog };
-    let written = writer.write_all(inlet, outage, bar);
+    let written = writer.write_all(inlet, outage, bar, taken);
     let Writer { mut recorder, mut tally, .. } = writer;
     // Frames that the disk has not taken are none of the file's.
     let flushed = recorder.flush();
     tally.frames = recorder.frames_written();
     let end = match written {
         // The first error is reported; finishing the file would fail again.
-        Err(error) => Err(error.context(ended_after(tally.frames))),
+        Err(error) => Err(error.context(ended_after(&recorder))),
         Ok(Some(failure)) if failure.is_panic() => Err(failure.into()),
         Ok(failure) => {
-            let finished = flushed.and_then(|()| recorder.finish()).with_context(|| ended_after(tally.frames));
+            let ended = ended_after(&recorder);
+            let finished = flushed.and_then(|()| recorder.finish()).context(ended);
             match (failure, finished) {
                 (None, finished) => finished.map(drop),
                 (Some(failure), Ok(_)) => Err(failure.into()),
@@ -189,6 +206,7 @@ impl Writer {
         inlet: &Inlet,
         outage: &Outage,
         bar: &indicatif::ProgressBar,
+        taken: &AtomicU64,
     ) -> anyhow::Result<Option<Failure>> {
         let mut is_unflushed = false;
         while !output::interrupted() {
@@ -198,6 +216,7 @@ impl Writer {
                     if let Some(end) = self.write(delivery.item)? {
                         return Ok(end.err());
                     }
+                    taken.fetch_add(1, Ordering::Relaxed);
                     let backlog = self.backlog.as_mut();
                     if backlog.is_some_and(|it| it.is_long(start.elapsed(), inlet.receiver.is_full())) {
                         message!(
@@ -223,6 +242,7 @@ impl Writer {
             if let Some(end) = self.write(delivery.item)? {
                 return Ok(end.err());
             }
+            taken.fetch_add(1, Ordering::Relaxed);
         }
         if let Some(missing) = outage.gap(self.next_sequence) {
             self.gap(&missing)?;
@@ -279,7 +299,7 @@ mod tests {
         let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         let _reader = source.map(|source| pipeline.start(source, None));
-        let (tally, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden(), None);
+        let (tally, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden(), None, &AtomicU64::new(0));
         let is_finished = McapReader::open(&path).expect("a file that opens").is_complete();
         (tally, end.err().map(|error| output::chain(&error)), is_finished)
     }
@@ -316,7 +336,7 @@ mod tests {
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         inlet.queue.end.set(Ok(())).expect("no end yet");
         drop(pipeline);
-        let (_, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden(), None);
+        let (_, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden(), None, &AtomicU64::new(0));
         end.expect("an end");
         assert!(McapReader::open(&path).expect("a file that opens").is_complete());
     }

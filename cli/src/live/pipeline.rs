@@ -96,6 +96,8 @@ pub struct Queue {
     pub missed_in_gaps: AtomicU64,
     /// Whether the pipeline has given this consumer up because it stalled. It receives no further items.
     pub is_left_behind: AtomicBool,
+    /// Whether this consumer has taken nothing for as long as it may.
+    pub has_stalled: AtomicBool,
     /// Result of the stream. It is set before any consumer receives it.
     pub end: OnceLock<End>,
 }
@@ -296,6 +298,7 @@ impl Outlet {
                 if let Err(error) = self.sender.send_timeout(delivery, deadline)
                     && error.is_timeout()
                 {
+                    self.queue.has_stalled.store(true, Ordering::SeqCst);
                     return Err(stalled(self.name, deadline).into());
                 }
             }
@@ -303,6 +306,7 @@ impl Outlet {
             Policy::LosslessOrGone(deadline) => {
                 let sent = self.sender.send_timeout(delivery, deadline);
                 if sent.is_err_and(|error| error.is_timeout()) {
+                    self.queue.has_stalled.store(true, Ordering::SeqCst);
                     self.queue.is_left_behind.store(true, Ordering::SeqCst);
                 }
             }

@@ -26,16 +26,45 @@ const WAITING_RESULTS: usize = 1024;
 /// Time for which the recorder may take no frame.
 pub const PATIENCE: Duration = Duration::from_secs(5);
 /// Time for which the recorder may take no item at the end. A sync may take ten seconds, and another may be under way.
-const LAST_PATIENCE: Duration = Duration::from_secs(30);
+pub const LAST_PATIENCE: Duration = Duration::from_secs(30);
 /// Silence of a source after which written data are flushed, since the source may never come back.
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// Message about a recording that failed and holds this number of frames.
-pub fn ended_after(frames: u64) -> String {
+/// Message about a recording that failed. One that is no file, or none any more, cannot be repaired.
+pub fn ended_after(recorder: &Recorder) -> String {
+    let frames = recorder.frames_written();
+    if !recorder.path().is_file() {
+        return format!("the recording ended after {frames} frames");
+    }
     format!(
         "the recording ended after {frames} frames and is marked unfinished\n\nhint: radome recording repair makes a finished one of \
          what the file holds"
     )
+}
+
+/// Waits for the end of a recorder's thread, which counts the items that it has taken. A thread that takes
+/// nothing for longer than `patience` is abandoned: the disk blocks it.
+///
+/// # Errors
+/// The disk has taken nothing for too long, or the thread has panicked.
+pub fn join_last<T>(
+    thread: JoinHandle<T>,
+    taken: &AtomicU64,
+    patience: impl Fn() -> Duration,
+) -> anyhow::Result<T> {
+    let (mut since, mut last) = (Instant::now(), 0);
+    while !thread.is_finished() {
+        let now = taken.load(Ordering::Relaxed);
+        if std::mem::replace(&mut last, now) != now {
+            since = Instant::now();
+        }
+        let patience = patience();
+        if since.elapsed() > patience {
+            bail!(stalled("recorder", patience.max(PATIENCE)));
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    thread.join().map_err(|payload| Panicked::new(payload.as_ref()).into())
 }
 
 /// Converts an answer for the recording.
@@ -118,7 +147,7 @@ impl RecorderSink {
             let frames = writer.recorder.frames_written();
             written
                 .and_then(|()| if is_left_behind { bail!(stalled("recorder", PATIENCE)) } else { flushed })
-                .with_context(|| ended_after(frames))?;
+                .with_context(|| ended_after(&writer.recorder))?;
             Ok(match inlet.queue.end.get() {
                 Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(frames),
                 // A recording that its source or its user ended is complete.
@@ -138,23 +167,11 @@ impl RecorderSink {
     fn join(&mut self) -> anyhow::Result<Recorded> {
         self.results.take();
         let Some(thread) = self.thread.take() else { bail!("the recorder has ended") };
-        let (mut since, mut taken) = (Instant::now(), 0);
-        while !thread.is_finished() {
-            let now = self.taken.load(Ordering::Relaxed);
-            if std::mem::replace(&mut taken, now) != now {
-                since = Instant::now();
-            }
-            let waited = match self.queue.is_left_behind.load(Ordering::SeqCst) {
-                true => Some(PATIENCE),
-                false => (since.elapsed() > LAST_PATIENCE).then_some(LAST_PATIENCE),
-            };
-            if let Some(waited) = waited {
-                bail!("{} is not whole: {}", self.file, stalled("recorder", waited));
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        let joined = thread.join().unwrap_or_else(|payload| Err(Panicked::new(payload.as_ref()).into()));
-        joined.with_context(|| format!("{} is not whole", self.file))
+        // One that is left behind has already taken nothing for as long as it may.
+        let is_left_behind = || self.queue.is_left_behind.load(Ordering::SeqCst);
+        join_last(thread, &self.taken, || if is_left_behind() { Duration::ZERO } else { LAST_PATIENCE })
+            .and_then(|recorded| recorded)
+            .with_context(|| format!("{} is not whole", self.file))
     }
 }
 
@@ -321,6 +338,7 @@ impl Writer {
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+    use std::sync::mpsc::channel;
 
     use radome_driver::recording::mcap::RESULTS_VERSION;
     use radome_driver::{BoardError, Judge, McapReader};
@@ -360,6 +378,26 @@ mod tests {
                 SourceEvent::End => return (reader.is_complete(), frames, gaps),
             }
         }
+    }
+
+    /// An output that hung held `record` for ever.
+    #[test]
+    fn a_thread_that_takes_nothing_is_abandoned_and_a_slow_one_is_not() {
+        let taken = Arc::<AtomicU64>::default();
+        let (release, hang) = channel::<()>();
+        let hanging = std::thread::spawn(move || hang.recv());
+        let error = join_last(hanging, &taken, || Duration::from_millis(20)).err().expect("it hangs");
+        assert!(error.to_string().contains("has not taken a frame"), "{error}");
+        drop(release);
+        let counter = taken.clone();
+        let slow = std::thread::spawn(move || {
+            for _ in 0..10 {
+                std::thread::sleep(Duration::from_millis(5));
+                counter.fetch_add(1, Ordering::Relaxed);
+            }
+            7
+        });
+        assert_eq!(join_last(slow, &taken, || Duration::from_secs(60)).expect("it ends"), 7);
     }
 
     #[test]

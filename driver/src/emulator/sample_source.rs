@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use radome_dsp::{FIFO_SAMPLES, Frame, FrameShape, FrameSource, SourceEvent, Waveform};
 
 use super::feed::Maker;
@@ -16,6 +16,12 @@ use crate::protocol::fifo;
 
 /// Most frames that the source may be ahead.
 const FRAMES_AHEAD: usize = 2;
+/// Largest number of frames that are sampled or discarded at once.
+const MOST_AT_ONCE: usize = 100;
+/// Time for which the source is waited for while its frames are discarded.
+const BEHIND_PATIENCE: Duration = Duration::from_millis(1);
+/// Number of frames that a scene's simulation may be behind when the chip starts again. Behind more, it begins anew.
+const MOST_IDLE_FRAMES: f64 = 4.0;
 
 enum Message {
     Frame(Frame),
@@ -154,7 +160,10 @@ impl SampleSource {
     pub fn restart(&mut self, waveform: &Waveform) {
         self.is_silent = false;
         self.shared.accept();
-        if !self.has(waveform) {
+        // A scene is not simulated for the time in which nobody listened.
+        let idle_ns = self.now_ns().map_or(0, |now| now.saturating_sub(self.next_ns));
+        let was_idle = self.makes_any_waveform && idle_ns as f64 * 1e-9 > MOST_IDLE_FRAMES * self.source.frame_interval_s();
+        if !self.has(waveform) || was_idle {
             match self.check(waveform) {
                 Ok(()) => self.remake(waveform),
                 Err(reason) => self.refuse(&reason),
@@ -216,10 +225,10 @@ impl SampleSource {
             return;
         };
         let ahead = 3 * self.fifo_limit();
-        while self.frames.back().is_none_or(|(_, time_ns)| *time_ns <= now) && self.put < self.taken + ahead {
-            let put = self.put;
-            self.pull();
-            if self.put == put {
+        // The firmware has to answer its host in between.
+        for _ in 0..MOST_AT_ONCE {
+            let is_due = self.frames.back().is_none_or(|(_, time_ns)| *time_ns <= now);
+            if !(is_due && self.put < self.taken + ahead && self.pull()) {
                 return;
             }
         }
@@ -238,41 +247,46 @@ impl SampleSource {
         self.pace == Pace::AsFastAsRead
     }
 
-    fn pull(&mut self) {
+    /// Samples the next frame, or discards one from before the start; returns false if there is none yet.
+    fn pull(&mut self) -> bool {
         if self.ended || self.is_silent || self.missing > 0 {
-            return;
+            return false;
         }
         let frame = match self.upcoming.take().map_or_else(|| self.receive(), Some) {
             Some(frame) => frame,
-            None => return,
+            None => return false,
         };
         if self.now_ns().is_some_and(|now| frame.time_ns > now) {
             self.upcoming = Some(frame);
-            return;
+            return false;
         }
         // A frame with at least one sampled chirp counts as measured; the start ended it.
         let had_begun =
             |started: u64| self.timing.chirps_after(started.saturating_sub(frame.time_ns) as f64 * 1e-9) > 0;
         if self.started_ns.is_some_and(had_begun) {
             let _ = self.spare.try_send(frame);
-            return;
+            return true;
         }
         self.started_ns = None;
         self.frames.push_back((self.put, frame.time_ns));
         fifo::interleave(&frame.codes, self.shape, &self.channels, &mut self.codes);
         self.put += self.codes_per_frame;
         let _ = self.spare.try_send(frame);
+        true
     }
 
     /// Receives the source's next frame, if it is there.
     fn receive(&mut self) -> Option<Frame> {
-        let message = match self.incoming.try_recv() {
+        // Frames from before the start are discarded as fast as they come.
+        let is_behind = self.clock.is_some() && self.started_ns.is_some_and(|started| self.next_ns < started);
+        let patience = if is_behind { BEHIND_PATIENCE } else { Duration::ZERO };
+        let message = match self.incoming.recv_timeout(patience) {
             Ok(message) => message,
             // The producer sends a message when it ends, unless it panics.
-            Err(TryRecvError::Disconnected) => {
+            Err(RecvTimeoutError::Disconnected) => {
                 Message::Failed(self.producer.take().map_or_else(String::new, panic_message))
             }
-            Err(TryRecvError::Empty) => return None,
+            Err(RecvTimeoutError::Timeout) => return None,
         };
         match message {
             Message::Frame(frame) => {

@@ -22,6 +22,17 @@ pub(super) fn append(mut file: &File, path: &Path, at: u64, bytes: &[u8]) -> io:
     file.write_all(bytes)
 }
 
+/// Fails for a file that is shorter than what was written to it: somebody has cut it, and more data would only follow a
+/// hole.
+pub(super) fn check_length(file: &File, written: u64) -> io::Result<()> {
+    let metadata = file.metadata()?;
+    if metadata.is_file() && metadata.len() < written {
+        let why = format!("it was cut to {} of {written} bytes while it was written", metadata.len());
+        return Err(io::Error::new(io::ErrorKind::UnexpectedEof, why));
+    }
+    Ok(())
+}
+
 /// Writes over a file from `at` on.
 pub(super) fn overwrite(mut file: &File, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()> {
     file.seek(SeekFrom::Start(at))?;

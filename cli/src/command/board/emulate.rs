@@ -104,6 +104,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let board = EmulatedBoard::spawn(feed, options)?;
     let mut path = board.path().display().to_string();
+    if kind == Kind::Mcu7Bulk && !path.contains('/') {
+        // `usb:FOLDER` is told from a serial number by its slash.
+        path.insert_str(0, "./");
+    }
     if let Some(Gadget::FunctionFs(mount)) = gadget {
         function_fs::serve(mount, board.path())
             .with_context(|| format!("{}: cannot serve this FunctionFS", mount.display()))?;

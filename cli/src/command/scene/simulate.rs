@@ -155,7 +155,7 @@ impl Simulated {
             match simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
                 SourceEvent::Frame => {
                     if let Some(recorder) = &mut recorder {
-                        recorder.frame(&frame).with_context(|| ended_after(recorder.frames_written()))?;
+                        recorder.frame(&frame).with_context(|| ended_after(recorder))?;
                     }
                 }
                 // A simulation loses no frame.

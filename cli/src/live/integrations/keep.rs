@@ -17,7 +17,7 @@ use radome_dsp::{Frame, Gap, Occupancy};
 use super::latest::{Latest, count};
 use crate::exit::wrong_use;
 use crate::live::health::Health;
-use crate::live::recorder::frame_result;
+use crate::live::recorder::{LAST_PATIENCE, frame_result};
 use crate::live::sink::{Moment, Sink};
 use crate::panics::{Panicked, lock};
 
@@ -154,7 +154,7 @@ pub struct Keeper {
     spare: Vec<u8>,
 }
 
-/// Saving thread. Dropping it waits for the report that is being saved.
+/// Saving thread. Dropping it waits for the report that is being saved, unless the disk hangs.
 pub struct Saver {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -212,9 +212,17 @@ impl Drop for Saver {
     fn drop(&mut self) {
         // The flag stops the thread even if a hanging task still holds a sender.
         self.stop.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take()
-            && let Err(payload) = thread.join()
-        {
+        let Some(thread) = self.thread.take() else { return };
+        let since = Instant::now();
+        while !thread.is_finished() {
+            if since.elapsed() > LAST_PATIENCE {
+                let waited_s = LAST_PATIENCE.as_secs();
+                tracing::error!("a report may be lost: the disk has not stored it for {waited_s} s");
+                return;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        if let Err(payload) = thread.join() {
             tracing::error!("reports are no longer saved: {}", Panicked::new(payload.as_ref()));
         }
     }

@@ -34,6 +34,8 @@ enum Ready {
 
 /// Most duplicate packets in a row. More packets from the past mean that the counter has been set back.
 const MOST_DUPLICATES: u32 = 8;
+/// Number of bytes of a text that are printed.
+const MOST_TEXT_BYTES: usize = 200;
 
 pub(super) struct Assembler {
     slice: SliceLayout,
@@ -254,8 +256,13 @@ impl Assembler {
     /// Takes a packet with a text, which counts among the packets but carries no byte of the stream. On a transport
     /// without CRC it may have been a packet with data: the slices' times must agree until a whole frame has been seen.
     fn take_text(&mut self, packet: &Packet<'_>) {
-        let text = String::from_utf8_lossy(packet.payload);
-        tracing::warn!(text = text.trim_end_matches(['\0', '\n', '\r']), "the board sent a text among its data");
+        let text = String::from_utf8_lossy(packet.payload.get(..MOST_TEXT_BYTES).unwrap_or(packet.payload));
+        let text = text.trim_end_matches(['\0', '\n', '\r']);
+        if text.contains(|c: char| c == char::REPLACEMENT_CHARACTER || (c.is_control() && !c.is_whitespace())) {
+            tracing::warn!(bytes = packet.payload.len(), "the board sent a packet that is marked as text and holds none");
+        } else {
+            tracing::warn!(text, "the board sent a text among its data");
+        }
         self.texts = self.texts.wrapping_add(1);
         self.check_until = self.end_slice(self.next_frame) + 1;
     }

@@ -282,6 +282,27 @@ fn a_recording_that_is_removed_meanwhile_ends_with_an_error() {
     }
 }
 
+/// A recording that was cut while it was made ended as a success, and its beginning was a hole.
+#[test]
+fn a_recording_that_is_cut_meanwhile_ends_with_an_error() {
+    let folder = folder();
+    let path = folder.path().join("a.mcap");
+    let header = RecordingHeader::new(pattern().waveform);
+    let mut recorder = Recorder::with_options(&path, &header, &options()).expect("creates");
+    let mut source = pattern();
+    let mut frame = Frame::zeroed(source.waveform.shape());
+    source.next_frame(&mut frame).expect("frame");
+    recorder.frame(&frame).expect("records");
+    recorder.flush().expect("writes");
+    std::fs::File::options().write(true).open(&path).and_then(|file| file.set_len(0)).expect("cuts");
+    source.next_frame(&mut frame).expect("frame");
+    recorder.frame(&frame).expect("records");
+    let Err(RecordingError::Io { path: named, source, .. }) = recorder.flush() else { panic!("no error") };
+    assert!(named == path && source.to_string().contains("cut to 0 of"), "{source}");
+    assert!(recorder.finish().is_err());
+    assert_eq!(std::fs::metadata(&path).expect("the file").len(), 0, "no hole is written");
+}
+
 #[test]
 fn a_hundred_changes_of_labels_leave_a_file_as_long_as_one() {
     let folder = folder();

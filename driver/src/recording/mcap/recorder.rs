@@ -269,6 +269,7 @@ impl Recorder {
 
     /// Writes the bytes that are pending to the file, at once.
     fn write_out(&mut self, what: &'static str) -> Result<(), RecordingError> {
+        disk::check_length(&self.file, self.end).map_err(|source| self.cannot(what, source))?;
         if let Err(source) = disk::append(&self.file, &self.path, self.end, &self.pending) {
             // A chunk that is cut short is of no use. If the disk does not even take this, readers skip it.
             let _ = disk::set_length(&self.file, &self.path, self.end);
@@ -328,6 +329,11 @@ impl Recorder {
         self.check()?;
         self.end_chunk()?;
         self.write_results()
+    }
+
+    /// Path of the file.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Number of frames that the file holds: those of the chunk that waits in memory are not among them. After an error no

@@ -6,6 +6,7 @@
 
 use std::io;
 use std::os::fd::OwnedFd;
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -106,9 +107,10 @@ impl Endpoints for HostSockets {
     }
 }
 
-/// The device's side. The folder is created and removed with it.
+/// The device's side. Its sockets are removed with it, and so is the folder if it was created for them.
 pub(crate) struct DeviceSockets {
     folder: PathBuf,
+    made_folder: bool,
     listeners: [OwnedFd; 2],
     /// The host's control and bulk connections.
     host: [Option<OwnedFd>; 2],
@@ -117,18 +119,23 @@ pub(crate) struct DeviceSockets {
 }
 
 impl DeviceSockets {
-    /// Creates the folder, in place of one that an emulated device has left.
+    /// Creates the folder, or takes an existing one and replaces sockets that an emulated device has left in it.
     ///
     /// # Errors
-    /// The folder or a socket in it cannot be created.
+    /// The folder or a socket in it cannot be created, or a file that is no socket has the name of one.
     pub fn bind(folder: &Path) -> io::Result<Self> {
+        // Nothing is removed before both names are known to be free.
+        let left: Vec<PathBuf> = NAMES.map(|name| folder.join(name)).into_iter().filter(|path| exists(path)).collect();
+        if let Some(other) = left.iter().find(|path| !is_socket(path)) {
+            let why = format!("{} is no socket that an emulated board has left", other.display());
+            return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
+        }
+        // A folder with sockets was left by an emulated device, which had made it or not: an empty one is no loss.
+        let made_folder = !folder.exists() || !left.is_empty();
         std::fs::create_dir_all(folder)?;
+        left.iter().try_for_each(std::fs::remove_file)?;
         let at = |name| -> io::Result<OwnedFd> {
             let path = folder.join(name);
-            match std::fs::remove_file(&path) {
-                Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
-                _ => {}
-            }
             let socket = socket(SocketFlags::NONBLOCK)?;
             bind(&socket, &SocketAddrUnix::new(&path)?)?;
             listen(&socket, 1)?;
@@ -137,6 +144,7 @@ impl DeviceSockets {
         let [control, data] = NAMES;
         Ok(DeviceSockets {
             folder: folder.into(),
+            made_folder,
             listeners: [at(control)?, at(data)?],
             host: [None, None],
             was_abandoned: false,
@@ -223,6 +231,45 @@ impl Drop for DeviceSockets {
             let _ = std::fs::remove_file(self.folder.join(name));
         }
         // A folder that holds other files stays.
-        let _ = std::fs::remove_dir(&self.folder);
+        if self.made_folder {
+            let _ = std::fs::remove_dir(&self.folder);
+        }
+    }
+}
+
+/// Returns whether something has this path, be it a link to nothing.
+fn exists(path: &Path) -> bool {
+    std::fs::symlink_metadata(path).is_ok()
+}
+
+fn is_socket(path: &Path) -> bool {
+    std::fs::symlink_metadata(path).is_ok_and(|metadata| metadata.file_type().is_socket())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    mod hard_cases {
+        use super::*;
+
+        /// Files of the user that had the names of the endpoints were removed, and an empty folder too.
+        #[test]
+        fn files_that_are_no_sockets_and_folders_of_the_user_stay() {
+            let scratch = tempfile::tempdir().expect("a folder");
+            let folder = scratch.path().join("own");
+            std::fs::create_dir(&folder).expect("a folder");
+            drop(DeviceSockets::bind(&folder).expect("an empty folder"));
+            assert!(folder.is_dir() && !folder.join("ep0").exists());
+            std::fs::write(folder.join("ep1"), "precious").expect("a file");
+            let refused = DeviceSockets::bind(&folder).err().expect("a refusal");
+            assert!(refused.to_string().contains("ep1 is no socket"), "{refused}");
+            assert_eq!(std::fs::read_to_string(folder.join("ep1")).expect("the file"), "precious");
+            // Sockets that were left are replaced, and a folder that was made goes with its sockets.
+            let made = scratch.path().join("made");
+            std::mem::forget(DeviceSockets::bind(&made).expect("a new folder"));
+            drop(DeviceSockets::bind(&made).expect("left sockets"));
+            assert!(!made.exists());
+        }
     }
 }
