@@ -299,7 +299,8 @@ mod tests {
         let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         let _reader = source.map(|source| pipeline.start(source, None));
-        let (tally, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden(), None, &AtomicU64::new(0));
+        let (tally, end) =
+            capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden(), None, &AtomicU64::new(0));
         let is_finished = McapReader::open(&path).expect("a file that opens").is_complete();
         (tally, end.err().map(|error| output::chain(&error)), is_finished)
     }
@@ -336,7 +337,8 @@ mod tests {
         let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
         inlet.queue.end.set(Ok(())).expect("no end yet");
         drop(pipeline);
-        let (_, end) = capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden(), None, &AtomicU64::new(0));
+        let (_, end) =
+            capture(&inlet, recorder, &Outage::default(), &indicatif::ProgressBar::hidden(), None, &AtomicU64::new(0));
         end.expect("an end");
         assert!(McapReader::open(&path).expect("a file that opens").is_complete());
     }

@@ -47,11 +47,7 @@ pub fn ended_after(recorder: &Recorder) -> String {
 ///
 /// # Errors
 /// The disk has taken nothing for too long, or the thread has panicked.
-pub fn join_last<T>(
-    thread: JoinHandle<T>,
-    taken: &AtomicU64,
-    patience: impl Fn() -> Duration,
-) -> anyhow::Result<T> {
+pub fn join_last<T>(thread: JoinHandle<T>, taken: &AtomicU64, patience: impl Fn() -> Duration) -> anyhow::Result<T> {
     let (mut since, mut last) = (Instant::now(), 0);
     while !thread.is_finished() {
         let now = taken.load(Ordering::Relaxed);

@@ -162,7 +162,8 @@ impl SampleSource {
         self.shared.accept();
         // A scene is not simulated for the time in which nobody listened.
         let idle_ns = self.now_ns().map_or(0, |now| now.saturating_sub(self.next_ns));
-        let was_idle = self.makes_any_waveform && idle_ns as f64 * 1e-9 > MOST_IDLE_FRAMES * self.source.frame_interval_s();
+        let was_idle =
+            self.makes_any_waveform && idle_ns as f64 * 1e-9 > MOST_IDLE_FRAMES * self.source.frame_interval_s();
         if !self.has(waveform) || was_idle {
             match self.check(waveform) {
                 Ok(()) => self.remake(waveform),

@@ -259,7 +259,10 @@ impl Assembler {
         let text = String::from_utf8_lossy(packet.payload.get(..MOST_TEXT_BYTES).unwrap_or(packet.payload));
         let text = text.trim_end_matches(['\0', '\n', '\r']);
         if text.contains(|c: char| c == char::REPLACEMENT_CHARACTER || (c.is_control() && !c.is_whitespace())) {
-            tracing::warn!(bytes = packet.payload.len(), "the board sent a packet that is marked as text and holds none");
+            tracing::warn!(
+                bytes = packet.payload.len(),
+                "the board sent a packet that is marked as text and holds none"
+            );
         } else {
             tracing::warn!(text, "the board sent a text among its data");
         }
