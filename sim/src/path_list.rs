@@ -191,14 +191,9 @@ impl Lister<'_> {
         }
     }
 
-    /// Images whose wall reflections are strong enough at the first receiver.
+    /// Images whose wall reflections are strong enough at some receiver.
     fn wall_images(&self) -> Vec<ImageIndex> {
-        let Some(first) = self.prepared.rx.first() else { return Vec::new() };
-        let is_heard = |index: &ImageIndex| {
-            let (amplitude, length_m) = self.prepared.room.direct(&self.prepared.tx, *index, first);
-            let beat_hz = self.prepared.chirp.beat_hz(length_m / SPEED_OF_LIGHT_M_PER_S, 0.0);
-            self.prepared.at_adc(0, amplitude, beat_hz).norm() > self.prepared.threshold_lsb
-        };
+        let is_heard = |index: &ImageIndex| self.prepared.wall_loudness_lsb(*index) > self.prepared.threshold_lsb;
         let all = self.prepared.room.images(self.scene.file().room.max_reflections);
         all.into_iter().skip(1).filter(is_heard).collect()
     }
@@ -208,6 +203,10 @@ impl Lister<'_> {
             for (i, rx) in self.prepared.rx.iter().enumerate() {
                 let (amplitude, length_m) = self.prepared.room.direct(&self.prepared.tx, index, rx);
                 let polyline = self.prepared.room.polyline(index, self.prepared.tx.position, rx.position);
+                // A wall may end between the receivers.
+                if polyline.is_empty() {
+                    continue;
+                }
                 let field = amplitude * self.shade(&polyline);
                 out.push(ListedPath {
                     surfaces: self.names(&polyline, None),

@@ -55,6 +55,10 @@ pub struct PreparedScene {
     pub tx: Element,
     /// The enabled receivers.
     pub rx: Vec<Element>,
+    /// All receivers of the board.
+    of_board: Vec<Element>,
+    /// Amplitude at the ADC of a field of unit amplitude, by a receiver without a gain of its own, LSB.
+    lsb_without_gain: f64,
     /// Constants of each enabled receiver.
     pub channels: Vec<RxChannel>,
     /// IF filters.
@@ -140,6 +144,8 @@ impl PreparedScene {
         let mut prepared = PreparedScene {
             room,
             tx,
+            of_board: scene.receivers_of_board(),
+            lsb_without_gain: base,
             lsb: channels.iter().map(|c| base * 10f64.powf(0.05 * c.gain_db)).collect(),
             rx,
             channels,
@@ -193,18 +199,29 @@ impl PreparedScene {
         (self.chirp.phase_cycles(delay_s), beat_hz / self.chirp.sample_rate_hz, self.at_adc(rx, amplitude, beat_hz))
     }
 
-    /// Keeps a path that is strong enough at the first receiver. The receivers are so close together that the first
-    /// represents all. The choice and every draw are then independent of the other enabled receivers.
+    /// Keeps a path that is loud enough.
     fn keep(
         &mut self,
+        loudness_lsb: f64,
         tones: Vec<(f64, f64, Complex64)>,
         by: Option<(DVec3, ImageIndex, ImageIndex)>,
         polyline: impl FnOnce(&Self) -> Vec<DVec3>,
     ) {
-        if tones.first().is_some_and(|t| t.2.norm() > self.threshold_lsb) {
+        if loudness_lsb > self.threshold_lsb {
             let polyline = polyline(self);
             self.static_paths.push(StaticPath { tones, polyline, by, drift: [0.0; 3] });
         }
+    }
+
+    /// Amplitude of the reflection by an image at the loudest of the board's receivers, switched on or not: a wall may end
+    /// between them. The choice of paths and every draw are then independent of the receivers that are switched on.
+    pub(crate) fn wall_loudness_lsb(&self, index: ImageIndex) -> f64 {
+        let at = |rx: &Element| {
+            let (amplitude, length_m) = self.room.direct(&self.tx, index, rx);
+            let beat_hz = self.chirp.beat_hz(length_m / SPEED_OF_LIGHT_M_PER_S, 0.0);
+            self.lsb_without_gain * (amplitude * self.filters.response(beat_hz)).norm()
+        };
+        self.of_board.iter().map(at).fold(0.0, f64::max)
     }
 
     /// Adds the bare reflections of the walls: geometrical optics, exact for infinite planes.
@@ -215,8 +232,12 @@ impl PreparedScene {
                 self.static_tone(receiver, amplitude, length_m)
             };
             let tones = self.rx.iter().enumerate().map(tone).collect();
-            let end = self.rx.first().map_or(self.tx.position, |rx| rx.position);
-            self.keep(tones, None, |prepared| prepared.room.polyline(index, prepared.tx.position, end));
+            // The corners to the first receiver that the path reaches stand for all.
+            let corners = |prepared: &Self| {
+                let to = |rx: &Element| prepared.room.polyline(index, prepared.tx.position, rx.position);
+                prepared.rx.iter().map(to).find(|corners| !corners.is_empty()).unwrap_or_default()
+            };
+            self.keep(self.wall_loudness_lsb(index), tones, None, corners);
         }
     }
 
@@ -261,9 +282,12 @@ impl PreparedScene {
     fn add_point(&mut self, point: DVec3, cross_section_m2: f64, phase: f64) {
         for (p, q) in self.pairs_near(point, 0.0).into_owned() {
             let echoes = self.point_echoes(point, cross_section_m2, phase, p, q);
-            let tones = echoes.iter().enumerate().map(|(i, e)| self.static_tone(i, e.amplitude, e.length_m)).collect();
+            let tones: Vec<_> =
+                echoes.iter().enumerate().map(|(i, e)| self.static_tone(i, e.amplitude, e.length_m)).collect();
             let by = Some((point, p, q));
-            self.keep(tones, by, |prepared| prepared.point_polyline(point, p, q, prepared.tx.position));
+            // The receivers are so close together that the first represents all.
+            let loudness_lsb = tones.first().map_or(0.0, |tone: &(f64, f64, Complex64)| tone.2.norm());
+            self.keep(loudness_lsb, tones, by, |prepared| prepared.point_polyline(point, p, q, prepared.tx.position));
         }
     }
 

@@ -1,5 +1,5 @@
-//! Diffracting edges: free edges of sheets, outward corners, and seams of two walls in one plane. Inner corners and
-//! seams of one wall do not diffract, because the next facet reflects what the previous one loses.
+//! Diffracting edges: free edges of sheets, outward and shallow corners, and seams of two walls in one plane. Inner
+//! corners and seams of one wall do not diffract, because the next facet reflects what the previous one loses.
 
 use glam::DVec3;
 
@@ -14,6 +14,8 @@ pub(super) const SAME_M: f64 = 1e-6;
 const SAME_END_M: f64 = 1e-4;
 /// Sine of the angle up to which two facets are coplanar.
 const FLAT: f64 = 1e-6;
+/// Cosine of the angle of air between two facets up to which their corner is shallow: each reflects its own part.
+const SHALLOW: f64 = -0.5;
 /// Extent of a facet across a path, over its own, up to which the path sees the facet edge-on.
 const EDGE_ON: f64 = 1e-4;
 
@@ -51,10 +53,12 @@ impl SoftEdge {
         self.inwards.get(number).copied().unwrap_or(DVec3::ZERO)
     }
 
-    /// Returns whether another facet begins at the edge before a facet with this normal. In such an inner corner the
-    /// other facet reflects what the one loses, even if both are sheets whose backs form a wedge.
-    pub(super) fn is_inner_before(&self, normal: DVec3) -> bool {
-        self.inwards.iter().any(|inwards| inwards.dot(normal) > FLAT)
+    /// Returns whether another facet begins at the edge before one of its facets, with this normal, at no more than 120
+    /// degrees. In such an inner corner the other facet reflects what the one loses, even if both are sheets whose backs
+    /// form a wedge.
+    pub(super) fn is_inner_before(&self, facet: FacetId, normal: DVec3) -> bool {
+        let own = self.inwards(facet);
+        self.inwards.iter().any(|inwards| inwards.dot(normal) > FLAT && inwards.dot(own) > SHALLOW)
     }
 
     /// Unit vector from the edge into that of its facets with the largest extent across a direction.
@@ -160,7 +164,7 @@ fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
 enum Meeting {
     /// Free edge: the facets end there back to back.
     Sheet,
-    /// Outward corner.
+    /// Outward or shallow corner.
     Outward,
     /// Seam of two different walls in one plane.
     Seam,
@@ -175,7 +179,8 @@ fn meeting(flats: &[Flat], a: &Side, b: &Side) -> Meeting {
     let (rise_b, rise_a) = (b.inwards.dot(of_a.normal), a.inwards.dot(of_b.normal));
     let is_plane = rise_a.abs() <= FLAT && rise_b.abs() <= FLAT;
     let is_one_side = a.inwards.dot(b.inwards) > 0.0;
-    if rise_a < -FLAT && rise_b < -FLAT {
+    let is_shallow = rise_a > FLAT && rise_b > FLAT && a.inwards.dot(b.inwards) <= SHALLOW;
+    if rise_a < -FLAT && rise_b < -FLAT || is_shallow {
         Meeting::Outward
     } else if is_plane && is_one_side && of_a.normal.dot(of_b.normal) < 0.0 {
         Meeting::Sheet

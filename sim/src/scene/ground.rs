@@ -65,7 +65,8 @@ impl Floor {
     }
 }
 
-/// Whether a place lies outside the box around the room, or outside the walls of its plan.
+/// Whether a place lies outside the box around the room, outside the walls of its plan, or where the files of the room have
+/// no floor that leads to the radar.
 pub(crate) fn is_outside(scene: &Scene, place: [f64; 2]) -> bool {
     let room = &scene.file.room;
     let is_in_box = (0..2).all(|axis| (0.0..=room.size_m[axis]).contains(&place[axis]));
@@ -73,7 +74,10 @@ pub(crate) fn is_outside(scene: &Scene, place: [f64; 2]) -> bool {
         let (corners, at) = (plan::corners(plan), DVec2::from_array(place));
         encloses(&corners, at) || sides(&corners).any(|side| distance_to_line(at, side) <= SAME_M)
     };
-    !(is_in_box && room.plan.as_ref().is_none_or(is_in_plan))
+    if !(is_in_box && room.plan.as_ref().is_none_or(is_in_plan)) {
+        return true;
+    }
+    matches!(Floor::of(scene), Floor::Cells(cells) if cells.kind(DVec2::from_array(place)) == Kind::Outside)
 }
 
 /// Whether a piece of furniture, by its index, is a piece of a mesh that counts as a wall.

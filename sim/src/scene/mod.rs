@@ -421,6 +421,19 @@ impl Scene {
 
     /// The transmitter and the waveform's enabled receivers, vertical polarisation.
     pub fn elements(&self) -> (Element, Vec<Element>) {
+        let enabled = self.waveform.request.rx_antennas.antennas();
+        let all = self.receivers_of_board();
+        let rx = enabled.iter().filter_map(|&antenna| all.get(usize::from(antenna) - 1)).copied().collect();
+        (self.element(ANTENNA_OFFSETS_M.tx), rx)
+    }
+
+    /// All receivers of the board, enabled or not.
+    pub fn receivers_of_board(&self) -> Vec<Element> {
+        ANTENNA_OFFSETS_M.rx.iter().map(|&offset| self.element(offset)).collect()
+    }
+
+    /// Antenna at a place on the board, m.
+    fn element(&self, offset: DVec3) -> Element {
         let radar_from_world = self.radar_from_world();
         let world_from_radar = radar_from_world.transpose();
         let antenna = &self.receiver.antenna;
@@ -429,16 +442,12 @@ impl Scene {
             antenna.elevation_beamwidth_deg.to_radians(),
             antenna.side_lobe_floor_db,
         );
-        let element = |offset: DVec3| Element {
+        Element {
             position: self.radar_position() + world_from_radar * offset,
             polarisation: world_from_radar * DVec3::Z,
             radar_from_world,
             pattern,
-        };
-        let enabled = self.waveform.request.rx_antennas.antennas();
-        let offsets = ANTENNA_OFFSETS_M.rx;
-        let rx = enabled.iter().filter_map(|&a| offsets.get(usize::from(a) - 1)).map(|&o| element(o)).collect();
-        (element(ANTENNA_OFFSETS_M.tx), rx)
+        }
     }
 }
 

@@ -22,8 +22,14 @@ use touch::{Index, TOUCH_M, Touch, touches};
 /// Least area of a plane that becomes a face, m^2; smaller planes of a mesh remain triangles. For comparison, the first
 /// Fresnel zone in the middle of a path of 2 m at 60 GHz is 0.008 m^2.
 pub const LEAST_FACE_M2: f64 = 0.01;
-/// Deviation from a straight angle within which a face continues another one, rad.
-const STRAIGHT_RAD: f64 = 0.01;
+/// Deviation from a straight angle within which a face continues another one, rad. The point of reflection at 5 m moves
+/// by a tenth of a millimetre for this angle.
+const STRAIGHT_RAD: f64 = 2e-5;
+/// Angle of air from which on each of two faces reflects its own part of a wave. In a narrower corner waves that one face
+/// loses reach the other one, which reflects them back.
+const SHALLOW_RAD: f64 = TAU / 3.0;
+/// Angle between two faces at an edge up to which one lies on the other, rad.
+const FOLDED_RAD: f64 = 0.01;
 
 /// Sides of a face that have air.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -50,7 +56,7 @@ pub struct Face {
 /// Faces that meet a face at its edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EdgeKind {
-    /// Other faces, with at most 180 degrees of air between. The edge does not diffract.
+    /// Other faces, with at most 120 degrees of air between. The edge does not diffract.
     Inner,
     /// Another face in the same plane, on each side that has air.
     Flat,
@@ -60,7 +66,7 @@ pub enum EdgeKind {
         /// Index of the other face.
         other: usize,
     },
-    /// Another face, with more than 180 degrees of air between. The edge is a wedge, which both faces list.
+    /// Another face, with more than 120 degrees of air between, but not 180. The edge is a wedge, which both faces list.
     Wedge {
         /// Index of the other face; `None` if it belongs to a [`SmallPart`].
         other: Option<usize>,
@@ -154,7 +160,7 @@ impl Surfaces {
                 None => None,
             };
             let angle = sheet.towards.dot(normal).atan2(sheet.towards.dot(touch.inwards)).rem_euclid(TAU);
-            if angle > STRAIGHT_RAD && angle < TAU - STRAIGHT_RAD {
+            if angle > FOLDED_RAD && angle < TAU - FOLDED_RAD {
                 sheets.push((angle, other));
             }
             if let Some(other) = other
@@ -201,7 +207,9 @@ fn kind(sheets: &[(f64, Option<usize>)], sides: Sides) -> EdgeKind {
         Sides::One => &both[..1],
         Sides::Two => &both[..],
     };
-    match with_air.iter().find(|air| air.0 > PI + STRAIGHT_RAD) {
+    let is_shallow = |air: f64| air > SHALLOW_RAD && air < PI - STRAIGHT_RAD;
+    let wedge = with_air.iter().find(|air| air.0 > PI + STRAIGHT_RAD);
+    match wedge.or_else(|| with_air.iter().find(|air| is_shallow(air.0))) {
         Some(&(_, other)) => EdgeKind::Wedge { other },
         None if with_air.iter().all(|air| air.0 >= PI - STRAIGHT_RAD) => EdgeKind::Flat,
         None => EdgeKind::Inner,

@@ -34,6 +34,7 @@ pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
                 // In the near field, a plate has no single angle of incidence.
                 Some(range_m) => {
                     conductor(setup)?;
+                    (panels(setup.wavenumber_per_m(), width_m.max(height_m)) <= MOST_PANELS).then_some(())?;
                     (plate_near(setup, width_m, height_m, range_m), "physical optics, quadrature")
                 }
             }
@@ -95,10 +96,18 @@ fn plate_far(setup: &Setup, width_m: f64, height_m: f64) -> f64 {
     setup.aperture_m2(width_m * height_m * d.x * sinc(k * width_m * d.y) * sinc(k * height_m * d.z))
 }
 
+/// Largest number of panels along a side of a plate. Of larger plates the quadrature takes minutes.
+const MOST_PANELS: f64 = 2000.0;
+
+/// Number of panels of about a radian along a side of a plate.
+fn panels(wavenumber_per_m: f64, length_m: f64) -> f64 {
+    (2.0 * wavenumber_per_m * length_m / 4.0).ceil()
+}
+
 /// Near-field cross-section of a plate: Gauss-Legendre quadrature in both directions, with panels of about a radian.
 fn plate_near(setup: &Setup, width_m: f64, height_m: f64, range_m: f64) -> f64 {
     let (k, radar) = (setup.wavenumber_per_m(), setup.towards() * range_m);
-    let panels = |length: f64| (2.0 * k * length / 4.0).ceil().clamp(4.0, 2000.0) as usize;
+    let panels = |length_m: f64| panels(k, length_m).max(4.0) as usize;
     let across: Vec<_> = gauss_legendre(panels(width_m)).collect();
     let along: Vec<_> = gauss_legendre(panels(height_m)).collect();
     let mut integral = Complex64::ZERO;
