@@ -5,28 +5,12 @@ use num_complex::Complex64;
 
 use super::discovery::ImagePaths;
 use super::flat::FacetId;
-use super::leg::{Leg, UNSURE_M, fade};
+use super::leg::{Kept, Leg, UNSURE_M, fade};
 
 /// Clearance from an edge below which f64 does not tell the side, m, for a point on a facet or beside it.
 const UNSURE_ON_FACET_M: f64 = 1e-8;
 /// Normalised distance from the nearest edge from which on a path is clear of edges.
 const CLEAR_NU: f64 = 0.5;
-
-/// Relative field that remains.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Kept {
-    /// Relative field.
-    pub field: Complex64,
-    /// Whether rays also take this path, so that edges change the field only a little.
-    pub is_whole: bool,
-}
-
-impl Kept {
-    /// Combines two successive relative fields.
-    pub fn and(self, other: Kept) -> Kept {
-        Kept { field: self.field * other.field, is_whole: self.is_whole && other.is_whole }
-    }
-}
 
 /// Reflection of facets relative to that of their infinite planes: of one facet, or of those that meet in a corner.
 #[derive(Debug, Clone, Copy)]

@@ -1,8 +1,11 @@
 //! Pairs of facets that meet in a corner. Waves that meet both one after the other pass one aperture, which the edges of both
 //! bound.
 
+use glam::DVec3;
+
 use super::environment::Environment;
 use super::flat::{FacetId, Flat, PLANAR_M};
+use crate::geometry::polygon;
 
 /// Largest cosine between the normals of facets that make a corner.
 const MOST_COSINE: f64 = 0.99;
@@ -41,12 +44,13 @@ fn in_order(a: FacetId, b: FacetId) -> (FacetId, FacetId) {
 
 /// Returns whether a side of one facet lies on the other facet.
 fn meet(a: &Flat, b: &Flat) -> bool {
-    let has_side_on = |one: &Flat, other: &Flat| {
-        let corners = &one.facet.corners;
-        let lies_on = |p, q| {
-            other.height(p).abs() < PLANAR_M && other.height(q).abs() < PLANAR_M && other.contains(0.5 * (p + q))
-        };
-        corners.iter().zip(corners.iter().cycle().skip(1)).any(|(&p, &q)| lies_on(p, q))
+    a.normal.dot(b.normal).abs() < MOST_COSINE && (side_on(a, b).is_some() || side_on(b, a).is_some())
+}
+
+/// Returns a side of a facet that lies on another facet, if there is one.
+pub(super) fn side_on(one: &Flat, other: &Flat) -> Option<[DVec3; 2]> {
+    let lies_on = |p: DVec3, q: DVec3| {
+        other.height(p).abs() < PLANAR_M && other.height(q).abs() < PLANAR_M && other.contains(0.5 * (p + q))
     };
-    a.normal.dot(b.normal).abs() < MOST_COSINE && (has_side_on(a, b) || has_side_on(b, a))
+    polygon::sides(&one.facet.corners).find(|&[p, q]| lies_on(p, q))
 }

@@ -12,6 +12,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
+use super::corner_runs::CornerRuns;
 use super::corners::Corners;
 use super::environment::Environment;
 use super::flat::{FacetId, Flat};
@@ -100,6 +101,7 @@ pub struct ImagePaths {
     /// The facet on which the antenna is mounted, if any.
     pub(super) mount: Option<FacetId>,
     pub(super) corners: Corners,
+    pub(super) runs: CornerRuns,
     report: DiscoveryReport,
 }
 
@@ -128,7 +130,8 @@ impl ImagePaths {
         let report = DiscoveryReport { sequences: count, images: images.len(), ..DiscoveryReport::default() };
         let sequences = images.iter().flat_map(|image| &image.sequences);
         let (mount, corners) = (environment.below(origin), Corners::among(&environment, sequences));
-        ImagePaths { environment, images, mount, corners, report }
+        let runs = CornerRuns::among(&environment, &corners, images.iter().map(|image| image.sequences.as_slice()));
+        ImagePaths { environment, images, mount, corners, runs, report }
     }
 
     /// The images, the antenna itself first, then by order.

@@ -15,7 +15,7 @@ const SAME_END_M: f64 = 1e-4;
 /// Sine of the angle up to which two facets are coplanar.
 const FLAT: f64 = 1e-6;
 /// Cosine of the angle of air between two facets up to which their corner is shallow: each reflects its own part.
-const SHALLOW: f64 = -0.5;
+pub(super) const SHALLOW: f64 = -0.5;
 /// Extent of a facet across a path, over its own, up to which the path sees the facet edge-on.
 const EDGE_ON: f64 = 1e-4;
 
@@ -37,6 +37,21 @@ pub struct SoftEdge {
 }
 
 impl SoftEdge {
+    /// Edge of an inner corner, with its facets and the unit vectors from it into them. Mirror images of the corner
+    /// continue it.
+    pub(super) fn of_corner(ends: [DVec3; 2], sides: [(FacetId, &Flat, DVec3); 2]) -> Self {
+        SoftEdge {
+            ends,
+            goes_on: [true; 2],
+            facets: sides.iter().map(|side| side.0).collect(),
+            planes: sides.iter().map(|side| side.1.plane).collect(),
+            inwards: sides.iter().map(|side| side.2).collect(),
+            normals: sides.iter().map(|side| side.1.normal).collect(),
+            middle: 0.5 * (ends[0] + ends[1]),
+            reach_m: 0.5 * ends[0].distance(ends[1]),
+        }
+    }
+
     /// Facets that the edge bounds.
     pub fn facets(&self) -> &[FacetId] {
         &self.facets

@@ -17,12 +17,12 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
-use super::aperture::{Aperture, Kept};
+use super::aperture::Aperture;
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::edges::SoftEdge;
 use super::environment::{Environment, Passing};
 use super::flat::{FacetId, SEAM_M};
-use super::leg::{Leg, Passage, UNSURE_M};
+use super::leg::{Kept, Leg, Passage, UNSURE_M};
 use crate::em::fresnel::Reflection;
 use crate::em::image::{Element, Illumination};
 use crate::em::{Phasor3, incidence_frame};
@@ -43,6 +43,8 @@ const BEFORE_M: f64 = 1e-9;
 struct Folded {
     points: [DVec3; MAX_ORDER + 2],
     count: usize,
+    /// Relative field past the edges of inner corners in which the path is reflected to and fro.
+    past_corners: Kept,
 }
 
 impl Folded {
@@ -195,6 +197,9 @@ impl ImagePaths {
     /// Returns whether a ray is free along a sequence of facets; `None` where it meets planes from behind.
     fn is_free(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<bool> {
         let folded = self.folded(sequence, antenna, point)?;
+        if !folded.past_corners.is_whole {
+            return Some(false);
+        }
         let is_on = |(&facet, &met): (&FacetId, &DVec3)| self.environment.flat(facet).is_some_and(|f| f.contains(met));
         if !sequence.iter().zip(folded.points().iter().skip(1)).all(is_on) {
             return Some(false);
@@ -324,7 +329,8 @@ impl ImagePaths {
         Some(images)
     }
 
-    /// The path by a sequence if it meets all planes from the front, at any place on them.
+    /// The path by a sequence if it meets all planes from the front, at any place on them. Within reach of the edge of an
+    /// inner corner it may also pass on the other side: it then meets the corner's facets at the edge.
     fn folded(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<Folded> {
         let count = sequence.len();
         if count > MAX_ORDER {
@@ -332,22 +338,44 @@ impl ImagePaths {
         }
         let images = self.images_along(sequence, antenna)?;
         let mut points = [point; MAX_ORDER + 2];
+        let mut past_corners = Kept { field: Complex64::ONE, is_whole: true };
+        let runs = self.runs.of(sequence);
+        // Displacements of the path to inner corners, each with the place of the corner's first reflection.
+        let mut shifts: Vec<(usize, DVec3)> = Vec::new();
         let mut target = point;
         for (i, &facet) in sequence.iter().enumerate().rev() {
             let flat = self.environment.flat(facet)?;
             let source = images.get(i + 1).copied()?;
-            let (over, under) = (flat.height(target), flat.height(source));
+            for run in runs.iter().filter(|run| run.last == i) {
+                let total_m = images.get(count)?.distance(point);
+                let direction = (target - source).normalize_or_zero();
+                let line = Leg { from: source, direction, length_m: total_m, before_m: 0.0, total_m };
+                let past = run.past(&line, &self.environment)?;
+                past_corners = past_corners.and(past.kept);
+                shifts.push((run.first, past.shift));
+            }
+            let shift: DVec3 = shifts.iter().map(|(_, shift)| *shift).sum();
+            let (over, under) = (flat.height(target + shift), flat.height(source + shift));
             // A path into a corner and back meets both faces in their common edge: one face's point lies in the other's
             // plane.
             let least_m = if i + 1 == count { BEFORE_M } else { -SEAM_M };
             if over <= least_m || under >= -BEFORE_M {
                 return None;
             }
-            target = target.lerp(source, over / (over - under));
+            target = target.lerp(source, over / (over - under)) + shift;
             *points.get_mut(i + 1)? = target;
+            if !shifts.is_empty() {
+                // Before this facet, the path itself goes on.
+                let mirror = flat.mirror();
+                target -= mirror * shift;
+                shifts.retain_mut(|(first, shift)| {
+                    *shift = mirror * *shift;
+                    *first < i
+                });
+            }
         }
         *points.first_mut()? = antenna;
-        Some(Folded { points, count: count + 2 })
+        Some(Folded { points, count: count + 2, past_corners })
     }
 
     /// Relative fields on the path by a sequence past facets, edges and walls: by the walls that the path crosses, and
@@ -367,7 +395,7 @@ impl ImagePaths {
             let length_m = from.distance(to);
             Leg { from, direction: (to - from) / length_m.max(1e-12), length_m, before_m, total_m }
         };
-        let mut weight = Kept { field: Complex64::ONE, is_whole: true };
+        let mut weight = folded.past_corners;
         let mut aperture: Option<Aperture> = None;
         let (mut last, mut reflected): (Option<FacetId>, DVec3) = (None, DVec3::ZERO);
         let mut before_m = 0.0;

@@ -14,6 +14,22 @@ pub(super) const UNSURE_M: f64 = 5e-5;
 /// Distance from an edge at which a leg from it begins, m.
 const OFF_EDGE_M: f64 = 1e-4;
 
+/// Relative field that remains.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Kept {
+    /// Relative field.
+    pub field: Complex64,
+    /// Whether rays also take this path, so that edges change the field only a little.
+    pub is_whole: bool,
+}
+
+impl Kept {
+    /// Combines two successive relative fields.
+    pub fn and(self, other: Kept) -> Kept {
+        Kept { field: self.field * other.field, is_whole: self.is_whole && other.is_whole }
+    }
+}
+
 /// Straight piece of a path.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Leg {

@@ -11,6 +11,7 @@
 //! [`Surroundings`] are those of a scene: its polygons, or a box whose images are a lattice in closed form.
 
 mod aperture;
+mod corner_runs;
 mod corners;
 pub mod discovery;
 pub mod edge_field;
