@@ -128,15 +128,23 @@ pub fn name_beside(recording: &Path) -> PathBuf {
 }
 
 /// Returns the file with the labels of such a recording, if there is one. Its name is that of [`name_beside`]. In a
-/// folder, all of [`NAMES_IN_FOLDER`] are accepted, in the radar's folder as well as in that of the session.
+/// folder, all of [`NAMES_IN_FOLDER`] are accepted, in the radar's folder as well as in that of the session, whichever of
+/// both is given.
 pub fn file_beside(recording: &Path) -> Option<PathBuf> {
-    let mut places = vec![name_beside(recording)];
-    if recording.is_dir() {
-        for folder in [Some(recording), infineon::session_of(recording)].into_iter().flatten() {
-            places.extend(NAMES_IN_FOLDER.map(|name| folder.join(name)));
-        }
+    if !recording.is_dir() {
+        return Some(name_beside(recording)).filter(|path| path.is_file());
     }
-    places.into_iter().find(|path| path.is_file())
+    let radar = infineon::only_radar_of(recording).unwrap_or_else(|| recording.to_owned());
+    let folders = [Some(radar.as_path()), infineon::session_of(&radar), Some(recording)];
+    let names = |folder: &Path| NAMES_IN_FOLDER.map(|name| folder.join(name));
+    folders.into_iter().flatten().flat_map(names).find(|path| path.is_file())
+}
+
+/// Path of what a recording holds: that of its file, or of the folder of its only radar, links resolved. Two names of one
+/// recording have the same.
+pub fn content_of(recording: &Path) -> PathBuf {
+    let content = infineon::only_radar_of(recording).unwrap_or_else(|| recording.to_owned());
+    content.canonicalize().unwrap_or(content)
 }
 
 /// Reads all labels of a recording.
@@ -276,7 +284,10 @@ pub fn add(
 
 /// Start of a recording's first frame and end of its last one by the frames' own clock, s; `None` for an empty
 /// recording.
-fn extent_s(source: &mut Recording) -> anyhow::Result<Option<(f64, f64)>> {
+///
+/// # Errors
+/// The frames cannot be read.
+pub fn extent_s(source: &mut Recording) -> anyhow::Result<Option<(f64, f64)>> {
     let interval_s = source.waveform().frame_interval_s();
     Ok(source.extent()?.map(|extent| (extent.first.time_s(), extent.last.time_s() + interval_s)))
 }

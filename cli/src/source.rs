@@ -283,6 +283,12 @@ fn is_device(path: &Path) -> bool {
 /// Name of a recording or scene: that of the folder, or of the file without the ending of its format. Recordings of the
 /// vendor's SDK have no ending, and names such as walk_0.5m and walk_0.7m differ behind their last dot.
 pub fn name_of(path: &Path) -> OsString {
+    // A path such as `.` has no name of its own.
+    if path.file_name().is_none()
+        && let Ok(whole) = path.canonicalize()
+    {
+        return whole.file_name().unwrap_or_default().to_owned();
+    }
     let is_known = |ending: &OsStr| ["mcap", "txt", "toml"].iter().any(|known| ending.eq_ignore_ascii_case(known));
     let name = match !path.is_dir() && path.extension().is_some_and(is_known) {
         true => path.file_stem(),

@@ -68,6 +68,47 @@ fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
     assert!(said.contains("none.mcap: labels refused: the recording has no frame"), "{said}");
 }
 
+/// Regression test: a folder of the vendor's had other labels under the name of its session than under that of its radar, and
+/// one recording was judged and learnt twice under two names.
+#[test]
+fn two_names_of_a_recording_are_one_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/corridor.toml"), "--frames 40 --people 1", &path("run.mcap"));
+    convert(&path("run.mcap"), &path("session"));
+    let radar = path("session/RadarIfxAvian_00");
+    success(command!("recording label --span 0:1=one", path("session")));
+    assert_eq!(labels_of(&radar), labels_of(&path("session")));
+    success(command!("recording label --span 1:2=two", &radar));
+    assert_eq!((labels_of(&radar), labels_of(&radar).len()), (labels_of(&path("session")), 2));
+    fails_with(command!("model evaluate cfar", path("session"), &radar), &["is named twice", "hint: "]);
+
+    std::os::unix::fs::symlink(path("run.mcap"), path("again.mcap")).expect("a link");
+    let spec = |names: &[&str]| {
+        let sources = names.iter().map(|name| format!("[[recorded]]\nrecording = \"{name}\"\n"));
+        write_file(folder.path(), "maps.toml", format!("format = 1\n[map]\n{}", sources.collect::<String>()))
+    };
+    let twice = spec(&["run.mcap", "again.mcap"]);
+    fails_with(command!("dataset build", twice, "-o", path("maps")), &["'run' and 'again' are one", "hint: "]);
+
+    // Where there are labels, frames outside of them have none, whatever a simulator wrote with them.
+    success(command!("recording label --span 0:1=empty", path("run.mcap")));
+    success(command!("dataset build", spec(&["run.mcap"]), "-o", path("maps")));
+    let rows = std::fs::read_to_string(path("maps/manifest.jsonl")).expect("written");
+    assert_eq!((rows.lines().count(), rows.matches("\"label\":\"empty\"").count()), (10, 10), "{rows}");
+}
+
+/// Regression test: labels beyond the end of a recording were counted as if nothing were wrong.
+#[test]
+fn labels_beyond_a_recording_are_refused_wherever_they_are_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/corridor.toml"), "--frames 20 --people 1", &path("run.mcap"));
+    let file = write_file(folder.path(), "far.txt", "0\t99\tone\n");
+    let input = format!("{}={}", path("run.mcap").display(), file.display());
+    fails_with(command!("model evaluate cfar", &input), &["'one' from 0 to 99 s is out of range", "from 0 to 2 s"]);
+}
+
 /// Regression test: a wrong label could be taken back on the page alone.
 #[test]
 fn labels_are_replaced_and_erased_where_it_is_asked_for() {

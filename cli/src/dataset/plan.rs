@@ -101,7 +101,8 @@ impl Plan {
     /// A source cannot be read, a name occurs twice, or the machine lacks the kernel.
     pub fn of_spec(spec: BuildSpec, path: &Path, shard: Shard) -> anyhow::Result<Self> {
         let base = path.parent().unwrap_or(Path::new("."));
-        let mut list = List { units: Vec::new(), prints: Fingerprints::new(base), header: None, spec: &spec };
+        let prints = Fingerprints::new(base);
+        let mut list = List { units: Vec::new(), prints, header: None, contents: BTreeMap::new(), spec: &spec };
         for source in &spec.simulated {
             list.simulated(&named(base, &source.scene)?, source)?;
         }
@@ -143,6 +144,8 @@ struct List<'a> {
     prints: Fingerprints,
     /// Header, which the first source sets, with the name of that source for messages.
     header: Option<(String, DatasetHeader)>,
+    /// Recordings by the path of what they hold, with their names.
+    contents: BTreeMap<PathBuf, String>,
     spec: &'a BuildSpec,
 }
 
@@ -263,6 +266,14 @@ impl List<'_> {
     ) -> anyhow::Result<()> {
         let opened = Recording::open(&found.path)?;
         self.check_waveform(&found.path.display().to_string(), opened.waveform())?;
+        let content = crate::labels::content_of(&found.path);
+        if let Some(other) = self.contents.insert(content, found.name.clone()) {
+            bail!(
+                "{}: the recordings '{other}' and '{}' are one\n\nhint: its frames would count twice; name each recording once",
+                found.path.display(),
+                found.name
+            );
+        }
         let label_file = match label_file {
             None if label.is_none() && !opened.format().holds_labels() => crate::labels::file_beside(&found.path),
             given => given,

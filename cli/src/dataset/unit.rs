@@ -117,6 +117,8 @@ fn recording(
     sink: &mut Sink,
 ) -> anyhow::Result<()> {
     check_spans(spans, None)?;
+    // As in `model evaluate`, the truth that a simulator wrote counts only where there are no labels.
+    let has_labels = spans.iter().any(|span| span.occupancy().is_some());
     let waveform = frames.waveform().clone();
     let mut map = processor.processor.empty_map();
     let mut frame = Frame::zeroed(waveform.shape());
@@ -135,7 +137,8 @@ fn recording(
                 if processor.process(&frame, &mut map)? != MapStatus::Ready {
                     continue;
                 }
-                match fixed.or_else(|| labels::by_span(spans, &frame, &waveform)).or(frame.truth) {
+                match fixed.or_else(|| if has_labels { labels::by_span(spans, &frame, &waveform) } else { frame.truth })
+                {
                     Some(truth) => sink.offer(&map, truth)?,
                     None => unlabelled += 1,
                 }

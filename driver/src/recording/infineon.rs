@@ -282,6 +282,12 @@ pub fn radar_folders(path: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     Ok(radars)
 }
 
+/// Returns the folder of the only radar of a session, or the radar's own folder, if that is given; `None` for anything else.
+pub fn only_radar_of(path: &Path) -> Option<PathBuf> {
+    let radars = if path.is_dir() { radar_folders(path).ok()? } else { return None };
+    if let [radar] = radars.as_slice() { Some(radar.clone()) } else { None }
+}
+
 /// Returns the folder of the session that a radar's own folder is in; `None` if its name is no radar's.
 pub fn session_of(radar: &Path) -> Option<&Path> {
     radar.parent().filter(|_| is_radar(radar))

@@ -184,12 +184,15 @@ impl ModelCard {
         }
     }
 
-    /// Sequences of a dataset that have the name of one which the model was trained or chosen on or adapted to; `None` if the model's
-    /// file does not list those.
+    /// Sequences of a dataset that have the name of one which the model was trained or chosen on or adapted to, with or without
+    /// the folders before it; `None` if the model's file does not list those.
     pub fn seen_in<'a>(&self, dataset: &'a Dataset) -> Option<BTreeSet<&'a str>> {
         let seen = &self.training.seen_sequences;
         let sequences: BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
-        (!seen.is_empty()).then(|| sequences.into_iter().filter(|name| seen.contains(&sequence_hash(name))).collect())
+        // A recording that the model was adapted to has no folder in its name.
+        let own_name = |name: &str| sequence_hash(name.rsplit('/').next().unwrap_or(name));
+        let is_seen = |name: &&str| seen.contains(&sequence_hash(name)) || seen.contains(&own_name(name));
+        (!seen.is_empty()).then(|| sequences.into_iter().filter(is_seen).collect())
     }
 
     /// Returns whether the network sees range and Doppler exchanged.

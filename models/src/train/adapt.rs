@@ -472,6 +472,15 @@ mod tests {
             let card = listed(model.card.clone());
             train.extend(test.first());
             assert_eq!(card.seen_in(&dataset), Some(train));
+            // Recordings that a dataset takes from a folder have its name before their own.
+            let row = ManifestRow::new(Domain::Real, "room", "run", "captures/room 1", 0, Occupancy::One);
+            let db = vec![-80.0; dataset.header().shape.cells()];
+            let rdm = dataset.header().rdm(db, 0);
+            let other = Dataset::from_maps(dataset.header().clone(), vec![(rdm, row)]).expect("a dataset");
+            let mut adapter = Adapter::new(self::model("descriptor_linear")).expect("adaptable");
+            adapter.add_sequence("room 1");
+            let card = adapter.adapt(&[recording(1, &Occupancy::ALL)]).expect("adapts").model.card;
+            assert_eq!(card.seen_in(&other), Some(BTreeSet::from(["captures/room 1"])));
             // A file of an older program lists nothing.
             model.card.training.seen_sequences.clear();
             assert_eq!(listed(model.card).seen_in(&dataset), None);

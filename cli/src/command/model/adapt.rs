@@ -4,7 +4,7 @@ mod frames;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use radome_driver::recording::Recording;
+use radome_driver::recording::{Recording, infineon};
 use radome_dsp::{Frame, FrameSource, Occupancy};
 use radome_models::Dataset;
 use radome_models::train::{AdaptRecording, Adaptation, Adapter, BeforeAfter};
@@ -14,7 +14,7 @@ use self::frames::Frames;
 use super::evaluate::LabelledRecording;
 use crate::judge::{CFAR, Model};
 use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
-use crate::{files, output, source};
+use crate::{files, labels, output, source};
 
 /// `radome model adapt`
 #[derive(clap::Args)]
@@ -97,6 +97,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     bar.finish_and_clear();
     for input in &inputs {
         adapter.add_sequence(&source::name_of(&input.path).to_string_lossy());
+        // In a dataset, a folder of the vendor's has the name of its session.
+        if let Some(session) = infineon::session_of(&labels::content_of(&input.path)) {
+            adapter.add_sequence(&source::name_of(session).to_string_lossy());
+        }
     }
     let adaptation = adapter.adapt(&recordings)?;
     let is_refused = adaptation.adapted.held_out.is_some_and(|scores| scores.is_worse()) && !arguments.force;

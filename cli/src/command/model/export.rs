@@ -3,7 +3,8 @@ use std::path::PathBuf;
 use radome_models::onnx;
 use serde_json::json;
 
-use crate::output_file::{Overwrite, check_ending};
+use crate::exit::wrong_use;
+use crate::output_file::Overwrite;
 use crate::{files, judge, output};
 
 /// Text below the options in the help.
@@ -13,7 +14,8 @@ metadata describe the kind of map and its standardisation, as JSON under the key
 place of the model: --model FILE.onnx. This requires onnxruntime:\n\n  \
 pip install --no-deps --target .ort onnxruntime==1.31.1 && export ORT_DYLIB_PATH=$PWD/.ort\n\n\
 ORT_DYLIB_PATH names the library; without it, the library of python3's onnxruntime is used.\n\n\
-Networks whose names begin with descriptor_ have no ONNX form: use their model files.";
+Networks whose names begin with descriptor_, and circuits with gate errors, with shots or of more than 8 qubits have no ONNX \
+form: use their model files.";
 
 /// `radome model export`
 #[derive(clap::Args)]
@@ -38,7 +40,10 @@ pub struct Arguments {
 /// The model cannot be read or has no ONNX form, or the file cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.overwrite.check(&arguments.output, &[&arguments.model])?;
-    check_ending(&arguments.output, &["onnx"], "end its name in .onnx")?;
+    // Other commands tell an ONNX file by its name.
+    if arguments.output.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("onnx")) {
+        wrong_use!("{}: no name of an ONNX file\n\nhint: end its name in .onnx", arguments.output.display());
+    }
     let model = judge::network(&arguments.model)?;
     let bytes = onnx::export(&model)?;
     files::write_bytes(&arguments.output, arguments.overwrite.existing(), &bytes)?;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 use radome_driver::LabelSpan;
+use radome_driver::recording::Recording;
 use radome_driver::recording::span_check::check_spans;
 use radome_dsp::{Frame, Occupancy, Waveform};
 
@@ -30,12 +31,13 @@ impl LabelledRecording {
     /// adapted to and tested on, would give wrong scores.
     ///
     /// # Errors
-    /// There is something else behind `=`, labels cannot be read or contradict each other, or a recording is named twice.
+    /// There is something else behind `=`, labels cannot be read, contradict each other or lie outside of the recording, or
+    /// a recording is named twice.
     pub fn parse_all(inputs: impl IntoIterator<Item = String>) -> anyhow::Result<Vec<Self>> {
         let all = inputs.into_iter().map(|input| Self::parse(&input)).collect::<anyhow::Result<Vec<_>>>()?;
         let mut seen = BTreeSet::new();
         for LabelledRecording { path, .. } in &all {
-            if !seen.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
+            if !seen.insert(labels::content_of(path)) {
                 bail!("{} is named twice\n\nhint: name each recording once", path.display());
             }
         }
@@ -46,7 +48,8 @@ impl LabelledRecording {
     /// the labels in the recording: spans, or, without any, the truth that a simulator wrote with its frames.
     ///
     /// # Errors
-    /// If there is something else behind `=`, or if labels cannot be read or contradict each other.
+    /// If there is something else behind `=`, or if labels cannot be read, contradict each other or lie outside of the
+    /// recording.
     fn parse(input: &str) -> anyhow::Result<Self> {
         let after = input.rsplit_once('=');
         if let Some((path, label)) = after
@@ -73,7 +76,9 @@ impl LabelledRecording {
                 (path, spans)
             }
         };
-        check_spans(&spans, None).with_context(|| format!("{input}: labels cannot be used"))?;
+        let named = || format!("{input}: labels cannot be used");
+        check_spans(&spans, None).with_context(named)?;
+        check_spans(&spans, labels::extent_s(&mut Recording::open(&path)?)?).with_context(named)?;
         Ok(LabelledRecording { path, labels: Labels::Spans(spans) })
     }
 
