@@ -232,10 +232,11 @@ function relook() {
 }
 
 /** Seeks in the recording. While the user drags, requests are throttled: each one reads the frames before it. */
-let sought = null, resting = 0;
+let sought = null, resting = 0, aimed = { time_s: 0, at: -Infinity };
 function seek(time_s) {
   if (!page.hello?.tape || !Number.isFinite(time_s)) return;
   sought = time_s;
+  aimed = { time_s, at: performance.now() };
   if (!resting) seekNow();
 }
 
@@ -297,7 +298,12 @@ addEventListener('keydown', () => { pointed = false; }, true);
 document.addEventListener('change', event => { if (pointed && event.target.tagName === 'SELECT') event.target.blur(); });
 
 const toggle = id => { $(id).checked = !$(id).checked; $(id).dispatchEvent(new Event('change')); };
-const jump = seconds => { if (page.header) seek(page.header.answer.time_s + seconds); };
+// Jumps that follow each other quickly add up: the frame of the first one may not have come yet.
+const jump = seconds => {
+  const { first_s, last_s } = page.hello.tape;
+  const from = performance.now() - aimed.at < 500 ? aimed.time_s : page.header?.answer.time_s;
+  if (from !== undefined) seek(Math.max(first_s, Math.min(last_s, from + seconds)));
+};
 const KEYS = {
   '0': () => label('empty'), '1': () => label('one'), '2': () => label('two'),
   e: () => send({ do: 'stop' }), u: () => send({ do: 'undo' }), U: () => send({ do: 'redo' }),
