@@ -98,9 +98,13 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
         assert_eq!(std::fs::read(&kept).expect("readable"), b"a night of frames", "{command:?}");
         assert_eq!(files(folder.path()), std::slice::from_ref(&kept), "{command:?}");
     }
-    let replaces = |command: &&&[&str]| {
-        command[..2].iter().any(|word| ["record", "simulate", "convert", "maps", "export"].contains(word))
-    };
+    let replaces =
+        |command: &&&[&str]| command[..2].iter().any(|word| ["record", "simulate", "convert", "maps"].contains(word));
+    // An ONNX file has no other name.
+    let onnx = write_file(sources.path(), "kept.onnx", "a night of frames");
+    fails_with(command!("model export", &model, "-o", &onnx), &["kept.onnx exists already", "--overwrite"]);
+    success(command!("model export --overwrite", &model, "-o", &onnx));
+    assert_ne!(std::fs::read(&onnx).expect("readable"), b"a night of frames");
     for command in commands.iter().filter(replaces) {
         std::fs::write(&kept, "a night of frames").expect("writable");
         success(radome().args(*command).arg(&kept).arg("--overwrite"));

@@ -3,6 +3,7 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
+use super::corner_runs::PastCorner;
 use super::discovery::ImagePaths;
 use super::flat::FacetId;
 use super::leg::{Kept, Leg, UNSURE_M, fade};
@@ -34,20 +35,33 @@ impl Aperture {
 }
 
 impl ImagePaths {
-    /// Reflection of a facet relative to that of its infinite plane.
-    pub(super) fn on_facet(&self, facet: FacetId, leg: &Leg, met: DVec3) -> Option<Aperture> {
+    /// Reflection of a facet relative to that of its infinite plane. `corners` are its inner corners beside the path.
+    pub(super) fn on_facet<'a>(
+        &self,
+        facet: FacetId,
+        leg: &Leg,
+        met: DVec3,
+        corners: impl Iterator<Item = &'a PastCorner>,
+    ) -> Option<Aperture> {
         let flat = self.environment.flat(facet)?;
         let cosine = flat.normal.dot(leg.direction).abs().max(1e-6);
         if flat.is_far(met, leg.reach_m(&self.environment) / cosine + UNSURE_M) {
             return None;
         }
-        let is_on = flat.contains(met);
+        let mut is_on = flat.contains(met);
         // The path continues behind the mirror: edges may lie beyond the point of reflection.
         let unfolded = Leg { length_m: leg.total_m - leg.before_m, ..*leg };
         let (wavelength_m, reach) = (self.environment.wavelength_m(), self.environment.edge_reach());
         let mut by_edges = Complex64::ZERO;
         let mut inside = if is_on { 1.0 } else { 0.0 };
         let mut is_left = is_on;
+        for corner in corners {
+            by_edges += if corner.is_beyond { corner.part } else { -corner.part };
+            // Such a path is taken to meet the facet at the edge.
+            is_on &= !corner.is_beyond;
+            let from_edge = if corner.is_beyond { 0.0 } else { fade(corner.nu / CLEAR_NU) };
+            inside = f64::min(inside, from_edge);
+        }
         // On an edge, two facets of a seam each reflect their half of the field.
         let mut is_on_edge = false;
         for &number in &flat.soft {

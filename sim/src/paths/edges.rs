@@ -1,5 +1,5 @@
-//! Diffracting edges: free edges of sheets, outward and shallow corners, and seams of two walls in one plane. Inner
-//! corners and seams of one wall do not diffract, because the next facet reflects what the previous one loses.
+//! Diffracting edges: free edges of sheets, outward corners, and seams of two walls in one plane. Seams of one wall do not
+//! diffract, because the next facet reflects what the previous one loses. Inner corners are in `corner_runs.rs`.
 
 use glam::DVec3;
 
@@ -14,8 +14,8 @@ pub(super) const SAME_M: f64 = 1e-6;
 const SAME_END_M: f64 = 1e-4;
 /// Sine of the angle up to which two facets are coplanar.
 const FLAT: f64 = 1e-6;
-/// Cosine of the angle of air between two facets up to which their corner is shallow: each reflects its own part.
-pub(super) const SHALLOW: f64 = -0.5;
+/// Sine of the angle between a path and a facet up to which the path lies in the facet's plane.
+const GRAZING: f64 = 1e-9;
 /// Extent of a facet across a path, over its own, up to which the path sees the facet edge-on.
 const EDGE_ON: f64 = 1e-4;
 
@@ -37,12 +37,17 @@ pub struct SoftEdge {
 }
 
 impl SoftEdge {
-    /// Edge of an inner corner, with its facets and the unit vectors from it into them. Mirror images of the corner
-    /// continue it.
-    pub(super) fn of_corner(ends: [DVec3; 2], sides: [(FacetId, &Flat, DVec3); 2]) -> Self {
+    /// Edge of an inner corner, with its facets and the unit vectors from it into them. It continues beyond an end where no
+    /// soft edge of these facets begins. `all` are the soft edges by their numbers.
+    pub(super) fn of_corner(ends: [DVec3; 2], sides: [(FacetId, &Flat, DVec3); 2], all: &[SoftEdge]) -> Self {
+        let soft = || sides.iter().flat_map(|side| &side.1.soft).filter_map(|&number| all.get(number as usize));
+        let is_end = |end: DVec3| {
+            let meets = |other: &DVec3| other.distance_squared(end) < SAME_END_M * SAME_END_M;
+            soft().flat_map(|edge| &edge.ends).any(meets)
+        };
         SoftEdge {
             ends,
-            goes_on: [true; 2],
+            goes_on: ends.map(|end| !is_end(end)),
             facets: sides.iter().map(|side| side.0).collect(),
             planes: sides.iter().map(|side| side.1.plane).collect(),
             inwards: sides.iter().map(|side| side.2).collect(),
@@ -62,18 +67,21 @@ impl SoftEdge {
         self.planes.contains(&plane)
     }
 
+    /// Returns whether no point of the edge lies before a facet: it is beside no path that ends on the facet.
+    pub(super) fn is_behind(&self, flat: &Flat) -> bool {
+        self.ends.iter().all(|end| flat.height(*end) <= SAME_M)
+    }
+
     /// Unit vector from the edge into one of its facets.
     pub(super) fn inwards(&self, facet: FacetId) -> DVec3 {
         let number = self.facets.iter().position(|f| *f == facet).unwrap_or(0);
         self.inwards.get(number).copied().unwrap_or(DVec3::ZERO)
     }
 
-    /// Returns whether another facet begins at the edge before one of its facets, with this normal, at no more than 120
-    /// degrees. In such an inner corner the other facet reflects what the one loses, even if both are sheets whose backs
+    /// Returns whether another facet begins at the edge before a facet with this normal, even if both are sheets whose backs
     /// form a wedge.
-    pub(super) fn is_inner_before(&self, facet: FacetId, normal: DVec3) -> bool {
-        let own = self.inwards(facet);
-        self.inwards.iter().any(|inwards| inwards.dot(normal) > FLAT && inwards.dot(own) > SHALLOW)
+    pub(super) fn is_inner_before(&self, normal: DVec3) -> bool {
+        self.inwards.iter().any(|inwards| inwards.dot(normal) > FLAT)
     }
 
     /// Unit vector from the edge into that of its facets with the largest extent across a direction.
@@ -93,8 +101,11 @@ impl SoftEdge {
     /// always does. A corner does if one of its facets is seen from the front and the other from behind. A corner of
     /// two sheets has no outline for a point between the sheets.
     pub(super) fn is_outline(&self, from: DVec3, direction: DVec3) -> bool {
+        // A path in the plane of a facet sees both of its edges, whatever rounding makes of it.
+        let along =
+            |normal: &DVec3| Some(direction.dot(*normal)).filter(|cosine| cosine.abs() > GRAZING).unwrap_or(0.0);
         match (self.normals.as_slice(), self.inwards.as_slice()) {
-            ([a, b], _) if a.dot(*b) > FLAT - 1.0 => direction.dot(*a) * direction.dot(*b) <= 0.0,
+            ([a, b], _) if a.dot(*b) > FLAT - 1.0 => along(a) * along(b) <= 0.0,
             ([_, _, _, ..], [first, others @ ..]) => {
                 let second = others.iter().find(|inwards| inwards.cross(*first).length_squared() > FLAT * FLAT);
                 second.is_none_or(|second| !self.is_between(first, second, from))
@@ -179,7 +190,7 @@ fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
 enum Meeting {
     /// Free edge: the facets end there back to back.
     Sheet,
-    /// Outward or shallow corner.
+    /// Outward corner.
     Outward,
     /// Seam of two different walls in one plane.
     Seam,
@@ -194,8 +205,7 @@ fn meeting(flats: &[Flat], a: &Side, b: &Side) -> Meeting {
     let (rise_b, rise_a) = (b.inwards.dot(of_a.normal), a.inwards.dot(of_b.normal));
     let is_plane = rise_a.abs() <= FLAT && rise_b.abs() <= FLAT;
     let is_one_side = a.inwards.dot(b.inwards) > 0.0;
-    let is_shallow = rise_a > FLAT && rise_b > FLAT && a.inwards.dot(b.inwards) <= SHALLOW;
-    if rise_a < -FLAT && rise_b < -FLAT || is_shallow {
+    if rise_a < -FLAT && rise_b < -FLAT {
         Meeting::Outward
     } else if is_plane && is_one_side && of_a.normal.dot(of_b.normal) < 0.0 {
         Meeting::Sheet

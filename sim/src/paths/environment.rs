@@ -96,9 +96,7 @@ impl Environment {
         let soft_edges = soft_edges(&flats);
         for (number, edge) in (0..).zip(&soft_edges) {
             for &facet in edge.facets() {
-                if let Some(flat) =
-                    flats.get_mut(facet as usize).filter(|flat| !edge.is_inner_before(facet, flat.normal))
-                {
+                if let Some(flat) = flats.get_mut(facet as usize).filter(|flat| !edge.is_inner_before(flat.normal)) {
                     flat.soft.push(number);
                 }
             }

@@ -18,6 +18,7 @@ use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
 use super::aperture::Aperture;
+use super::corner_runs::PastCorner;
 use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::edges::SoftEdge;
 use super::environment::{Environment, Passing};
@@ -39,12 +40,14 @@ const MOVED_M: f64 = 0.05;
 const BEFORE_M: f64 = 1e-9;
 
 /// Path folded into the room: antenna, points of reflection, point.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 struct Folded {
     points: [DVec3; MAX_ORDER + 2],
     count: usize,
     /// Relative field past the edges of inner corners in which the path is reflected to and fro.
     past_corners: Kept,
+    /// Edges of inner corners beside single reflections, by the place of the reflection in the sequence.
+    beside_corners: Vec<(usize, PastCorner)>,
 }
 
 impl Folded {
@@ -54,6 +57,11 @@ impl Folded {
 
     fn point(&self, i: usize) -> DVec3 {
         self.points.get(i).copied().unwrap_or(DVec3::ZERO)
+    }
+
+    /// Returns whether the path passes all inner corners on the side of their facets.
+    fn is_within_corners(&self) -> bool {
+        self.past_corners.is_whole && !self.beside_corners.iter().any(|(_, past)| past.is_beyond)
     }
 }
 
@@ -197,7 +205,7 @@ impl ImagePaths {
     /// Returns whether a ray is free along a sequence of facets; `None` where it meets planes from behind.
     fn is_free(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<bool> {
         let folded = self.folded(sequence, antenna, point)?;
-        if !folded.past_corners.is_whole {
+        if !folded.is_within_corners() {
             return Some(false);
         }
         let is_on = |(&facet, &met): (&FacetId, &DVec3)| self.environment.flat(facet).is_some_and(|f| f.contains(met));
@@ -339,9 +347,11 @@ impl ImagePaths {
         let images = self.images_along(sequence, antenna)?;
         let mut points = [point; MAX_ORDER + 2];
         let mut past_corners = Kept { field: Complex64::ONE, is_whole: true };
+        let mut beside_corners: Vec<(usize, PastCorner)> = Vec::new();
         let runs = self.runs.of(sequence);
         // Displacements of the path to inner corners, each with the place of the corner's first reflection.
         let mut shifts: Vec<(usize, DVec3)> = Vec::new();
+        let mut bent_at = None;
         let mut target = point;
         for (i, &facet) in sequence.iter().enumerate().rev() {
             let flat = self.environment.flat(facet)?;
@@ -350,9 +360,20 @@ impl ImagePaths {
                 let total_m = images.get(count)?.distance(point);
                 let direction = (target - source).normalize_or_zero();
                 let line = Leg { from: source, direction, length_m: total_m, before_m: 0.0, total_m };
-                let past = run.past(&line, &self.environment)?;
-                past_corners = past_corners.and(past.kept);
-                shifts.push((run.first, past.shift));
+                let Some(past) = run.past(&line, &self.environment) else { continue };
+                if past.is_beyond && past.part == Complex64::ZERO {
+                    return None;
+                }
+                if run.count == 1 {
+                    beside_corners.push((i, past));
+                } else {
+                    let field = if past.is_beyond { past.part } else { 1.0 - past.part };
+                    past_corners = past_corners.and(Kept { field, is_whole: !past.is_beyond });
+                }
+                if past.is_beyond {
+                    shifts.push((run.first, past.shift));
+                    bent_at.get_or_insert(i);
+                }
             }
             let shift: DVec3 = shifts.iter().map(|(_, shift)| *shift).sum();
             let (over, under) = (flat.height(target + shift), flat.height(source + shift));
@@ -365,17 +386,32 @@ impl ImagePaths {
             target = target.lerp(source, over / (over - under)) + shift;
             *points.get_mut(i + 1)? = target;
             if !shifts.is_empty() {
-                // Before this facet, the path itself goes on.
+                // Within the run, the path is a parallel one. From its first facet, it goes straight to the antenna.
                 let mirror = flat.mirror();
-                target -= mirror * shift;
                 shifts.retain_mut(|(first, shift)| {
                     *shift = mirror * *shift;
                     *first < i
                 });
+                target -= shifts.iter().map(|(_, shift)| *shift).sum::<DVec3>();
+            }
+        }
+        if let Some(last) = bent_at.filter(|last| last + 1 < count) {
+            // From the corner, the path goes straight to the point.
+            let later = sequence.get(last + 1..)?;
+            let images = self.images_along(later, *points.get(last + 1)?)?;
+            let mut target = point;
+            for (i, (&facet, &source)) in later.iter().zip(images.iter().skip(1)).enumerate().rev() {
+                let flat = self.environment.flat(facet)?;
+                let (over, under) = (flat.height(target), flat.height(source));
+                if over <= -SEAM_M || under >= -BEFORE_M {
+                    return None;
+                }
+                target = target.lerp(source, over / (over - under));
+                *points.get_mut(last + i + 2)? = target;
             }
         }
         *points.first_mut()? = antenna;
-        Some(Folded { points, count: count + 2, past_corners })
+        Some(Folded { points, count: count + 2, past_corners, beside_corners })
     }
 
     /// Relative fields on the path by a sequence past facets, edges and walls: by the walls that the path crosses, and
@@ -408,7 +444,8 @@ impl ImagePaths {
                 leg.direction = reflected;
             }
             reflected = self.environment.flat(facet)?.mirror() * leg.direction;
-            let own = self.on_facet(facet, &leg, folded.point(i + 1))?;
+            let corners = folded.beside_corners.iter().filter(|(place, _)| *place == i).map(|(_, past)| past);
+            let own = self.on_facet(facet, &leg, folded.point(i + 1), corners)?;
             let corner = aperture.filter(|_| last.is_some_and(|last| self.corners.holds(last, facet)));
             let before = aperture.replace(corner.map_or(own, |corner| corner.beside(own)));
             if let (Some(before), None) = (before, corner) {
@@ -522,8 +559,10 @@ impl ImagePaths {
         environment.edges_near(leg.from, to, reach_m + farther_m, &mut near);
         let found = |number: u32| {
             let edge = environment.soft_edges().get(number as usize)?;
+            let is_behind = |facet: FacetId| environment.flat(facet).is_some_and(|flat| edge.is_behind(flat));
             if !edge.is_near(leg.from, leg.direction, leg.length_m, reach_m + farther_m)
                 || planes.iter().any(|&plane| edge.bounds_plane(plane))
+                || on.into_iter().flatten().any(is_behind)
                 || !(environment.lets_through() || edge.is_outline(leg.from, leg.direction))
             {
                 return None;

@@ -25,9 +25,6 @@ pub const LEAST_FACE_M2: f64 = 0.01;
 /// Deviation from a straight angle within which a face continues another one, rad. The point of reflection at 5 m moves
 /// by a tenth of a millimetre for this angle.
 const STRAIGHT_RAD: f64 = 2e-5;
-/// Angle of air from which on each of two faces reflects its own part of a wave. In a narrower corner waves that one face
-/// loses reach the other one, which reflects them back.
-const SHALLOW_RAD: f64 = TAU / 3.0;
 /// Angle between two faces at an edge up to which one lies on the other, rad.
 const FOLDED_RAD: f64 = 0.01;
 
@@ -56,7 +53,7 @@ pub struct Face {
 /// Faces that meet a face at its edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum EdgeKind {
-    /// Other faces, with at most 120 degrees of air between. The edge does not diffract.
+    /// Other faces, with at most 180 degrees of air between. The edge does not diffract.
     Inner,
     /// Another face in the same plane, on each side that has air.
     Flat,
@@ -66,7 +63,7 @@ pub enum EdgeKind {
         /// Index of the other face.
         other: usize,
     },
-    /// Another face, with more than 120 degrees of air between, but not 180. The edge is a wedge, which both faces list.
+    /// Another face, with more than 180 degrees of air between. The edge is a wedge, which both faces list.
     Wedge {
         /// Index of the other face; `None` if it belongs to a [`SmallPart`].
         other: Option<usize>,
@@ -207,9 +204,7 @@ fn kind(sheets: &[(f64, Option<usize>)], sides: Sides) -> EdgeKind {
         Sides::One => &both[..1],
         Sides::Two => &both[..],
     };
-    let is_shallow = |air: f64| air > SHALLOW_RAD && air < PI - STRAIGHT_RAD;
-    let wedge = with_air.iter().find(|air| air.0 > PI + STRAIGHT_RAD);
-    match wedge.or_else(|| with_air.iter().find(|air| is_shallow(air.0))) {
+    match with_air.iter().find(|air| air.0 > PI + STRAIGHT_RAD) {
         Some(&(_, other)) => EdgeKind::Wedge { other },
         None if with_air.iter().all(|air| air.0 >= PI - STRAIGHT_RAD) => EdgeKind::Flat,
         None => EdgeKind::Inner,
