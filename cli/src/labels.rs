@@ -160,7 +160,7 @@ pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
 }
 
 /// Returns the truth of a frame by its labels: the class at its first chirp, and whether the class at its last chirp
-/// differs.
+/// differs, or the frame's own truth of the same class is a transition.
 pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Option<Truth> {
     let at = |time_s: f64| {
         let holds = |span: &&LabelSpan| {
@@ -171,7 +171,14 @@ pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Optio
     let first_s = frame.time_s();
     let last_s = first_s + waveform.request.chirps_per_frame as f64 * waveform.request.chirp_interval_s;
     let occupancy = at(first_s)?;
-    Some(Truth { occupancy, transition: at(last_s).is_some_and(|last| last != occupancy) })
+    // The truth of a simulator also tells when somebody is partly in the room.
+    let is_between = frame.truth.is_some_and(|truth| truth.transition && truth.occupancy == occupancy);
+    Some(Truth { occupancy, transition: is_between || at(last_s).is_some_and(|last| last != occupancy) })
+}
+
+/// Rounds a time in seconds to whole nanoseconds.
+fn to_ns(time_s: f64) -> f64 {
+    (time_s * 1e9).round() * 1e-9
 }
 
 /// Builds spans of one class each from the classes of single frames. A frame lasts until the next one, and the last for
@@ -179,7 +186,7 @@ pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Optio
 pub fn spans_of(frames: &[(f64, Occupancy)], interval_s: f64) -> Vec<LabelSpan> {
     let mut spans: Vec<LabelSpan> = Vec::new();
     for (index, (time_s, class)) in frames.iter().enumerate() {
-        let end_s = frames.get(index + 1).map_or(time_s + interval_s, |(next_s, _)| *next_s);
+        let end_s = frames.get(index + 1).map_or_else(|| to_ns(time_s + interval_s), |(next_s, _)| *next_s);
         match spans.last_mut().filter(|span| span.label == class.name()) {
             Some(span) => span.end_s = end_s,
             None => spans.push(LabelSpan::new(*time_s, end_s, class.name())),
@@ -241,8 +248,10 @@ pub fn cut_out(
             continue;
         }
         let rests = [(label.start_s, label.end_s.min(start_s)), (label.start_s.max(end_s), label.end_s)];
-        let rest =
-            |(start_s, end_s): (f64, f64)| (start_s < end_s).then(|| LabelSpan { start_s, end_s, ..label.clone() });
+        // Shorter rests are no time that a file of labels could hold.
+        let rest = |(start_s, end_s): (f64, f64)| {
+            (end_s - start_s > ROUNDING_S).then(|| LabelSpan { start_s, end_s, ..label.clone() })
+        };
         left.extend(rests.into_iter().filter_map(rest));
     }
     left

@@ -161,6 +161,12 @@ impl Frame {
         &self.codes[start..start + self.shape.samples]
     }
 
+    /// Number of codes of all receivers that are 0, or [`MAX_CODE`] or above (the chip cannot send more).
+    pub fn saturated_samples(&self) -> u32 {
+        // One comparison for both ends: 0 wraps to the largest number.
+        self.codes.iter().map(|code| u32::from(code.wrapping_sub(1) >= MAX_CODE - 1)).sum()
+    }
+
     /// View of the codes as an array `[rx][chirp][sample]`; `None` if their number disagrees with the shape.
     pub fn view(&self) -> Option<ArrayView3<'_, u16>> {
         ArrayView3::from_shape((self.shape.rx, self.shape.chirps, self.shape.samples), &self.codes).ok()

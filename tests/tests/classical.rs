@@ -102,6 +102,23 @@ fn a_reflector_tells_what_receivers_are_unlike_in() {
     fails_with(command!("recording echoes --frames 5 --angles", &angles, &path), &["hint:", "angles.toml"]);
 }
 
+/// Regression test: phase offsets were measured from noise, from somebody who walked, and from no frame at all.
+#[test]
+fn without_a_reflector_nothing_is_measured() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let angles = folder.path().join("angles.toml");
+    let corridor = fixture("scenes/corridor.toml");
+    for (options, range, expected) in [
+        ("--people 0", "4.7,0,0", "no reflector stands out at 4.7 m"),
+        ("--people 1 --frames 100", "7.0,0,0", "something moves within 0.3 m of"),
+        ("--people 0 --frames 0", "2.5,0,0", "no frame to measure a reflector in"),
+    ] {
+        let mut command = command!("recording echoes --reflector", range, &corridor, "-o", &angles);
+        fails_with(command.args(options.split(' ')), &[expected]);
+        assert!(!angles.exists(), "{options}");
+    }
+}
+
 #[test]
 fn a_source_without_echoes_is_said_to_have_none() {
     let empty = fixture("scenes/corridor.toml");

@@ -98,6 +98,31 @@ fn two_names_of_a_recording_are_one_recording() {
     assert_eq!((rows.lines().count(), rows.matches("\"label\":\"empty\"").count()), (10, 10), "{rows}");
 }
 
+/// Regression test: of a label that ends at the end of a recording, as `--propose truth` makes it, a rest of less than a
+/// nanosecond stayed, which the file beside a folder held as a label without duration, and nothing could be built. Frames in
+/// which somebody is partly in the room were no transitions any more.
+#[test]
+fn proposed_truth_is_replaced_whole_and_keeps_transitions() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/corridor.toml"), "--frames 300 --seed 3", &path("run.mcap"));
+    let spec = write_file(folder.path(), "maps.toml", "format = 1\n[map]\n[[recorded]]\nrecording = \"run.mcap\"\n");
+    let transitions = |name: &str| -> usize {
+        success(command!("dataset build", &spec, "-o", path(name)));
+        let rows = std::fs::read_to_string(path(&format!("{name}/manifest.jsonl"))).expect("written");
+        rows.matches("\"transition\":true").count()
+    };
+    let before = transitions("unlabelled");
+    success(command!("recording label --propose truth", path("run.mcap")));
+    assert_eq!((transitions("labelled"), before > 0), (before, true));
+
+    success(command!("recording label --replace --span 0:30=two", path("run.mcap")));
+    assert_eq!(labels_of(&path("run.mcap")).len(), 1);
+    convert(&path("run.mcap"), &path("session"));
+    success(command!("recording label", path("run.mcap"), "-o", path("session/radome.label")));
+    success(command!("model evaluate cfar", path("session")));
+}
+
 /// Regression test: labels beyond the end of a recording were counted as if nothing were wrong.
 #[test]
 fn labels_beyond_a_recording_are_refused_wherever_they_are_read() {

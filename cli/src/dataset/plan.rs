@@ -113,7 +113,12 @@ impl Plan {
         let Some((_, header)) = header else { bail!("{} names no source", path.display()) };
         let mut names = BTreeSet::new();
         if let Some(twice) = units.iter().find(|unit| !names.insert(&unit.recording)) {
-            bail!("{}: two recordings would be called '{}'", path.display(), twice.recording);
+            bail!(
+                "{}: two recordings would be called '{}'\n\nhint: put both into one folder and name it by folders = ...: recordings are \
+                 then called by their paths in it; or rename one of them",
+                path.display(),
+                twice.recording
+            );
         }
         // Splits that contradict each other would be noticed when all units are made, and their correction is another spec.
         let rows: Vec<ManifestRow> = units.iter().map(|unit| unit.row(0, Occupancy::Empty)).collect();

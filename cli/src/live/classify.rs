@@ -157,14 +157,14 @@ impl FrameClassifier {
             Prediction::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
             Prediction::NoSignal => {
                 answer.no_signal = true;
-                answer.saturated_samples = self.map().flags.saturated_samples;
+                answer.saturated_samples = frame.saturated_samples();
             }
             Prediction::Probabilities(raw) => {
                 let is_background = self.background.as_ref().is_some_and(|background| background.is_all(self.map()));
                 let raw = if is_background { NOBODY_SEEN } else { raw };
                 let filtered = self.filter.update(answer.time_s, raw);
                 let label = most_probable(&filtered);
-                answer.saturated_samples = self.map().flags.saturated_samples;
+                answer.saturated_samples = frame.saturated_samples();
                 answer.frame_probabilities = Some(raw.into());
                 answer.probabilities = Some(filtered.into());
                 answer.label = Some(label);

@@ -29,7 +29,12 @@ pub fn to_audacity(spans: &[LabelSpan]) -> String {
         let label = span.label.replace(['\t', '\r', '\n'], " ");
         format!("{}\t{}\t{label}\n", seconds_text(span.start_s), seconds_text(span.end_s))
     };
-    spans.iter().map(line).collect()
+    spans.iter().filter(|span| is_held(span)).map(line).collect()
+}
+
+/// Returns whether a span has a duration in a file, where times have six decimals. A class for less than that covers no frame.
+fn is_held(span: &LabelSpan) -> bool {
+    span.occupancy().is_none() || seconds_text(span.start_s) != seconds_text(span.end_s)
 }
 
 /// Parses an Audacity label track, also one that begins with a mark of the byte order. Lines that begin with a backslash hold
@@ -54,7 +59,7 @@ pub fn from_audacity(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
 /// confidence has 1 there, since other programs always write a number.
 pub fn to_deepcraft(spans: &[LabelSpan]) -> String {
     let mut text = format!("{DEEPCRAFT_HEADER}\n");
-    for span in spans {
+    for span in spans.iter().filter(|span| is_held(span)) {
         let (start, length) = (seconds_text(span.start_s), seconds_text(span.end_s - span.start_s));
         let (label, note) = (quoted(&span.label), quoted(span.note.as_deref().unwrap_or("")));
         text += &format!("{start},{length},{label},{},{note}\n", span.confidence.unwrap_or(1.0));

@@ -202,7 +202,7 @@ impl Detector {
     }
 
     /// Finds the strongest static echo between two ranges, m, in the mean of profiles, such as a calibration reflector. `None` if no
-    /// range bin lies between them.
+    /// range bin between them is stronger than both of its neighbours.
     ///
     /// Its `snr_db` is the level over the median cell of all ranges, which is clutter rather than noise in a furnished room.
     pub fn find_reflector(&self, profiles: &[&RangeProfile], within_m: std::ops::Range<f64>) -> Option<Detection> {
@@ -217,7 +217,9 @@ impl Detector {
             (0..self.bins).map(|range| (0..rx).map(|rx| cell(rx, range).norm_sqr()).sum::<f64>()).collect();
         let at = |range: usize| power.get(range).copied().unwrap_or(0.0);
         let is_within = |range: &usize| within_m.contains(&(*range as f64 * self.bin_m()));
-        let range = (1..self.bins.saturating_sub(1)).filter(is_within).max_by(|&a, &b| at(a).total_cmp(&at(b)))?;
+        let is_peak = |&range: &usize| at(range) > at(range - 1) && at(range) >= at(range + 1);
+        let bins = (1..self.bins.saturating_sub(1)).filter(is_within).filter(is_peak);
+        let range = bins.max_by(|&a, &b| at(a).total_cmp(&at(b)))?;
         let cross = |baseline: &Baseline, range: usize| cell(baseline.to, range) * cell(baseline.from, range).conj();
         let snr_db = ratio_db(at(range), noise_power(power.iter().copied(), rx));
         Some(self.still_at(range, [at(range - 1), at(range), at(range + 1)], snr_db, cross))

@@ -200,7 +200,7 @@ struct Seen {
     /// Gaps of unknown length.
     unknown: u64,
     /// Samples at the lowest or highest code.
-    saturated: usize,
+    saturated: u64,
     /// Longest time to classify one of them; `None` where no model is checked.
     slowest: Option<Duration>,
 }
@@ -219,8 +219,7 @@ fn frames(
     while kept.len() < FRAMES && start.elapsed() < PATIENCE {
         match source.next_frame(&mut frame) {
             Ok(SourceEvent::Frame) => {
-                let is_saturated = |code: &&u16| matches!(**code, 0 | radome_dsp::MAX_CODE);
-                seen.saturated += frame.codes.iter().filter(is_saturated).count();
+                seen.saturated += u64::from(frame.saturated_samples());
                 let asked = Instant::now();
                 match judge.as_mut().map(|judge| judge.frame(&frame)) {
                     Some(Err(error)) => return Check::error("frames", &error),

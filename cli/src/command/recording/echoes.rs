@@ -21,6 +21,8 @@ const STILL_S: f64 = 2.0;
 const SAME_M: f64 = 0.5;
 /// Half the range interval in which a reflector is searched for, m.
 const REFLECTOR_M: f64 = 0.3;
+/// Least level of a reflector over the median range, dB. Its phase is then within a few degrees.
+const REFLECTOR_DB: f64 = 20.0;
 /// Number of frames over which a reflector is averaged.
 const REFLECTOR_FRAMES: u64 = 50;
 
@@ -77,7 +79,7 @@ struct Said {
 /// Prints ranges, speeds and directions of moving echoes, frame by frame; or phase offsets between the receivers.
 ///
 /// # Errors
-/// The source or the angles cannot be read, or no reflector is found.
+/// The source or the angles cannot be read, no reflector is found, or something moves at its range.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     if let Some(path) = &arguments.output {
@@ -104,7 +106,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(most + 1);
     let items = Items::of(source, wanted);
-    let (mut looked, mut found) = (0u64, 0);
+    let (mut looked, mut found, mut moving) = (0u64, 0, 0u64);
     loop {
         match items.next_item()? {
             Item::End(_) => break,
@@ -116,7 +118,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 }
                 profiles.push_back(profile);
                 looked += 1;
-                if arguments.reflector.is_some() {
+                if let Some([range_m, ..]) = truth {
+                    moving += u64::from(echoes.iter().any(|echo| (echo.range_m - range_m).abs() < REFLECTOR_M));
                     continue;
                 }
                 if profiles.len() == window {
@@ -139,6 +142,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if output::interrupted() {
         return Err(output::Interrupted.into());
     }
+    ensure!(looked > 0, "{}: no frame to measure a reflector in", arguments.source.source);
+    let [range_m, ..] = truth;
+    ensure!(
+        moving == 0,
+        "something moves within {REFLECTOR_M} m of the reflector's range, {range_m} m, in {moving} of {looked} frames\n\nhint: leave the \
+         room, and measure again"
+    );
     let profiles: Vec<&RangeProfile> = profiles.iter().collect();
     calibrate(arguments, truth, &receivers, &waveform, |within_m| detector.find_reflector(&profiles, within_m))
 }
@@ -167,10 +177,16 @@ fn calibrate(
 ) -> anyhow::Result<()> {
     let echo = find(range_m - REFLECTOR_M..range_m + REFLECTOR_M).with_context(|| {
         format!(
-            "no range within {REFLECTOR_M} m of {range_m} m\n\nhint: the waveform reaches {:.1} m",
+            "no echo within {REFLECTOR_M} m of {range_m} m\n\nhint: the waveform reaches {:.1} m",
             waveform.max_range_m()
         )
     })?;
+    ensure!(
+        echo.snr_db >= REFLECTOR_DB,
+        "no reflector stands out at {range_m} m: the strongest echo there is {:.0} dB over the median range, and {REFLECTOR_DB} are \
+         needed\n\nhint: use a larger reflector, such as a metal corner of 10 cm, or a range at which nothing else stands",
+        echo.snr_db
+    );
     let truth = (azimuth_deg.to_radians(), elevation_deg.to_radians());
     let calibration = receivers.calibrate(&echo.cosines, truth, waveform.wavelength_m());
     let measured_from = format!(
