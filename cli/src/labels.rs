@@ -135,6 +135,8 @@ pub fn file_beside(recording: &Path) -> Option<PathBuf> {
         return Some(name_beside(recording)).filter(|path| path.is_file());
     }
     let radar = infineon::only_radar_of(recording).unwrap_or_else(|| recording.to_owned());
+    // A path such as `.` does not tell the session that the folder is in.
+    let radar = if radar.file_name().is_none() { content_of(recording) } else { radar };
     let folders = [Some(radar.as_path()), infineon::session_of(&radar), Some(recording)];
     let names = |folder: &Path| NAMES_IN_FOLDER.map(|name| folder.join(name));
     folders.into_iter().flatten().flat_map(names).find(|path| path.is_file())
@@ -160,7 +162,7 @@ pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
 }
 
 /// Returns the truth of a frame by its labels: the class at its first chirp, and whether the class at its last chirp
-/// differs, or the frame's own truth of the same class is a transition.
+/// differs.
 pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Option<Truth> {
     let at = |time_s: f64| {
         let holds = |span: &&LabelSpan| {
@@ -171,14 +173,12 @@ pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Optio
     let first_s = frame.time_s();
     let last_s = first_s + waveform.request.chirps_per_frame as f64 * waveform.request.chirp_interval_s;
     let occupancy = at(first_s)?;
-    // The truth of a simulator also tells when somebody is partly in the room.
-    let is_between = frame.truth.is_some_and(|truth| truth.transition && truth.occupancy == occupancy);
-    Some(Truth { occupancy, transition: is_between || at(last_s).is_some_and(|last| last != occupancy) })
+    Some(Truth { occupancy, transition: at(last_s).is_some_and(|last| last != occupancy) })
 }
 
 /// Rounds a time in seconds to whole nanoseconds.
 fn to_ns(time_s: f64) -> f64 {
-    (time_s * 1e9).round() * 1e-9
+    (time_s * 1e9).round() / 1e9
 }
 
 /// Builds spans of one class each from the classes of single frames. A frame lasts until the next one, and the last for
@@ -248,7 +248,7 @@ pub fn cut_out(
             continue;
         }
         let rests = [(label.start_s, label.end_s.min(start_s)), (label.start_s.max(end_s), label.end_s)];
-        // Shorter rests are no time that a file of labels could hold.
+        // Rests within the rounding of times are dropped.
         let rest = |(start_s, end_s): (f64, f64)| {
             (end_s - start_s > ROUNDING_S).then(|| LabelSpan { start_s, end_s, ..label.clone() })
         };

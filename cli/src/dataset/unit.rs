@@ -137,8 +137,14 @@ fn recording(
                 if processor.process(&frame, &mut map)? != MapStatus::Ready {
                     continue;
                 }
-                match fixed.or_else(|| if has_labels { labels::by_span(spans, &frame, &waveform) } else { frame.truth })
-                {
+                let labelled = || {
+                    let mut truth = labels::by_span(spans, &frame, &waveform)?;
+                    // A simulator also tells when somebody is partly in the room.
+                    truth.transition |=
+                        frame.truth.is_some_and(|own| own.transition && own.occupancy == truth.occupancy);
+                    Some(truth)
+                };
+                match fixed.or_else(|| if has_labels { labelled() } else { frame.truth }) {
                     Some(truth) => sink.offer(&map, truth)?,
                     None => unlabelled += 1,
                 }

@@ -32,9 +32,11 @@ pub fn to_audacity(spans: &[LabelSpan]) -> String {
     spans.iter().filter(|span| is_held(span)).map(line).collect()
 }
 
-/// Returns whether a span has a duration in a file, where times have six decimals. A class for less than that covers no frame.
+/// Returns whether a span has a duration in a file, where times have at most nine decimals. A class for less than that covers
+/// no frame.
 fn is_held(span: &LabelSpan) -> bool {
-    span.occupancy().is_none() || seconds_text(span.start_s) != seconds_text(span.end_s)
+    let has_length = seconds_text(span.end_s - span.start_s) != seconds_text(0.0);
+    span.occupancy().is_none() || has_length && seconds_text(span.start_s) != seconds_text(span.end_s)
 }
 
 /// Parses an Audacity label track, also one that begins with a mark of the byte order. Lines that begin with a backslash hold

@@ -56,10 +56,10 @@ impl ImagePaths {
         let mut inside = if is_on { 1.0 } else { 0.0 };
         let mut is_left = is_on;
         for corner in corners {
-            by_edges += if corner.is_beyond { corner.part } else { -corner.part };
+            by_edges += if corner.is_behind { -corner.part } else { corner.part };
             // Such a path is taken to meet the facet at the edge.
             is_on &= !corner.is_beyond;
-            let from_edge = if corner.is_beyond { 0.0 } else { fade(corner.nu / CLEAR_NU) };
+            let from_edge = if corner.is_behind { fade(corner.nu / CLEAR_NU) } else { 0.0 };
             inside = f64::min(inside, from_edge);
         }
         // On an edge, two facets of a seam each reflect their half of the field.

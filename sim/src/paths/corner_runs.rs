@@ -8,6 +8,7 @@
 //! angle, the sum differs from the exact field in a wedge by 0.002 of such an image's field, within five by 0.03.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -22,13 +23,16 @@ use super::leg::Leg;
 const INSIDE_M: f64 = 1e-4;
 /// Cosine of the angle between two facets up to which they are perpendicular: both orders have the same image.
 const RIGHT_ANGLE: f64 = 1e-12;
+/// Cosine from which on a corner is wider than a right angle for a single reflection. In a narrower one, what ends at the
+/// edge moves by less than a tenth of a millimetre in 10 m.
+const WIDE: f64 = 1e-5;
 /// Sine of the angle between two facets up to which they do not meet in a corner.
 const PARALLEL: f64 = 1e-6;
 /// Sine of the angle between a mirror and the plane across an edge up to which it leaves the edge in its place.
-const ACROSS: f64 = 1e-9;
+const ACROSS: f64 = 1e-5;
 
-/// Successive reflections by the two facets of an inner corner in turn, one or more, within a sequence that has an image of
-/// its own.
+/// Reflections by the facets of an inner corner within a sequence. They are two or more by both facets in turn, if no
+/// sequence of the same image has them in the opposite order, or a single one in a corner wider than a right angle.
 #[derive(Debug, Clone)]
 pub(super) struct CornerRun {
     /// Places of the first and of the last of these reflections in the sequence.
@@ -36,11 +40,9 @@ pub(super) struct CornerRun {
     pub last: usize,
     /// Number of reflections.
     pub count: usize,
-    edge: SoftEdge,
+    corner: Arc<InnerCorner>,
     /// Unit vector from the edge into the facet of the last reflection.
     inwards: DVec3,
-    /// Angle between the facets, rad.
-    angle_rad: f64,
 }
 
 /// Path past the edge of an inner corner.
@@ -48,7 +50,9 @@ pub(super) struct CornerRun {
 pub(super) struct PastCorner {
     /// Part of the field that passes on the other side of the edge than the path.
     pub part: Complex64,
-    /// Whether the path passes beyond the edge, where there is no facet.
+    /// Whether the path passes the edge's line on the side of the last facet.
+    pub is_behind: bool,
+    /// Whether the path passes beyond the edge itself, where there is no facet.
     pub is_beyond: bool,
     /// Normalised distance from the edge.
     pub nu: f64,
@@ -60,11 +64,10 @@ pub(super) struct PastCorner {
 #[derive(Debug, Clone, Default)]
 pub(super) struct CornerRuns(HashMap<Vec<FacetId>, Vec<CornerRun>>);
 
-/// Inner corner of two facets: its edge, unit vectors from it into both, and their angle.
+/// Inner corner of two facets: its edge and their angle.
 #[derive(Debug, Clone)]
 struct InnerCorner {
     edge: SoftEdge,
-    inwards: [DVec3; 2],
     angle_rad: f64,
 }
 
@@ -72,9 +75,9 @@ struct InnerCorner {
 struct Search<'a> {
     environment: &'a Environment,
     corners: &'a Corners,
-    known: HashMap<(FacetId, FacetId), Option<InnerCorner>>,
+    known: HashMap<(FacetId, FacetId), Option<Arc<InnerCorner>>>,
     /// Corners wider than a right angle, by facet, with the facets on their other sides.
-    wide: HashMap<FacetId, Vec<FacetId>>,
+    wide: HashMap<FacetId, Vec<(FacetId, Arc<InnerCorner>)>>,
 }
 
 impl CornerRuns {
@@ -110,20 +113,23 @@ impl CornerRun {
         if !self.is_longest(line.direction) {
             return None;
         }
-        let passage = line.past(&self.edge, self.inwards, environment.wavelength_m())?;
-        let (part, nu, is_beyond) = (passage.part(environment.edge_reach()), passage.nu, !passage.is_behind);
+        let passage = line.past(&self.corner.edge, self.inwards, environment.wavelength_m())?;
+        let (part, nu, is_behind) = (passage.part(environment.edge_reach()), passage.nu, passage.is_behind);
+        // A facet may go on beside the edge's ends.
+        let is_beyond = !is_behind && passage.along[0] <= 0.0 && passage.along[1] >= 0.0;
         let shift = if is_beyond { -passage.outwards * (passage.clearance_m + INSIDE_M) } else { DVec3::ZERO };
-        Some(PastCorner { part, is_beyond, nu, shift })
+        Some(PastCorner { part, is_behind, is_beyond, nu, shift })
     }
 
     /// Returns whether a path near the edge that leaves in this direction is reflected neither less nor more often.
     /// Unfolded, it turns by half a circle about the edge.
     fn is_longest(&self, direction: DVec3) -> bool {
-        let along = (self.edge.ends[1] - self.edge.ends[0]).normalize_or_zero();
+        let along = self.corner.along();
         let across = (direction - along * direction.dot(along)).normalize_or_zero();
         let leaves_rad = across.dot(self.inwards).clamp(-1.0, 1.0).acos();
-        let before_rad = leaves_rad + (self.count - 1) as f64 * self.angle_rad;
-        before_rad < std::f64::consts::PI && before_rad + self.angle_rad >= std::f64::consts::PI
+        let angle_rad = self.corner.angle_rad;
+        let before_rad = leaves_rad + (self.count - 1) as f64 * angle_rad;
+        before_rad < std::f64::consts::PI && before_rad + angle_rad >= std::f64::consts::PI
     }
 }
 
@@ -141,31 +147,27 @@ impl Search<'_> {
             }
         }
         for pair in pairs {
-            let Some(corner) = self.corner(pair).cloned() else { continue };
+            let Some(corner) = self.corner(pair) else { continue };
             for places in self.in_turn(sequence, pair, &corner) {
-                let is_same_back = || {
-                    let mut swapped = sequence.to_vec();
-                    for &place in &places {
-                        swapped[place] = if swapped[place] == pair.0 { pair.1 } else { pair.0 };
-                    }
-                    of_image.contains(&swapped)
-                };
-                if !is_same_back() {
-                    runs.extend(corner.run(sequence, pair, &places));
+                let mut swapped = sequence.to_vec();
+                for &place in &places {
+                    swapped[place] = if swapped[place] == pair.0 { pair.1 } else { pair.0 };
+                }
+                // The sequences of an image are sorted.
+                if of_image.binary_search(&swapped).is_err() {
+                    runs.extend(InnerCorner::run(&corner, sequence, &places));
                 }
             }
         }
         let to_and_fro = runs.len();
         for (place, &facet) in sequence.iter().enumerate() {
-            for other in self.wide_corners(facet) {
-                let pair = (facet.min(other), facet.max(other));
+            for (other, corner) in self.wide_corners(facet) {
                 let is_part = |run: &CornerRun| {
-                    run.edge.facets().contains(&facet)
-                        && run.edge.facets().contains(&other)
-                        && (run.first..=run.last).contains(&place)
+                    let facets = run.corner.edge.facets();
+                    facets.contains(&facet) && facets.contains(other) && (run.first..=run.last).contains(&place)
                 };
-                if let Some(corner) = self.corner(pair).filter(|_| !runs[..to_and_fro].iter().any(is_part)) {
-                    runs.extend(corner.run(sequence, pair, &[place]));
+                if !runs[..to_and_fro].iter().any(is_part) {
+                    runs.extend(InnerCorner::run(corner, sequence, &[place]));
                 }
             }
         }
@@ -174,7 +176,7 @@ impl Search<'_> {
 
     /// Places of the facets of a corner that a sequence meets in turn, with nothing but mirrors across its edge between.
     fn in_turn(&self, sequence: &[FacetId], pair: (FacetId, FacetId), corner: &InnerCorner) -> Vec<Vec<usize>> {
-        let along = (corner.edge.ends[1] - corner.edge.ends[0]).normalize_or_zero();
+        let along = corner.along();
         let mut all: Vec<Vec<usize>> = vec![Vec::new()];
         for (place, &facet) in sequence.iter().enumerate() {
             let Some(places) = all.last_mut() else { continue };
@@ -194,57 +196,82 @@ impl Search<'_> {
     }
 
     /// Inner corner of two facets, unless it is a right angle.
-    fn corner(&mut self, pair: (FacetId, FacetId)) -> Option<&InnerCorner> {
+    fn corner(&mut self, pair: (FacetId, FacetId)) -> Option<Arc<InnerCorner>> {
         let environment = self.environment;
-        let found = self.known.entry(pair).or_insert_with(|| {
+        let found = || {
             let (a, b) = (environment.flat(pair.0)?, environment.flat(pair.1)?);
-            let (ends, inwards) = inner_edge(a, b)?;
-            let cosine = inwards[0].dot(inwards[1]);
-            let sides = [(pair.0, a, inwards[0]), (pair.1, b, inwards[1])];
-            (cosine.abs() > RIGHT_ANGLE).then(|| InnerCorner {
-                edge: SoftEdge::of_corner(ends, sides, environment.soft_edges()),
-                inwards,
-                angle_rad: cosine.clamp(-1.0, 1.0).acos(),
-            })
-        });
-        found.as_ref()
+            if a.normal.dot(b.normal).abs() > RIGHT_ANGLE { InnerCorner::of(environment, pair) } else { None }
+        };
+        self.known.entry(pair).or_insert_with(|| found().map(Arc::new)).clone()
     }
 
-    /// Facets that make an inner corner wider than a right angle with a facet.
-    fn wide_corners(&mut self, facet: FacetId) -> Vec<FacetId> {
-        if let Some(known) = self.wide.get(&facet) {
-            return known.clone();
-        }
-        let mut found = Vec::new();
-        if let Some(own) = self.environment.flat(facet) {
-            for other in 0..self.environment.len() as FacetId {
-                let Some(flat) = self.environment.flat(other).filter(|flat| flat.reflects()) else { continue };
-                let near_m = own.radius_m + flat.radius_m + INSIDE_M;
-                let may_meet = own.normal.dot(flat.normal) > RIGHT_ANGLE
-                    && own.normal.cross(flat.normal).length_squared() > PARALLEL * PARALLEL
-                    && own.middle.distance_squared(flat.middle) < near_m * near_m;
-                if may_meet && other != facet && self.corner((facet.min(other), facet.max(other))).is_some() {
-                    found.push(other);
-                }
-            }
-        }
-        self.wide.insert(facet, found.clone());
-        found
+    /// Corners wider than a right angle that a facet makes, each with the other facet.
+    fn wide_corners(&mut self, facet: FacetId) -> &[(FacetId, Arc<InnerCorner>)] {
+        let environment = self.environment;
+        self.wide.entry(facet).or_insert_with(|| {
+            let Some(own) = environment.flat(facet) else { return Vec::new() };
+            let may_meet = |&other: &FacetId| {
+                environment.flat(other).is_some_and(|flat| {
+                    let near_m = own.radius_m + flat.radius_m + INSIDE_M;
+                    flat.reflects()
+                        && own.normal.dot(flat.normal) > WIDE
+                        && own.middle.distance_squared(flat.middle) < near_m * near_m
+                        && own.normal.cross(flat.normal).length_squared() > PARALLEL * PARALLEL
+                })
+            };
+            let others = (0..environment.len() as FacetId).filter(may_meet);
+            let corner = |other: FacetId| InnerCorner::of(environment, (facet.min(other), facet.max(other)));
+            others.filter_map(|other| Some((other, Arc::new(corner(other)?)))).collect()
+        })
     }
 }
 
 impl InnerCorner {
+    /// Finds the inner corner of two facets, if they make one.
+    fn of(environment: &Environment, pair: (FacetId, FacetId)) -> Option<Self> {
+        let (a, b) = (environment.flat(pair.0)?, environment.flat(pair.1)?);
+        let (ends, inwards) = inner_edge(a, b)?;
+        let along = (ends[1] - ends[0]).normalize_or_zero();
+        // Where another facet in the plane of one of them goes on beside the edge, the edge ends: each has its own part.
+        let goes_on = |end: DVec3, outwards: DVec3| {
+            let is_beside = |own: &Flat, into: DVec3| {
+                let place = end + (outwards + into) * INSIDE_M;
+                let others = (0..environment.len() as FacetId).filter(|other| *other != pair.0 && *other != pair.1);
+                others.filter_map(|other| environment.flat(other)).any(|flat| {
+                    flat.plane == own.plane
+                        && flat.normal.dot(own.normal) > 0.0
+                        && flat.reflects()
+                        && flat.contains(place)
+                })
+            };
+            !is_beside(a, inwards[0]) && !is_beside(b, inwards[1])
+        };
+        let sides = [(pair.0, a, inwards[0]), (pair.1, b, inwards[1])];
+        let edge = SoftEdge::of_corner(
+            ends,
+            sides,
+            environment.soft_edges(),
+            [goes_on(ends[0], -along), goes_on(ends[1], along)],
+        );
+        let angle_rad = inwards[0].dot(inwards[1]).clamp(-1.0, 1.0).acos();
+        Some(InnerCorner { edge, angle_rad })
+    }
+
+    /// Unit vector along the edge.
+    fn along(&self) -> DVec3 {
+        (self.edge.ends[1] - self.edge.ends[0]).normalize_or_zero()
+    }
+
     /// Makes the run of a sequence at these places.
-    fn run(&self, sequence: &[FacetId], pair: (FacetId, FacetId), places: &[usize]) -> Option<CornerRun> {
+    fn run(corner: &Arc<InnerCorner>, sequence: &[FacetId], places: &[usize]) -> Option<CornerRun> {
         let (&first, &last) = (places.first()?, places.last()?);
-        let inwards = self.inwards[usize::from(*sequence.get(last)? != pair.0)];
-        let (edge, angle_rad) = (self.edge.clone(), self.angle_rad);
-        Some(CornerRun { first, last, count: places.len(), edge, inwards, angle_rad })
+        let inwards = corner.edge.inwards(*sequence.get(last)?);
+        Some(CornerRun { first, last, count: places.len(), corner: Arc::clone(corner), inwards })
     }
 }
 
-/// Returns the common edge of two facets before each other, and unit vectors from it into both; `None` if they have no such
-/// edge.
+/// Returns the common part of the edges of two facets before each other, and unit vectors from it into both; `None` if they
+/// have none.
 fn inner_edge(a: &Flat, b: &Flat) -> Option<([DVec3; 2], [DVec3; 2])> {
     let ends = side_on(a, b).or_else(|| side_on(b, a))?;
     let along = (ends[1] - ends[0]).normalize_or_zero();
@@ -262,7 +289,6 @@ fn inner_edge(a: &Flat, b: &Flat) -> Option<([DVec3; 2], [DVec3; 2])> {
 #[cfg(test)]
 mod tests {
     use std::f64::consts::TAU;
-    use std::sync::Arc;
 
     use glam::{DMat3, DVec2};
 

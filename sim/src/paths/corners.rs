@@ -47,10 +47,19 @@ fn meet(a: &Flat, b: &Flat) -> bool {
     a.normal.dot(b.normal).abs() < MOST_COSINE && (side_on(a, b).is_some() || side_on(b, a).is_some())
 }
 
-/// Returns a side of a facet that lies on another facet, if there is one.
+/// Returns a side of a facet whose middle lies on another facet, in the plane of that, if there is one: the part that it has
+/// in common with a side of the other facet on the same line, or the whole.
 pub(super) fn side_on(one: &Flat, other: &Flat) -> Option<[DVec3; 2]> {
     let lies_on = |p: DVec3, q: DVec3| {
         other.height(p).abs() < PLANAR_M && other.height(q).abs() < PLANAR_M && other.contains(0.5 * (p + q))
     };
-    polygon::sides(&one.facet.corners).find(|&[p, q]| lies_on(p, q))
+    let [p, q] = polygon::sides(&one.facet.corners).find(|&[p, q]| lies_on(p, q))?;
+    let (length_m, along) = (p.distance(q), (q - p).normalize_or_zero());
+    let common = |[r, s]: [DVec3; 2]| {
+        let is_on_line = |end: DVec3| (end - p).cross(along).length_squared() < PLANAR_M * PLANAR_M;
+        let [from, to] = [r, s].map(|end| (end - p).dot(along));
+        let (from, to) = (from.min(to).max(0.0), from.max(to).min(length_m));
+        (is_on_line(r) && is_on_line(s) && to - from > PLANAR_M).then_some([p + along * from, p + along * to])
+    };
+    Some(polygon::sides(&other.facet.corners).find_map(common).unwrap_or([p, q]))
 }

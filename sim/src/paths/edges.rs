@@ -37,9 +37,14 @@ pub struct SoftEdge {
 }
 
 impl SoftEdge {
-    /// Edge of an inner corner, with its facets and the unit vectors from it into them. It continues beyond an end where no
-    /// soft edge of these facets begins. `all` are the soft edges by their numbers.
-    pub(super) fn of_corner(ends: [DVec3; 2], sides: [(FacetId, &Flat, DVec3); 2], all: &[SoftEdge]) -> Self {
+    /// Edge of an inner corner, with its facets and the unit vectors from it into them. It continues beyond an end if
+    /// `may_go_on` says so and no soft edge of these facets begins there. `all` are the soft edges by their numbers.
+    pub(super) fn of_corner(
+        ends: [DVec3; 2],
+        sides: [(FacetId, &Flat, DVec3); 2],
+        all: &[SoftEdge],
+        may_go_on: [bool; 2],
+    ) -> Self {
         let soft = || sides.iter().flat_map(|side| &side.1.soft).filter_map(|&number| all.get(number as usize));
         let is_end = |end: DVec3| {
             let meets = |other: &DVec3| other.distance_squared(end) < SAME_END_M * SAME_END_M;
@@ -47,7 +52,7 @@ impl SoftEdge {
         };
         SoftEdge {
             ends,
-            goes_on: ends.map(|end| !is_end(end)),
+            goes_on: [0, 1].map(|i| may_go_on[i] && !is_end(ends[i])),
             facets: sides.iter().map(|side| side.0).collect(),
             planes: sides.iter().map(|side| side.1.plane).collect(),
             inwards: sides.iter().map(|side| side.2).collect(),

@@ -21,6 +21,7 @@ pub mod environment;
 pub mod exhaustive;
 mod facets;
 mod flat;
+mod folded;
 mod groups;
 mod illuminate;
 mod leg;

@@ -110,6 +110,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     loop {
         match items.next_item()? {
             Item::End(_) => break,
+            // A reflector that stands still needs no frames in a row.
+            Item::Gap(_) if arguments.reflector.is_some() => {}
             Item::Gap(_) => profiles.clear(),
             Item::Frame(frame) => {
                 let (mut echoes, profile) = detector.detect_moving(&frame)?;
@@ -177,7 +179,7 @@ fn calibrate(
 ) -> anyhow::Result<()> {
     let echo = find(range_m - REFLECTOR_M..range_m + REFLECTOR_M).with_context(|| {
         format!(
-            "no echo within {REFLECTOR_M} m of {range_m} m\n\nhint: the waveform reaches {:.1} m",
+            "no echo within {REFLECTOR_M} m of {range_m} m\n\nhint: check the reflector's range; the waveform reaches {:.1} m",
             waveform.max_range_m()
         )
     })?;

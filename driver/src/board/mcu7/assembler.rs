@@ -34,8 +34,8 @@ enum Ready {
 
 /// Most duplicate packets in a row. More packets from the past mean that the counter has been set back.
 const MOST_DUPLICATES: u32 = 8;
-/// Number of bytes of a text that are printed.
-const MOST_TEXT_BYTES: usize = 200;
+/// Number of characters of a text that are printed.
+const MOST_TEXT: usize = 200;
 
 pub(super) struct Assembler {
     slice: SliceLayout,
@@ -256,7 +256,7 @@ impl Assembler {
     /// Takes a packet with a text, which counts among the packets but carries no byte of the stream. On a transport
     /// without CRC it may have been a packet with data: the slices' times must agree until a whole frame has been seen.
     fn take_text(&mut self, packet: &Packet<'_>) {
-        let text = String::from_utf8_lossy(packet.payload.get(..MOST_TEXT_BYTES).unwrap_or(packet.payload));
+        let text: String = String::from_utf8_lossy(packet.payload).chars().take(MOST_TEXT).collect();
         let text = text.trim_end_matches(['\0', '\n', '\r']);
         if text.contains(|c: char| c == char::REPLACEMENT_CHARACTER || (c.is_control() && !c.is_whitespace())) {
             tracing::warn!(
