@@ -302,7 +302,7 @@ mod tests {
 
     /// Exact field in a wedge of metal about a line source at 1 m from the edge and 0.7 rad from one side, at 1.3 m and
     /// 0.75 rad, relative to that of the source in the open at 1 m without its phase: angle in degrees, real and imaginary
-    /// part. Series of Bessel functions of the orders `n pi / angle` (scipy 1.16).
+    /// part. Series of Bessel functions of the orders `n pi / angle` (scipy 1.17).
     const EXACT: [(f64, [f64; 2]); 18] = [
         (60.0, [3.46538, -1.51788]),
         (75.0, [2.59751, -1.04844]),
