@@ -86,17 +86,6 @@ impl Seek for OutputFile {
     }
 }
 
-/// Writes a file atomically; replaces an existing one.
-///
-/// # Errors
-/// The file cannot be written, or `write` fails.
-pub fn write_atomically(
-    path: &Path,
-    write: impl FnOnce(&mut BufWriter<OutputFile>) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
-    write_output(path, Existing::Replace, write)
-}
-
 /// Writes a file atomically: under a temporary name, synced to the disk, and renamed when `write` is done.
 ///
 /// # Errors

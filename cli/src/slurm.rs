@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 
+use crate::exit::wrong_use;
 use crate::shell;
 
 /// Options of commands that print the script of an array.
@@ -26,7 +27,9 @@ impl Array {
     /// # Errors
     /// A number is zero.
     pub fn check(&self) -> anyhow::Result<()> {
-        ensure!(self.tasks > 0 && self.cpus > 0, "an array has at least one task, and a task one core");
+        if self.tasks == 0 || self.cpus == 0 {
+            wrong_use!("an array has at least one task, and a task one core");
+        }
         Ok(())
     }
 

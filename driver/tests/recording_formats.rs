@@ -327,7 +327,6 @@ mod hard_cases {
 
     /// Regression test: a recording that is a pipe was waited for without end, and one that a shell substitutes was said to be
     /// no MCAP file, because its first bytes had been read before.
-    #[cfg(unix)]
     #[test]
     fn a_pipe_is_refused_at_once() {
         let folder = tempfile::tempdir().expect("folder");
@@ -343,7 +342,6 @@ mod hard_cases {
 
     /// Regression test: a pipe in the place of a folder's file was waited for without end, and a file of any length was
     /// read into memory.
-    #[cfg(unix)]
     #[test]
     fn files_of_a_folder_that_are_pipes_or_too_long_are_refused_at_once() {
         let waveform = waveform(&[1], 2, 8, 0.1);
@@ -370,7 +368,6 @@ mod hard_cases {
     }
 
     /// Regression test: a pipe in the place of the labels beside a recording was waited for without end.
-    #[cfg(unix)]
     #[test]
     fn labels_beside_a_recording_that_are_a_pipe_are_refused_at_once() {
         let (folder, path) = in_folder("a.mcap");
@@ -383,7 +380,6 @@ mod hard_cases {
     }
 
     /// Regression test: a recorder waited for the reader of a pipe, and heard no signal meanwhile.
-    #[cfg(unix)]
     #[test]
     fn a_pipe_is_recorded_to_if_somebody_reads_it_and_else_refused_at_once() {
         let folder = tempfile::tempdir().expect("folder");

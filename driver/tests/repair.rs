@@ -261,7 +261,7 @@ mod hard_cases {
     fn a_repair_that_is_interrupted_leaves_no_file() {
         let (folder, path) = in_folder("a.mcap");
         record(&path);
-        let repaired = repair_unless(&path, &folder.path().join("b.mcap"), Existing::Refuse, || true);
+        let repaired = repair_unless(&path, &folder.path().join("b.mcap"), None, Existing::Refuse, || true);
         assert!(matches!(repaired, Err(RecordingError::Interrupted { .. })), "{repaired:?}");
         assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
     }
@@ -298,9 +298,61 @@ mod hard_cases {
                 continue;
             };
             assert!(!reader.is_complete());
-            let (frames, _, error) = read(&mut reader);
+            let (frames, gaps, error) = read(&mut reader);
             assert!(frames.len() == expected && error.is_none(), "cut at {cut}: {error:?}");
+            // A part of a chunk is told as a gap of unknown length behind the last frame.
+            let behind_frames = frames.last().map_or(0, |frame| frame.sequence + 1);
+            let first_sequence = gaps.iter().map(|gap| gap.first_sequence + gap.frames).fold(behind_frames, u64::max);
+            let end = Gap { first_sequence, frames: 0, reason: GapReason::Recorded };
+            assert_eq!(gaps.last() == Some(&end), reader.is_cut(), "cut at {cut}: {gaps:?}");
+            let is_within_chunk = chunks[1..].iter().any(|c| c.0 < cut && cut < c.1);
+            let is_whole = chunks.iter().any(|c| c.1 == cut);
+            assert!(if is_within_chunk { reader.is_cut() } else { !is_whole || !reader.is_cut() }, "cut at {cut}");
         }
+    }
+
+    /// `cat a b > both` gave the first recording, and nobody was told of the second.
+    #[test]
+    fn a_file_that_goes_on_behind_its_recording_is_told_of() {
+        let (_folder, path) = in_folder("both.mcap");
+        let bytes = record(&path);
+        for behind in [bytes.clone(), b"more".to_vec(), vec![0; 10_000]] {
+            let both = [bytes.as_slice(), &behind].concat();
+            let (report, numbers, _) = repaired(&both).expect("repairs");
+            assert_eq!((numbers.len(), report.lost.len()), (47, 0));
+            let [damage] = report.damage.as_slice() else { panic!("{:?}", report.damage) };
+            assert_eq!((damage.offset, damage.bytes), (bytes.len() as u64, behind.len() as u64));
+            std::fs::write(&path, &both).expect("writes");
+            let (frames, _, error) = read(&mut McapReader::open(&path).expect("opens"));
+            let error = error.expect("an error").to_string();
+            assert!(frames.len() == 47 && error.contains("the file goes on"), "{error}");
+            let labels = [LabelSpan::new(0.0, 1.0, "one")];
+            assert!(set_labels(&path, &labels).is_err());
+            assert!(std::fs::read(&path).expect("reads") == both);
+        }
+    }
+
+    /// One wrong byte in the waveform cost the whole recording.
+    #[test]
+    fn a_damaged_head_is_replaced_by_that_of_another_recording() {
+        let (folder, path) = in_folder("a.mcap");
+        let mut bytes = record(&path);
+        let fixed = folder.path().join("fixed.mcap");
+        let key = b"samples_per_chirp";
+        let at = bytes.windows(key.len()).position(|part| part == key).expect("the waveform");
+        bytes[at] = b'?';
+        std::fs::write(&path, &bytes).expect("writes");
+        assert!(matches!(repair(&path, &fixed, Existing::Refuse), Err(RecordingError::Corrupt { .. })));
+        let with = |waveform| {
+            let header = Some(RecordingHeader::new(waveform));
+            repair_unless(&path, &fixed, header, Existing::Replace, || false).expect("repairs")
+        };
+        let report = with(pattern().waveform);
+        assert_eq!((report.frames, report.labels, report.damage.len()), (47, 1, 1));
+        assert!(content(&fixed).0.into_iter().eq((0..20).chain(23..50)));
+        // Frames of another shape are not taken for those of this waveform.
+        let report = with(waveform(&[1, 2], 4, 32, 0.1));
+        assert_eq!((report.frames, report.frames_lost()), (0, 47));
     }
 
     proptest! {

@@ -124,7 +124,6 @@ fn the_vendors_formats_are_entered_anywhere() {
 
 /// Asserts, by the number of bytes read, that a seek to the middle reads the chunks of a bisection and not the file.
 #[test]
-#[cfg(target_os = "linux")]
 fn a_place_is_found_without_reading_the_file() {
     let (_folder, path) = in_folder("long.mcap");
     let pattern = Pattern::new(waveform(&[1, 2, 3], 8, 128, 1.0), 0);

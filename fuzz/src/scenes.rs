@@ -2,7 +2,7 @@
 
 use radome_sim::Scene;
 use radome_sim::geometry::import::{LengthUnit, Part, UpAxis, import, parse_obj, parse_stl};
-use radome_sim::geometry::{lint, weld};
+use radome_sim::geometry::{overlaps, weld};
 use radome_sim::people::bvh::parse_bvh;
 use radome_sim::people::clip::BodyClip;
 use radome_sim::people::imported::{Actor, ActorOptions};
@@ -103,7 +103,7 @@ fn check_parts(parts: &[Part]) {
         assert!(!mesh.triangles.is_empty());
         assert!(mesh.triangles.iter().flatten().all(|&v| (v as usize) < mesh.vertices.len()));
         if let Ok(welded) = weld(mesh, 1e-4) {
-            lint(&welded.mesh);
+            overlaps(&welded.mesh);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Tests of `radome bench circuit` with circuits other than the paper's.
 
-use radome_tests::{command, fails_with, json_lines, outcome, subcommand};
+use radome_tests::{command, json_lines, outcome, subcommand, wrong_use_with};
 
 fn circuit(arguments: &str) -> serde_json::Value {
     json_lines(command!("bench circuit --json", ..arguments.split(' '))).remove(0)
@@ -73,9 +73,9 @@ mod hard_cases {
             ("--qubits 8 --depolarising-two-qubit 0.1 --x 1 --theta 1", "at most 6 with depolarising gates"),
             ("--x nan,2 --theta 1,2,3,4", "must be finite"),
         ] {
-            fails_with(command!("bench circuit", ..arguments.split(' ')), &[part]);
+            wrong_use_with(command!("bench circuit", ..arguments.split(' ')), &[part]);
         }
-        fails_with(subcommand("bench trainability --qubits 0"), &["--qubits is 0, expected at least 1"]);
+        wrong_use_with(subcommand("bench trainability --qubits 0"), &["--qubits is 0, expected at least 1"]);
         let (status, ..) = outcome(subcommand("bench circuit --x 1,2 --theta 1,2,3,4 --seed 3"));
         assert_eq!(status, Some(2), "a seed of nothing");
     }

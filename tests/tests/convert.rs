@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use radome_driver::LabelSpan;
 use radome_driver::recording::{Format, Recording, RecordingWriter};
-use radome_dsp::{Frame, FrameSource};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason};
 use radome_tests::{
     command, convert, fails_with, failure, fixture, frames, json_lines_of, labels_of, limited, radome, shared,
     simulate, subcommand, success, wrong_use_with,
@@ -82,6 +82,14 @@ fn a_recording_cut_in_two_is_repaired() {
     assert_eq!((&report["frames"], &report["was_finished"]), (&frames.len().into(), &false.into()));
     assert!(report["lost_bytes"].as_u64().is_some_and(|bytes| bytes > 0));
     assert!(std::fs::read(&cut).expect("reads") == bytes[..bytes.len() / 2]);
+    // A conversion is no success either, and the copy, which is finished, says that its end may be missing.
+    let copy = folder.path().join("copy.mcap");
+    let report = json_lines_of(command!("recording convert --json", &cut, &copy), &[3]).remove(0);
+    assert_eq!((&report["frames"], &report["gaps_of_unknown_length"]), (&frames.len().into(), &1.into()));
+    let (frames, gaps) = radome_tests::frames(&copy);
+    assert!(frames == whole[..frames.len()], "{} frames", frames.len());
+    let end = Gap { first_sequence: frames.len() as u64, frames: 0, reason: GapReason::Recorded };
+    assert_eq!(gaps, [end]);
 }
 
 /// Only the first radar of a session was converted, and data behind its frames were left out, without a word.
@@ -296,7 +304,6 @@ mod hard_cases {
 
     /// Asserts that a full disk ends the recording; a file-size limit stands for it.
     #[test]
-    #[cfg(unix)]
     fn a_full_disk_leaves_nothing_that_looks_whole() {
         let source = tempfile::tempdir().expect("a folder");
         let input = source.path().join("x.mcap");
@@ -312,7 +319,6 @@ mod hard_cases {
 
     /// Regression test: the writer for viewers panicked where the disk was full as a chunk began.
     #[test]
-    #[cfg(unix)]
     fn a_full_disk_ends_an_export_for_viewers_by_an_error() {
         let folder = tempfile::tempdir().expect("a folder");
         let output = folder.path().join("v.mcap");

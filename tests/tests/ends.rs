@@ -456,7 +456,6 @@ fn the_summary_of_a_board_waits_for_a_slow_reader() {
 }
 
 /// Tests with a file-size limit in place of a full disk.
-#[cfg(unix)]
 mod full_disk {
     use super::*;
 

@@ -108,7 +108,6 @@ fn files_that_options_name_are_read_up_to_a_limit() {
 }
 
 /// Regression test: of a full disk only the system's words were left, without the file.
-#[cfg(unix)]
 #[test]
 fn an_output_that_does_not_fit_on_the_disk_is_named() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -289,7 +289,6 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
 
 /// Asserts that the page shows the command that adapts the model by the labels, that it reports missing labels, and
 /// that the command works.
-#[cfg(unix)]
 #[test]
 fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -182,7 +182,7 @@ mod hard_cases {
 
     #[test]
     fn what_cannot_be_compared_is_refused() {
-        fails_with(evaluate("cfar").args(["--model", "cfar", "x.mcap=one"]), &["2 models", "--ladder"]);
+        wrong_use_with(evaluate("cfar").args(["--model", "cfar", "x.mcap=one"]), &["2 models", "--ladder"]);
         fails_with(command!("model evaluate --ladder", fixture("ladder")), &["no model"]);
         fails_with(evaluate("cfar").args(["--ladder", "nowhere"]), &["nowhere"]);
     }

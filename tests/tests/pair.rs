@@ -6,6 +6,7 @@ use std::process::Command;
 use radome_sim::people::motion::{Motion, MotionBuilder, Person};
 use radome_tests::{
     command, fails_with, failure, fixture, fixture_text, json_lines, shared, simulate, success, write_file,
+    wrong_use_with,
 };
 use serde_json::Value;
 
@@ -339,7 +340,9 @@ mod hard_cases {
         fails_with(pair(&recording, &folder.path().join("nowhere.toml"), &set), &["nowhere.toml"]);
         fails_with(pair(&recording, &fixture("scenes/hall.toml"), &set), &["another for each seed", "hint:"]);
         fails_with(pair(&scene_file, &scene_file, &set), &["--frames"]);
-        fails_with(pair(&recording, &scene_file, &set).args(["--height-m", "17"]), &["0.5 to 2.5 m"]);
+        for height_m in ["17", "nan"] {
+            wrong_use_with(pair(&recording, &scene_file, &set).args(["--height-m", height_m]), &["0.5 to 2.5 m"]);
+        }
         let order = write(
             "order.toml",
             "[[person]]\npoint = [{ time_s = 2.0, position_m = [1.0, 1.0] }, { time_s = 1.0, position_m = [1.0, 1.0] }]\n",

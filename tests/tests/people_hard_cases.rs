@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
-use radome_tests::{command, fails_with, failure, fixture_text, json_lines, simulate, success, write_file};
+use radome_tests::{
+    command, fails_with, failure, fixture_text, json_lines, simulate, success, write_file, wrong_use_with,
+};
 use serde_json::Value;
 
 /// Writes the scene `fixtures/scenes/rooms.toml` with other values for these keys of the waveform.
@@ -278,7 +280,7 @@ fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
     assert_eq!(row["recordings"][0]["recording"], "rooms-scene-seed731012-empty");
     assert_eq!((&row["false_alarms"], &row["false_alarm_share"]), (&0.into(), &0.0.into()), "{row}");
     assert_eq!(row["false_alarms_per_hour"], 0.0, "{row}");
-    fails_with(ladder("1e6"), &["--empty-hours", "hint:"]);
+    wrong_use_with(ladder("1e6"), &["--empty-hours", "hint:"]);
 
     // A person walks through a room that is labelled empty.
     let walked = simulated(&scene, 1, 731_012, 60);

@@ -40,7 +40,7 @@ pub enum Action {
 pub fn run(action: &Action) -> anyhow::Result<Ended> {
     let done: anyhow::Result<()> = match action {
         Action::Info(arguments) => info::run(arguments),
-        Action::Convert(arguments) => convert::run(arguments),
+        Action::Convert(arguments) => return convert::run(arguments),
         Action::Repair(arguments) => return repair::run(arguments),
         Action::Label(arguments) => label::run(arguments),
         Action::Labels(arguments) => labels::run(arguments),

@@ -27,20 +27,9 @@ pub enum Item {
 pub type End = Result<(), Failure>;
 
 /// Error of a source, shared by the consumers.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, thiserror::Error)]
+#[error(transparent)]
 pub struct Failure(Arc<dyn Error + Send + Sync>);
-
-impl std::fmt::Display for Failure {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        std::fmt::Display::fmt(&self.0, f)
-    }
-}
-
-impl Error for Failure {
-    fn source(&self) -> Option<&(dyn Error + 'static)> {
-        self.0.source()
-    }
-}
 
 impl From<SourceError> for Failure {
     fn from(error: SourceError) -> Self {

@@ -195,7 +195,6 @@ fn print_code(link: &str) {
 /// loss.
 fn yield_to_others() {
     // Linux stores the priority per thread. Where it does not apply or is not permitted, all threads are equal.
-    #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::nice(10) {
         tracing::debug!("the page's threads keep their priority: {error}");
     }

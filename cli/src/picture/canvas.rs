@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use anyhow::Context;
+use radome_driver::recording::Existing;
 
 use super::mark::Mark;
 pub use super::mark::{Ink, Letters, Line, Pixel};
@@ -57,7 +58,7 @@ impl Canvas {
     /// The width or the height is zero, both are too large, or the file cannot be written.
     pub fn save(&self, path: &Path) -> anyhow::Result<()> {
         let is_svg = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
-        files::write_atomically(path, |writer| {
+        files::write_output(path, Existing::Replace, |writer| {
             let written = match is_svg {
                 true => svg::write(writer, self.size, self.paper, &self.marks),
                 false => raster::write(writer, self.size, self.paper, &self.marks),

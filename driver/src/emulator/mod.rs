@@ -17,7 +17,6 @@ mod error;
 mod esp32;
 mod faults;
 mod feed;
-#[cfg(target_os = "linux")]
 pub mod function_fs;
 mod mcu7;
 mod options;

@@ -6,7 +6,11 @@
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::Path;
+
+use rustix::fs::{CWD, RenameFlags, renameat_with};
+use rustix::io::Errno;
 
 /// Appends to a file that is `at` bytes long and whose position is its end.
 pub(super) fn append(mut file: &File, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()> {
@@ -57,43 +61,34 @@ pub(super) fn set_length(file: &File, path: &Path, length: u64) -> io::Result<()
 /// Reserves room on the disk, so that a full disk is detected before anything is overwritten. File systems that cannot
 /// reserve room detect it later.
 pub(super) fn reserve(file: &File, at: u64, bytes: u64) -> io::Result<()> {
-    #[cfg(target_os = "linux")]
     match rustix::fs::fallocate(file, rustix::fs::FallocateFlags::KEEP_SIZE, at, bytes) {
-        Err(error) if error == rustix::io::Errno::NOSPC => return Err(error.into()),
-        _ => {}
+        Err(error) if error == Errno::NOSPC => Err(error.into()),
+        _ => Ok(()),
     }
-    let _ = (file, at, bytes);
-    Ok(())
 }
 
 /// Waits until all data written to a file or folder are on the disk. Returns at once for a device or a pipe. Fails for a
 /// file that somebody has removed: its data would vanish when it is closed.
 pub(super) fn sync(file: &File, path: &Path) -> io::Result<()> {
-    let _ = path;
     let metadata = file.metadata()?;
     if !metadata.is_file() && !metadata.is_dir() {
         return Ok(());
     }
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-
-        // Some file systems do not count names, so the path is looked at, too.
-        let has_path = || std::fs::metadata(path).is_ok_and(|found| found.ino() == metadata.ino());
-        if metadata.nlink() == 0 && !has_path() {
-            return Err(io::Error::new(io::ErrorKind::NotFound, "it was removed while it was written"));
-        }
+    // Some file systems do not count names, so the path is looked at, too.
+    let has_path = || std::fs::metadata(path).is_ok_and(|found| found.ino() == metadata.ino());
+    if metadata.nlink() == 0 && !has_path() {
+        return Err(io::Error::new(io::ErrorKind::NotFound, "it was removed while it was written"));
     }
     #[cfg(test)]
     trial::before(path, || trial::Change::Sync { inode: trial::inode(file) })?;
     file.sync_data()
 }
 
-/// Waits until the names in the folder of `path` are on the disk, where the system lets folders be opened.
+/// Waits until the names in the folder of `path` are on the disk.
 pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
     #[cfg(test)]
     trial::before(path, || trial::Change::SyncFolder)?;
-    if cfg!(unix) { File::open(folder(path))?.sync_all() } else { Ok(()) }
+    File::open(folder(path))?.sync_all()
 }
 
 fn folder(path: &Path) -> &Path {
@@ -118,15 +113,10 @@ pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
 pub(super) fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
     #[cfg(test)]
     trial::before(to, || trial::Change::Rename { from: from.into(), to: to.into() })?;
-    #[cfg(target_os = "linux")]
-    {
-        use rustix::fs::{CWD, RenameFlags, renameat_with};
-        use rustix::io::Errno;
-        match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-            // The file system cannot rename without replacing in one step.
-            Err(error) if error == Errno::INVAL || error == Errno::NOSYS || error == Errno::OPNOTSUPP => {}
-            done => return Ok(done?),
-        }
+    match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+        // The file system cannot rename without replacing in one step.
+        Err(error) if error == Errno::INVAL || error == Errno::NOSYS || error == Errno::OPNOTSUPP => {}
+        done => return Ok(done?),
     }
     if std::fs::symlink_metadata(to).is_ok() {
         return Err(io::ErrorKind::AlreadyExists.into());

@@ -94,6 +94,12 @@ impl Recording {
         with_reader!(self, reader => reader.is_complete())
     }
 
+    /// Returns whether the end of an unfinished MCAP file cannot be read; the last event is then a gap of unknown length. Readers of
+    /// the vendor's formats end with an error instead.
+    pub fn is_cut(&self) -> bool {
+        self.mcap().is_some_and(McapReader::is_cut)
+    }
+
     /// Returns the number of gaps; `None` for the vendor's formats, which cannot hold them.
     pub fn gap_count(&self) -> Option<u64> {
         self.mcap().map(McapReader::gap_count)

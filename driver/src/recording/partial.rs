@@ -26,7 +26,7 @@ pub struct Partial {
     target: PathBuf,
     existing: Existing,
     has_name: bool,
-    /// Lock of the file or folder; `None` for folders if the system does not open them.
+    /// Lock of the file or folder, until it is handed out.
     lock: Option<Locked>,
     /// Lock of the file that will be replaced, against other writers.
     _replaced: Option<Locked>,
@@ -86,10 +86,7 @@ impl Partial {
             }
             _ => {}
         }
-        let lock = match cfg!(unix) {
-            true => Some(lock(&partial, Duration::ZERO, || File::open(&partial)).map_err(about(target))?),
-            false => None,
-        };
+        let lock = Some(lock(&partial, Duration::ZERO, || File::open(&partial)).map_err(about(target))?);
         let empty = || -> io::Result<()> {
             for entry in std::fs::read_dir(&partial)? {
                 let entry = entry?;

@@ -62,7 +62,7 @@ impl MapPlan {
             scale: spec.scale.affine(),
             range_window: range_weights.iter().map(|w| w * range_norm).collect(),
             doppler_window: doppler_weights.iter().map(|w| w * doppler_norm * share).collect(),
-            dc_amplitude: if spec.amplitude == AmplitudeScale::Unnormalised { 1.0 } else { 0.5 },
+            dc_amplitude: if spec.amplitude == AmplitudeScale::FullScaleSine { 0.5 } else { 1.0 },
             is_sum,
             is_across_frames: matches!(spec.slow_time, SlowTime::Frames { .. }),
             removes_chirp_mean: spec.chirp_mean_removal,

@@ -188,7 +188,7 @@ impl<'a> Sums<'a> {
                 one_sided / (self.range_window.iter().sum::<f64>() * self.doppler_window.iter().sum::<f64>())
             }
             AmplitudeScale::Unnormalised => 1.0,
-            AmplitudeScale::Vendor => one_sided / (self.coverage.samples.len() * self.coverage.chirps.len()) as f64,
+            AmplitudeScale::Vendor => 2.0 / (self.coverage.samples.len() * self.coverage.chirps.len()) as f64,
         }
     }
 }

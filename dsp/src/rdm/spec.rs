@@ -83,7 +83,7 @@ pub enum AmplitudeScale {
     FullScaleSine,
     /// `|X|` without normalisation, as in [`RdmSpec::paper`].
     Unnormalised,
-    /// `2/N |X|` in range and `1/M` in Doppler without window correction, as in the vendor's examples.
+    /// `2/N |X|` in range, also at DC, and `1/M` in Doppler without window correction, as in the vendor's examples.
     Vendor,
 }
 

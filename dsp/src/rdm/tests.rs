@@ -145,6 +145,29 @@ fn every_option_agrees_with_the_formula_in_f64() {
     }
 }
 
+/// The vendor's examples double the whole range spectrum, also the mean of a chirp.
+#[test]
+fn a_constant_of_full_scale_reads_6_db_in_the_vendors_scale() {
+    let w = waveform(1, 16, 32);
+    let mut frame = Frame::zeroed(w.shape());
+    frame.codes.fill(crate::MAX_CODE);
+    for (amplitude, expected_db) in
+        [(AmplitudeScale::Vendor, 20.0 * 2f64.log10()), (AmplitudeScale::FullScaleSine, 0.0)]
+    {
+        let spec = RdmSpec {
+            scale: SampleScale::ZeroToOne,
+            range_window: Window::Rectangular,
+            doppler_window: Window::Rectangular,
+            amplitude,
+            ..RdmSpec::default()
+        };
+        let map = reference::map(&spec, &w, std::slice::from_ref(&frame)).expect("a map");
+        let shape = spec.shape(&w).expect("valid");
+        let at_dc = map[shape.doppler / 2 * shape.range];
+        assert!((at_dc - expected_db).abs() < 1e-9, "{at_dc}");
+    }
+}
+
 #[test]
 fn maps_over_frames_agree_with_the_formula_in_f64() {
     let w = waveform(2, 4, 32);

@@ -1,14 +1,14 @@
-//! Surfaces as triangle meshes: merging of vertices ([`weld()`]), detection of defects ([`lint()`]), extraction of planes
+//! Surfaces as triangle meshes: merging of vertices ([`weld()`]), detection of defects ([`overlaps()`]), extraction of planes
 //! and edges ([`planes()`], [`edges()`]), and import of files ([`mod@import`]).
 
 mod creases;
 mod edges;
 pub mod import;
 mod isosurface;
-mod lint;
 mod mesh;
 mod normals;
 mod orient;
+mod overlaps;
 mod planar_polygon;
 mod planes;
 pub mod polygon;
@@ -20,10 +20,10 @@ mod weld;
 
 pub use edges::{Edge, edges, neighbours};
 pub use isosurface::isosurface;
-pub use lint::{Lint, lint};
 pub use mesh::{FARTHEST_M, Mesh, MeshError};
 pub(crate) use normals::one_ring_normals;
 pub use orient::oriented;
+pub use overlaps::overlaps;
 pub use planar_polygon::{Clearance, PlanarPolygon};
 pub use planes::{Plane, Planes, planes};
 pub use surface::Surface;

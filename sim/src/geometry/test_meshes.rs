@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{Mesh, edges, lint};
+use super::{Mesh, edges, overlaps};
 
 impl Mesh {
     /// The unit cube `0..1`, facing outwards.
@@ -37,6 +37,6 @@ impl Mesh {
     /// Returns whether the mesh is one closed surface that faces outwards without overlaps.
     pub(crate) fn is_solid(&self) -> bool {
         let is_closed = edges(self).iter().all(|edge| edge.right.is_some());
-        is_closed && self.volume_m3() > 0.0 && lint(self).overlaps == 0
+        is_closed && self.volume_m3() > 0.0 && overlaps(self) == 0
     }
 }

@@ -23,7 +23,7 @@ use crate::file_error::FileError;
 use crate::first_warning::is_first_warning;
 use crate::geometry::import::{ImportError, LengthUnit, Part, UpAxis, import};
 use crate::geometry::polygon::bounds;
-use crate::geometry::{Mesh, edges, lint, planes, weld};
+use crate::geometry::{Mesh, edges, overlaps, planes, weld};
 use crate::material::{Material, OPEN};
 use crate::math::Sets;
 use crate::scene_file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
@@ -337,7 +337,7 @@ fn piece(mesh: &RoomMeshFile, file: &Path, part: Part) -> Result<Piece, FileErro
         let stem = file.file_stem().unwrap_or_default().to_string_lossy();
         format!("{stem} {material}")
     });
-    let overlaps = lint(&welded.mesh).overlaps;
+    let overlaps = overlaps(&welded.mesh);
     if overlaps > 0 {
         tracing::warn!(
             file = %file.display(),

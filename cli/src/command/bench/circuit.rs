@@ -1,7 +1,7 @@
-use anyhow::ensure;
 use radome_models::quantum::{Circuit, CircuitSpec, Draw, Encoding, Execution, Jacobian, Noise, ShotGradient, Shots};
 use serde::{Serialize, Serializer};
 
+use crate::exit::wrong_use;
 use crate::one_of::one_of;
 use crate::output;
 use crate::source::DEFAULT_SEED;
@@ -60,20 +60,26 @@ const GRADIENTS: &[(&str, ShotGradient)] = &[("shots", ShotGradient::Shots), ("e
 /// The circuit is not valid, or inputs and angles are not as many as it takes.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let spec = arguments.spec();
-    let circuit = Circuit::new(&spec)?;
+    let circuit = match Circuit::new(&spec) {
+        Ok(circuit) => circuit,
+        Err(error) => wrong_use!("{error}"),
+    };
     let (x, theta) = (&arguments.x, &arguments.theta);
     let (inputs, angles) = (circuit.qubits(), circuit.angle_count());
-    ensure!(
-        (x.len(), theta.len()) == (inputs, angles),
-        "--x takes {} {} and --theta {}, got {} and {}\n\n\
-         hint: an input for each of --qubits, and as many angles for each of --depth + 1 layers",
-        in_words(inputs),
-        if inputs == 1 { "number" } else { "numbers" },
-        in_words(angles),
-        x.len(),
-        theta.len()
-    );
-    ensure!(x.iter().chain(theta).all(|v| v.is_finite()), "--x and --theta must be finite numbers");
+    if (x.len(), theta.len()) != (inputs, angles) {
+        wrong_use!(
+            "--x takes {} {} and --theta {}, got {} and {}\n\n\
+             hint: an input for each of --qubits, and as many angles for each of --depth + 1 layers",
+            in_words(inputs),
+            if inputs == 1 { "number" } else { "numbers" },
+            in_words(angles),
+            x.len(),
+            theta.len()
+        );
+    }
+    if !x.iter().chain(theta).all(|v| v.is_finite()) {
+        wrong_use!("--x and --theta must be finite numbers");
+    }
     let jacobian = circuit.jacobian(x, theta, Draw::default())?;
     let answer = Answer { names: spec.observables(), jacobian };
     if arguments.json { output::json_line(&answer) } else { answer.print() }

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context, bail, ensure};
 use npyz::WriterBuilder;
+use radome_driver::recording::Existing;
 use radome_sim::Simulator;
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
@@ -122,7 +123,7 @@ impl DenseFrame<'_> {
 
     fn write(&self, path: &Path, samples: &[f64]) -> anyhow::Result<()> {
         let shape = self.shape().map(|n| n as u64);
-        files::write_atomically(path, |file| {
+        files::write_output(path, Existing::Replace, |file| {
             let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd()?;
             writer.extend(samples.iter().copied())?;
             Ok(writer.finish()?)

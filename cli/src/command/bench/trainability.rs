@@ -1,11 +1,11 @@
 use std::f64::consts::{PI, TAU};
 
-use anyhow::ensure;
 use radome_models::quantum::{Circuit, CircuitSpec, Draw, MOST_QUBITS};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use serde::Serialize;
 
+use crate::exit::wrong_use;
 use crate::output;
 use crate::source::DEFAULT_SEED;
 
@@ -49,8 +49,11 @@ struct Row {
 /// # Errors
 /// A circuit is not valid, there are no points or no qubits, or standard output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    ensure!(arguments.points > 0, "--points is 0, expected at least 1");
-    ensure!(arguments.qubits > 0, "--qubits is 0, expected at least 1");
+    for (option, count) in [("--points", arguments.points), ("--qubits", arguments.qubits as u64)] {
+        if count == 0 {
+            wrong_use!("{option} is 0, expected at least 1");
+        }
+    }
     let mut rows = Vec::new();
     for &depth in &arguments.depths {
         for qubits in 1..=arguments.qubits {

@@ -20,6 +20,7 @@ use serde_json::json;
 use self::candidate::{Candidate, Predictions, Refused, count_reliability};
 pub use self::labelled::LabelledRecording;
 use self::thermal::ThermalNoise;
+use crate::exit::wrong_use;
 use crate::judge::{CFAR, Model};
 use crate::{output, source};
 
@@ -99,8 +100,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (model, inputs) = match (arguments.model.as_slice(), arguments.inputs.split_first()) {
         ([model], _) => (model.clone(), arguments.inputs.as_slice()),
         ([], Some((model, inputs))) => (PathBuf::from(model), inputs),
-        ([], None) => bail!("nothing to evaluate"),
-        (models, _) => bail!(
+        ([], None) => wrong_use!("nothing to evaluate"),
+        (models, _) => wrong_use!(
             "{} models were given\n\nhint: --ladder compares several; on datasets and recordings evaluate them one by one",
             models.len()
         ),
@@ -112,24 +113,27 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     );
     let judging = Model::open(&model)?;
     if arguments.ablate && matches!(judging, Model::Cfar) {
-        bail!("{CFAR} looks at raw frames, and --ablate changes maps\n\nhint: name a model file with --model");
+        wrong_use!("{CFAR} looks at raw frames, and --ablate changes maps\n\nhint: name a model file with --model");
     }
     match inputs {
-        [] => bail!(
+        [] => wrong_use!(
             "nothing to evaluate {} on\n\nhint: name a dataset folder, RECORDING=LABEL, or a ladder with --ladder",
             model.display()
         ),
         [folder] if is_dataset(Path::new(folder)) => {
             let Model::Network(mut classifier) = judging else {
-                bail!("{CFAR} looks at raw frames, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL");
+                wrong_use!(
+                    "{CFAR} looks at raw frames, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL"
+                );
             };
-            ensure!(
-                arguments.thermal_snr_db.is_empty(),
-                "--thermal-snr-db puts noise on raw samples, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL, or \
-                 build a dataset with raw_snr_db"
-            );
+            if !arguments.thermal_snr_db.is_empty() {
+                wrong_use!(
+                    "--thermal-snr-db puts noise on raw samples, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL, or \
+                     build a dataset with raw_snr_db"
+                );
+            }
             if arguments.no_smoothing || arguments.skip_refused || arguments.max_range_m.is_some() {
-                bail!(
+                wrong_use!(
                     "--no-smoothing, --skip-refused and --max-range-m are for recordings; each map of a dataset is judged by itself\n\n\
                      hint: leave them out"
                 );
@@ -137,7 +141,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             on_dataset(&mut classifier, Path::new(folder), arguments)
         }
         _ if arguments.split.is_some() => {
-            bail!("--split names a split of a dataset, and recordings have none\n\nhint: leave it out")
+            wrong_use!("--split names a split of a dataset, and recordings have none\n\nhint: leave it out")
         }
         recordings => on_recordings(Candidate::new(model, judging, arguments.max_range_m), recordings, arguments),
     }

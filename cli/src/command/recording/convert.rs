@@ -7,7 +7,7 @@ use radome_driver::recording::{Format, Recording, RecordingError, RecordingWrite
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
-use crate::exit::wrong_use;
+use crate::exit::{Ended, wrong_use};
 use crate::live::screen::lost_besides;
 use crate::output_file::Overwrite;
 use crate::{files, labels, output, shell, viewers};
@@ -17,6 +17,9 @@ const INTERRUPTED: &str = "interrupted: nothing has been written";
 
 /// `radome recording convert`
 #[derive(clap::Args)]
+#[command(
+    after_help = "Exit status: 0 if the input is whole, 3 if the end of an MCAP input is cut and left out, 1 if nothing is written."
+)]
 pub struct Arguments {
     /// Recording: MCAP file, Infineon folder or text file
     input: PathBuf,
@@ -57,11 +60,12 @@ impl To {
 }
 
 /// Writes a recording in another format. The output is written atomically. Content that its format cannot hold is
-/// reported on stderr.
+/// reported on stderr. An MCAP input that was cut while it was written is converted up to its last whole chunk, which counts as a
+/// loss.
 ///
 /// # Errors
 /// The input cannot be read, or the output cannot be written.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
     let Arguments { input, output: path, .. } = arguments;
     let format = match arguments.to {
@@ -92,8 +96,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if is_labelled && format.is_some_and(|format| !format.holds_labels()) {
         tell_of_labels(input, path, report.time_shift_ns as f64 * 1e-9, source.waveform().frame_interval_s());
     }
+    if source.is_cut() {
+        message!("frames may be lost at the end of {}, which cannot be read", input.display());
+    }
     if arguments.json {
-        return output::json_line(&json!({
+        output::unless_closed(output::json_line(&json!({
             "file": path.display().to_string(),
             "frames": report.frames,
             "gaps": report.gaps,
@@ -101,17 +108,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "lost": report.frames_lost,
             "written": report.bytes,
             "not_held": report.omitted,
-        }));
+        })))?;
+    } else {
+        output::unless_closed(output::text_line(&format!(
+            "{}: {} frames, {} gaps with {} frames lost{}, {} bytes",
+            path.display(),
+            report.frames,
+            report.gaps,
+            report.frames_lost,
+            lost_besides(report.unknown_gaps),
+            report.bytes
+        )))?;
     }
-    output::text_line(&format!(
-        "{}: {} frames, {} gaps with {} frames lost{}, {} bytes",
-        path.display(),
-        report.frames,
-        report.gaps,
-        report.frames_lost,
-        lost_besides(report.unknown_gaps),
-        report.bytes
-    ))
+    Ok(Ended::with_loss(source.is_cut()))
 }
 
 /// Says how the labels get beside a new recording that cannot hold them, if its frames have kept their times.

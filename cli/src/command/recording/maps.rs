@@ -90,9 +90,10 @@ impl Arguments {
         if let Some(rx) = self.rx {
             let channels = waveform.shape().rx;
             let index = rx.checked_sub(1).filter(|index| *index < channels);
-            let index =
-                index.with_context(|| format!("--rx {rx}: frames have {channels} receive channels, from 1 on"))?;
-            spec.channels = Channels::One(index);
+            match index {
+                Some(index) => spec.channels = Channels::One(index),
+                None => wrong_use!("--rx {rx}: frames have {channels} receive channels, from 1 on"),
+            }
         }
         if self.incoherent {
             spec.channels = Channels::IncoherentSum;
@@ -101,6 +102,9 @@ impl Arguments {
             spec.static_removal = StaticRemoval::SlowTimeMean;
         }
         if let Some(frames) = self.across_frames {
+            if frames < 2 {
+                wrong_use!("--across-frames {frames}: a map needs at least 2 frames to measure velocities");
+            }
             spec.slow_time = SlowTime::Frames { frames };
             spec.doppler_fft_length = None;
         }
@@ -129,7 +133,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut map = processor.empty_map();
     let row_shape = map_shape(&map);
     let is_live = source.is_live;
-    let (mut counts, mut pictured, mut frames) = (Counts::default(), false, 0u64);
+    let (mut counts, mut pictured, mut read) = (Counts::default(), false, None::<(u64, u64)>);
     let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
     let items = Items::of(source.frames, arguments.source.frames);
     // The array is written map by map, since the maps of a night do not fit in memory.
@@ -139,7 +143,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 Item::End(_) => break,
                 Item::Gap(_) => processor.reset(),
                 Item::Frame(frame) => {
-                    frames += 1;
+                    read = Some((read.map_or(frame.sequence, |(first, _)| first), frame.sequence));
                     bar.inc(1);
                     if processor.process(&frame, &mut map)? != MapStatus::Ready {
                         continue;
@@ -157,7 +161,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         // Checked before the array gets its final name. A board sends until it is stopped; a part of a recording is no array of it.
         match output::interrupted() {
-            false => check_maps(arguments, counts.maps, frames, pictured)?,
+            false => check_maps(arguments, counts.maps, read, pictured)?,
             true => ensure!(is_live, "interrupted after {} maps: nothing is written", counts.maps),
         }
         anyhow::Ok(counts.maps)
@@ -175,18 +179,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     tell(arguments, &counts, &map)
 }
 
-/// Fails if no frame gave a map, or if the frame of the picture gave none.
-fn check_maps(arguments: &Arguments, maps: u64, frames: u64, is_pictured: bool) -> anyhow::Result<()> {
+/// Fails if no frame gave a map, or if the frame of the picture gave none. `read` holds the numbers of the first and the last frame.
+fn check_maps(arguments: &Arguments, maps: u64, read: Option<(u64, u64)>, is_pictured: bool) -> anyhow::Result<()> {
     let source = &arguments.source.source;
+    let read = read.map_or("no frame was read".into(), |(first, last)| format!("frames {first} to {last} were read"));
     ensure!(
         maps > 0,
-        "{source}: {frames} frames give no map\n\nhint: with --across-frames N the first map needs N frames without a gap; take more \
+        "{source}: {read}, which give no map\n\nhint: with --across-frames N the first map needs N frames without a gap; take more \
          --frames, or a smaller N"
     );
     match (&arguments.png, arguments.frame) {
         (Some(_), Some(wanted)) if !is_pictured => bail!(
-            "{source}: there is no map of frame {wanted}; {frames} frames were read\n\nhint: frames count from 0, and with \
-             --across-frames N the first N - 1 have no map"
+            "{source}: there is no map of frame {wanted}; {read}\n\nhint: with --across-frames N the first N - 1 have no map"
         ),
         _ => Ok(()),
     }

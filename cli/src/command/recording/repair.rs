@@ -1,11 +1,17 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use radome_driver::recording::mcap;
+use anyhow::bail;
+use radome_driver::RecordingHeader;
+use radome_driver::recording::{Format, Recording, RecordingError, mcap};
+use radome_dsp::FrameSource;
 use serde_json::json;
 
 use crate::exit::Ended;
 use crate::output;
 use crate::output_file::Overwrite;
+
+const HEAD_HINT: &str = "\n\nhint: if its beginning alone is damaged, --waveform-of RECORDING takes the waveform of another \
+                         recording with the same settings";
 
 /// `radome recording repair`
 #[derive(clap::Args)]
@@ -18,6 +24,9 @@ pub struct Arguments {
     /// MCAP file to write
     #[arg(short, long, value_name = "FILE.mcap")]
     output: PathBuf,
+    /// Recording with the same settings whose waveform is taken where that of the file is damaged
+    #[arg(long, value_name = "RECORDING")]
+    waveform_of: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
     /// Print one JSON object at the end
@@ -34,9 +43,15 @@ pub struct Arguments {
 /// The file is no MCAP recording, nothing of it can be read, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
-    arguments.overwrite.check(&arguments.output, &[&arguments.file])?;
     let (file, output) = (&arguments.file, &arguments.output);
-    let report = mcap::repair_unless(file, output, arguments.overwrite.existing(), output::interrupted)?;
+    let inputs: Vec<&Path> = std::iter::once(file).chain(&arguments.waveform_of).map(PathBuf::as_path).collect();
+    arguments.overwrite.check(output, &inputs)?;
+    let other = arguments.waveform_of.as_deref().map(Recording::open).transpose()?;
+    let (is_given, header) = (other.is_some(), other.map(|other| RecordingHeader::new(other.waveform().clone())));
+    let report = match mcap::repair_unless(file, output, header, arguments.overwrite.existing(), output::interrupted) {
+        Err(error @ RecordingError::Corrupt { .. }) if !is_given && is_mcap(file) => bail!("{error}{HEAD_HINT}"),
+        repaired => repaired?,
+    };
     if !report.was_finished {
         message!("the recording was never finished; what came after its last chunk is lost");
     }
@@ -77,4 +92,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         )))?;
     }
     Ok(Ended::with_loss(!report.damage.is_empty() || !report.lost.is_empty()))
+}
+
+fn is_mcap(file: &Path) -> bool {
+    matches!(Format::of_content(file), Ok(Some(Format::Mcap)))
 }

@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::bail;
 use radome_sim::path_list::PathListOptions;
 use radome_sim::{Scene, Simulator};
 use serde_json::json;
 
+use crate::exit::wrong_use;
 use crate::output_file::{Overwrite, check_is_picture};
 use crate::picture::scene::{self, Preview};
 use crate::source::DEFAULT_SEED;
@@ -58,7 +58,7 @@ pub fn draw(scene: &Scene, seed: u64, people: Option<usize>, frames: u64, path: 
     let scene = scene.drawn(seed)?;
     let until_s = frames as f64 * scene.waveform().frame_interval_s();
     if until_s > PathListOptions::LATEST_S {
-        bail!("--frames {frames} last {until_s:.0} s\n\nhint: a picture shows at most a day");
+        wrong_use!("--frames {frames} last {until_s:.0} s\n\nhint: a picture shows at most a day");
     }
     scene::draw(&Preview { scene: &scene, seed, people, until_s, paths: &[] }, path)
 }

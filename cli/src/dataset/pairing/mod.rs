@@ -34,6 +34,7 @@ use self::script::{Role, WayPoints};
 use self::smooth::Sensor;
 use self::store::Store;
 use self::watcher::{Taken, Watcher};
+use crate::exit::wrong_use;
 use crate::map_preset::MapPreset;
 use crate::output::Interrupted;
 use crate::source::{self, DEFAULT_SEED, Source, SourceOptions};
@@ -103,7 +104,9 @@ pub struct Paired {
 /// written, or the user interrupts.
 pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
     files::check_parent(&settings.output)?;
-    ensure!((0.5..=2.5).contains(&settings.height_m), "--height-m is {}, expected 0.5 to 2.5 m", settings.height_m);
+    if !(0.5..=2.5).contains(&settings.height_m) {
+        wrong_use!("--height-m is {}, expected 0.5 to 2.5 m", settings.height_m);
+    }
     let points = settings.waypoints.as_deref().map_or(Ok(WayPoints::default()), read_waypoints)?;
     let source = open(settings)?;
     let pairing = Pairing::new(settings, source.frames.waveform().clone())?;

@@ -2,12 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, bail};
 use radome_dsp::{Frame, FrameSource, Waveform};
 use radome_files::read_text;
 use radome_models::dataset::{Domain, MANIFEST_LIMIT_BYTES, ManifestRow};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
+use crate::exit::wrong_use;
 use crate::source::{self, DEFAULT_SEED, Playback};
 
 /// Simulation that mirrors a recording.
@@ -30,7 +31,9 @@ impl Partner {
         waveform: &Waveform,
     ) -> anyhow::Result<Option<Self>> {
         let Some(playback) = playback else {
-            ensure!(folder.is_none(), "--pair is of a recording, and the source is none");
+            if folder.is_some() {
+                wrong_use!("--pair is of a recording, and the source is none");
+            }
             return Ok(None);
         };
         let folder = match folder {

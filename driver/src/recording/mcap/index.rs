@@ -44,7 +44,7 @@ impl Chunk {
     }
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Index {
     pub chunks: Vec<Chunk>,
     pub frames: u64,
@@ -53,9 +53,18 @@ pub(super) struct Index {
     pub complete: bool,
     /// End of the readable part of an unfinished file, if that is before its end.
     pub end: Option<u64>,
+    /// Whether an unfinished file ends within a record.
+    pub ends_within_record: bool,
+    /// End of the recording, if the file goes on behind it.
+    pub file_goes_on_at: Option<u64>,
 }
 
 impl Index {
+    /// Returns whether bytes at the end of an unfinished file cannot be read, so that frames may be lost with them.
+    pub fn is_cut(&self) -> bool {
+        self.ends_within_record || self.end.is_some()
+    }
+
     /// Returns whether a chunk starts here.
     pub fn is_chunk(&self, offset: u64) -> bool {
         self.chunks.binary_search_by_key(&offset, |chunk| chunk.offset).is_ok()
@@ -182,8 +191,12 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
             Err(error) => return Err(error),
         }
     }
-    let mut footer = [0; FOOTER as usize];
-    records.peek(records.length.saturating_sub(FOOTER), &mut footer)?;
+    // The summary may be that of another recording in the file.
+    let (mut footer, footer_at) = ([0; FOOTER as usize], records.length.saturating_sub(FOOTER));
+    if records.offset != footer_at {
+        return Ok(None);
+    }
+    records.peek(footer_at, &mut footer)?;
     if !is_intact(crc, &footer) {
         return Ok(None);
     }
@@ -207,7 +220,7 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
         return Ok(None);
     }
     *channels = known;
-    Ok(Some(Index { chunks, frames, gaps, complete: true, end: None }))
+    Ok(Some(Index { chunks, frames, gaps, complete: true, ..Index::default() }))
 }
 
 /// Source of the counts of a chunk.
@@ -221,8 +234,7 @@ enum Counted {
 /// Scans the records of the file. The content of a chunk is skipped where the indexes of its messages tell enough.
 fn scan(records: &mut Records, has_footer: bool, channels: &mut Channels) -> Result<Index, RecordingError> {
     records.go_to(8)?;
-    let (mut body, mut index) =
-        (Vec::new(), Index { chunks: Vec::new(), frames: 0, gaps: 0, complete: false, end: None });
+    let (mut body, mut index) = (Vec::new(), Index::default());
     // How the last chunk was counted; there is none yet.
     let mut counted = Counted::ByContent;
     loop {
@@ -280,9 +292,36 @@ fn scan(records: &mut Records, has_footer: bool, channels: &mut Channels) -> Res
             Next::Record(..) => {}
             Next::End => {
                 index.complete = has_footer;
+                index.file_goes_on_at = end_before_file(records, at)?;
                 return Ok(index);
             }
-            Next::CutShort => return Ok(index),
+            Next::CutShort => {
+                index.ends_within_record = at < records.length;
+                return Ok(index);
+            }
+        }
+    }
+}
+
+/// End of the recording whose data end at `data_end`, if the file goes on behind it: two recordings in one file, or bytes that
+/// another program added. `None` if the recording ends with the file, or its summary is cut.
+pub(super) fn end_before_file(records: &mut Records, data_end: u64) -> Result<Option<u64>, RecordingError> {
+    let mut at = data_end;
+    loop {
+        let mut header = [0; RECORD_HEADER as usize];
+        if at >= records.length || records.peek(at, &mut header)? != header.len() {
+            return Ok(None);
+        }
+        let [opcode, length @ ..] = header;
+        let Some(next) = at.checked_add(RECORD_HEADER).and_then(|at| at.checked_add(u64::from_le_bytes(length))) else {
+            return Ok(None);
+        };
+        at = next;
+        if opcode == op::FOOTER {
+            let mut magic = [0; mcap::MAGIC.len()];
+            let is_end = at < records.length && records.peek(at, &mut magic)? == magic.len() && magic == *mcap::MAGIC;
+            let end = at + magic.len() as u64;
+            return Ok((is_end && end < records.length).then_some(end));
         }
     }
 }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::path::Path;
 
 use mcap::records::op;
-use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, Waveform};
 
 use super::index::Index;
 use super::records::{
@@ -14,6 +14,10 @@ use super::{
     FrameResult, LabelSpan, RESULTS_VERSION, RecordingHeader, decode_frame, frame_position, staged, take_labels,
 };
 use crate::recording::{Extent, Position, RecordingError, first_index, time_ns};
+
+/// Reason of an error where a file holds more than one recording.
+pub(super) const FILE_GOES_ON: &str =
+    "the recording ends here, but the file goes on: with another recording, or with bytes that another program added";
 
 /// Reader of a native recording, a [`FrameSource`].
 #[derive(Debug)]
@@ -28,7 +32,11 @@ pub struct McapReader {
     /// Messages of the current chunk and the offset of that chunk.
     pending: VecDeque<(Topic, Vec<u8>)>,
     chunk_offset: u64,
+    /// Number of the frame behind the last one that was read.
+    expected: u64,
     ended: bool,
+    /// Whether the reader has told of the bytes at the end of the file that it cannot read.
+    has_told_of_end: bool,
     /// Target of a seek, until it is found.
     wanted: Option<SeekTarget>,
 }
@@ -57,7 +65,8 @@ impl SeekTarget {
 }
 
 impl McapReader {
-    /// Opens a recording. An unfinished one is read up to its last complete chunk.
+    /// Opens a recording. An unfinished one is read up to its last complete chunk; a gap of unknown length at its end tells of
+    /// bytes behind that chunk.
     ///
     /// # Errors
     /// [`RecordingError`] if the file cannot be read, is not a native recording, or its header is damaged.
@@ -81,7 +90,9 @@ impl McapReader {
             body: Vec::new(),
             pending: VecDeque::new(),
             chunk_offset: 0,
+            expected: 0,
             ended: false,
+            has_told_of_end: false,
             wanted: None,
         })
     }
@@ -89,6 +100,11 @@ impl McapReader {
     /// Returns whether the recording was finished. An unfinished recording may lack its last chunk.
     pub fn is_complete(&self) -> bool {
         self.index.complete
+    }
+
+    /// Returns whether bytes at the end of an unfinished recording cannot be read: frames may be lost with them.
+    pub fn is_cut(&self) -> bool {
+        self.index.is_cut()
     }
 
     /// Number of frames in complete chunks.
@@ -222,7 +238,7 @@ impl McapReader {
             }
         }
         self.pending.clear();
-        self.ended = false;
+        (self.ended, self.has_told_of_end) = (false, false);
         self.records.go_to(start)?;
         self.wanted = Some(place);
         self.fill_pending()?;
@@ -231,7 +247,9 @@ impl McapReader {
         };
         // Behind the last earlier frame of this chunk, if it has one; gaps at its end belong to the place.
         if let Some(last) = self.pending.iter().rposition(is_earlier) {
-            self.pending.drain(..=last);
+            let skipped = self.pending.drain(..=last).next_back();
+            let position = skipped.and_then(|(_, data)| frame_position(&data));
+            self.expected = position.map_or(0, |position| position.sequence.saturating_add(1));
         }
         Ok(())
     }
@@ -282,12 +300,13 @@ impl McapReader {
     pub(super) fn read_next(&mut self, frame: &mut Frame) -> Result<SourceEvent, RecordingError> {
         loop {
             self.fill_pending()?;
-            let Some((topic, data)) = self.pending.pop_front() else { return Ok(SourceEvent::End) };
+            let Some((topic, data)) = self.pending.pop_front() else { return self.end() };
             match topic {
                 Topic::Label | Topic::Result => {}
                 Topic::Gap => {
                     let gap: Gap = serde_json::from_slice(&data)
                         .map_err(|e| self.records.corrupt(self.chunk_offset, format!("a gap is malformed: {e}")))?;
+                    self.expected = gap.first_sequence.saturating_add(gap.frames);
                     if self.wanted.is_some_and(|place| place.is_behind(&gap)) {
                         continue;
                     }
@@ -302,10 +321,25 @@ impl McapReader {
                     self.wanted = None;
                     decode_frame(&data, self.header.waveform.shape(), frame)
                         .map_err(|reason| self.records.corrupt(self.chunk_offset, reason))?;
+                    self.expected = frame.sequence.saturating_add(1);
                     return Ok(SourceEvent::Frame);
                 }
             }
         }
+    }
+
+    /// Tells once of bytes behind the last chunk, then that the recording is over.
+    fn end(&mut self) -> Result<SourceEvent, RecordingError> {
+        if std::mem::replace(&mut self.has_told_of_end, true) {
+            return Ok(SourceEvent::End);
+        }
+        if let Some(at) = self.index.file_goes_on_at {
+            return Err(self.records.corrupt(at, FILE_GOES_ON.into()));
+        }
+        Ok(match self.index.is_cut() {
+            true => SourceEvent::Gap(Gap { first_sequence: self.expected, frames: 0, reason: GapReason::Recorded }),
+            false => SourceEvent::End,
+        })
     }
 }
 

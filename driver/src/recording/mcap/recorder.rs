@@ -529,7 +529,6 @@ impl Drop for Recorder {
 
 /// Opens a device or a pipe to write to. A pipe without a reader is refused: opening it would wait for one, and hear no
 /// signal meanwhile.
-#[cfg(unix)]
 fn open_device(path: &Path) -> Result<File, RecordingError> {
     use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 
@@ -552,11 +551,6 @@ fn open_device(path: &Path) -> Result<File, RecordingError> {
         .and_then(|flags| fcntl_setfl(&pipe, flags.difference(OFlags::NONBLOCK)))
         .map_err(|error| RecordingError::cannot_write(path)(error.into()))?;
     Ok(pipe)
-}
-
-#[cfg(not(unix))]
-fn open_device(path: &Path) -> Result<File, RecordingError> {
-    File::options().write(true).open(path).map_err(RecordingError::cannot_write(path))
 }
 
 #[cfg(test)]

@@ -5,8 +5,9 @@ use std::path::Path;
 use mcap::records::{Record, op};
 use radome_dsp::{Frame, Gap, GapReason};
 
+use super::index::end_before_file;
 use super::lengths::{CHUNK_MARK, content_length, is_filled, parse_record};
-use super::reader::parse_result;
+use super::reader::{FILE_GOES_ON, parse_result};
 use super::records::{Channels, Flaw, MAX_RECORD, Next, RECORD_HEADER, Records, Topic, messages_in, read_header_alone};
 use super::{LabelSpan, McapWriter, RecordingHeader, decode_frame, staged, take_labels};
 use crate::recording::{Existing, RecordingError};
@@ -75,16 +76,18 @@ impl RepairReport {
 /// [`RecordingError`] if format version or waveform of the input are damaged, both are the same file, the output exists and
 /// must not be replaced or has another writer, and [`RecordingError::Io`].
 pub fn repair(input: &Path, output: &Path, existing: Existing) -> Result<RepairReport, RecordingError> {
-    repair_unless(input, output, existing, || false)
+    repair_unless(input, output, None, existing, || false)
 }
 
-/// Repairs a file as [`repair`] does, unless `is_interrupted` returns true before the end: nothing is written then.
+/// Repairs a file as [`repair`] does, unless `is_interrupted` returns true before the end: nothing is written then. Where the
+/// input's own header is damaged, `header` takes its place; its waveform has to be that of the frames.
 ///
 /// # Errors
 /// Those of [`repair`], and [`RecordingError::Interrupted`].
 pub fn repair_unless(
     input: &Path,
     output: &Path,
+    header: Option<RecordingHeader>,
     existing: Existing,
     is_interrupted: impl Fn() -> bool,
 ) -> Result<RepairReport, RecordingError> {
@@ -93,7 +96,12 @@ pub fn repair_unless(
         return Err(RecordingError::Occupied { path: output.to_owned() });
     }
     let mut records = Records::open(input)?;
-    let (header, header_at, flaws) = read_header_alone(&mut records)?;
+    let (header, header_at, flaws) = match (read_header_alone(&mut records), header) {
+        (Err(RecordingError::Corrupt { offset, reason, .. }), Some(header)) => {
+            (header, offset, vec![Flaw { reason, bytes: 0 }])
+        }
+        (read, _) => read?,
+    };
     let writer = McapWriter::create(output, &header, existing)?;
     let frame = Frame::zeroed(header.waveform.shape());
     let damage =
@@ -184,6 +192,11 @@ impl Repair {
                 },
                 Ok(Next::End) => {
                     self.report.was_finished = true;
+                    if let Some(end) = end_before_file(records, at)? {
+                        let reason = FILE_GOES_ON.to_owned();
+                        let damage = Damage { offset: end, bytes: records.length - end, frames: None, reason };
+                        self.report.damage.push(damage);
+                    }
                     break;
                 }
                 Ok(Next::CutShort) if at == records.length => break,

@@ -15,6 +15,7 @@ use super::{Arguments, is_dataset, make_dataset, named};
 use crate::dataset::plan::Plan;
 use crate::dataset::rung::RungFile;
 use crate::dataset::spec::BuildSpec;
+use crate::exit::wrong_use;
 use crate::shard::Shard;
 use crate::slurm::word_with;
 
@@ -133,7 +134,7 @@ pub fn check_sources(study: &Path, files: &[ConditionFile], given: &[Given]) -> 
 fn check_given(given: &[Given]) -> anyhow::Result<()> {
     let mut names = BTreeSet::new();
     if let Some(twice) = given.iter().find(|given| !names.insert(&given.name)) {
-        bail!("--condition '{}' is given twice", twice.name);
+        wrong_use!("--condition '{}' is given twice", twice.name);
     }
     Ok(())
 }

@@ -8,6 +8,7 @@ use radome_files::named_by_spec;
 use radome_sim::Scene;
 
 use crate::dataset::rung::{MOST_FRAMES, RungFile};
+use crate::exit::wrong_use;
 
 /// Longest recording of an empty room, s. Hours of empty rooms are spread over several rooms.
 const EMPTY_RECORDING_S: f64 = 360.0;
@@ -115,7 +116,7 @@ impl Rung {
             let all = recordings * frames;
             if !(1.0..=MOST_FRAMES as f64).contains(&all) {
                 let found = if all.is_finite() { all.to_string() } else { "no number of".to_owned() };
-                bail!(
+                wrong_use!(
                     "--empty-hours {hours}: {found} frames of {stem}, expected 1 to {MOST_FRAMES}\n\nhint: a day is enough for any rate \
                      that can be told"
                 );

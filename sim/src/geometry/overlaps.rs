@@ -1,8 +1,8 @@
-//! Detection of mesh defects before simulation.
+//! Search for coplanar triangles that overlap: both would be lit.
 
 use glam::DVec3;
 
-use super::{Mesh, edges, polygon};
+use super::{Mesh, polygon};
 
 /// Least common area of coplanar triangles that counts, m^2: overlapping surfaces would both be lit.
 const LEAST_OVERLAP_M2: f64 = 1e-6;
@@ -14,23 +14,9 @@ const SAME_PLANE_M: f64 = 1e-5;
 const MOST_OVERLAPS: usize = 1000;
 const MOST_PAIRS: usize = 50_000_000;
 
-/// Defects found in a mesh.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Lint {
-    /// Number of edges of three or more triangles, or of two that face different ways.
-    pub tangled_edges: usize,
-    /// Number of pairs of coplanar triangles that overlap by more than 1 mm^2; a thousand at most.
-    pub overlaps: usize,
-}
-
-/// Finds tangled edges and overlapping faces. The mesh must be welded first: vertices that differ by rounding form
-/// borders.
-pub fn lint(mesh: &Mesh) -> Lint {
-    Lint { tangled_edges: edges(mesh).iter().filter(|e| e.tangled).count(), overlaps: overlaps(mesh) }
-}
-
-/// Number of pairs of coplanar triangles that overlap, found by a sweep along x over their bounding boxes.
-fn overlaps(mesh: &Mesh) -> usize {
+/// Number of pairs of coplanar triangles that overlap by more than 1 mm^2, a thousand at most, found by a sweep along x over
+/// their bounding boxes.
+pub fn overlaps(mesh: &Mesh) -> usize {
     let mut boxes: Vec<(DVec3, DVec3, u32)> = (0..mesh.triangles.len())
         .filter_map(|t| mesh.corners(t).map(|[a, b, c]| (a.min(b).min(c), a.max(b).max(c), t as u32)))
         .collect();
@@ -87,11 +73,11 @@ mod hard_cases {
             pairs.map(|(first, second)| common_area_m2(mesh, first, second)).sum::<f64>()
         };
         let touching = near.joined(&at(DVec3::new(1.0, 0.25, 0.0)));
-        assert!((area_m2(&touching) - 0.75).abs() < 1e-9 && lint(&touching).overlaps > 0, "{}", area_m2(&touching));
-        assert_eq!(lint(&near.joined(&at(DVec3::new(1.001, 0.25, 0.0)))).overlaps, 0);
+        assert!((area_m2(&touching) - 0.75).abs() < 1e-9 && overlaps(&touching) > 0, "{}", area_m2(&touching));
+        assert_eq!(overlaps(&near.joined(&at(DVec3::new(1.001, 0.25, 0.0)))), 0);
         // With the same cube twice, every face overlaps.
         let twice = near.joined(&near);
-        assert!((area_m2(&twice) - 6.0).abs() < 1e-9 && lint(&twice).overlaps >= 12, "{}", area_m2(&twice));
-        assert_eq!(lint(&Mesh::default()), Lint::default());
+        assert!((area_m2(&twice) - 6.0).abs() < 1e-9 && overlaps(&twice) >= 12, "{}", area_m2(&twice));
+        assert_eq!(overlaps(&Mesh::default()), 0);
     }
 }
