@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use radome_tests::{command, fails_with, fixture, fixture_text, json_lines, radome, simulate, success, write_file};
+use radome_tests::{
+    command, fails_with, fixture, fixture_text, json_lines, radome, simulate, success, write_file, wrong_use_with,
+};
 use serde_json::Value;
 
 /// Writes the hall scene without its reverberation, with which the detector counts one walker as two.
@@ -45,7 +47,7 @@ fn the_detector_watches_any_source() {
 #[test]
 fn the_detector_wants_frames_and_not_maps() {
     let folder = tempfile::tempdir().expect("a folder");
-    fails_with(command!("model evaluate --model cfar", folder.path()), &["raw frames", "hint:"]);
+    wrong_use_with(command!("model evaluate --model cfar", folder.path()), &["raw frames", "hint:"]);
 }
 
 /// Writes the corridor scene with `rest` after its furniture, in place of its people or before them.

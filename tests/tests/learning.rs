@@ -183,7 +183,7 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
     assert_eq!(nothing["balanced_accuracy"], answer["balanced_accuracy_by_single_frames"], "{answer}");
     let frames: u64 = nothing["confusion"][1].as_array().expect("a row").iter().filter_map(|n| n.as_u64()).sum();
     assert_eq!((frames, &answer["recordings"][0]["label"]), (6, &"one".into()), "{answer}");
-    fails_with(on_recording(Path::new("cfar")), &["raw frames", "hint:"]);
+    wrong_use_with(on_recording(Path::new("cfar")), &["raw frames", "hint:"]);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use radome_tests::{command, fails_with, failure, fixture, json_lines, shared, wrong_use_with};
+use radome_tests::{command, fails_with, fixture, json_lines, shared, wrong_use_with};
 
 #[test]
 fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
@@ -71,8 +71,12 @@ fn an_array_on_stdout_is_the_file() {
     }
     // Messages had the program's own index in place of the number that was given.
     for rx in ["0", "4"] {
-        let said = failure(command!("recording maps --rx", rx, &input, "--png", &picture));
-        assert!(said.contains(&format!("--rx {rx}: frames have 2 receive channels")), "{said}");
+        let part = format!("--rx {rx}: frames have 2 receive channels");
+        wrong_use_with(command!("recording maps --rx", rx, &input, "--png", &picture), &[&part]);
+    }
+    for frames in ["0", "1"] {
+        let command = command!("recording maps --across-frames", frames, &input, "--png", &picture);
+        wrong_use_with(command, &["a map needs at least 2 frames"]);
     }
     // An array is no picture, and a picture no array.
     wrong_use_with(command!("recording maps", &input, "-o", &picture), &["map.png", "--png writes a picture"]);

@@ -7,7 +7,9 @@ use std::time::{Duration, SystemTime};
 
 use radome_models::Dataset;
 use radome_tests::running::{Running, wait_up_to};
-use radome_tests::{command, fails_with, failure, fixture_text, json_lines, radome, success, success_at_once};
+use radome_tests::{
+    command, fails_with, failure, fixture_text, json_lines, radome, success, success_at_once, wrong_use_with,
+};
 
 use super::learning::maps;
 
@@ -236,7 +238,7 @@ fn the_script_of_an_array_runs_the_study_in_shards() {
     let word = format!("--condition '{}'", given.replace('\'', "'\\''"));
     assert_eq!(with_condition.matches(&word).count(), 2, "{with_condition}");
     let twice = ["--dataset", "maps", "--condition", &given, "--condition", &given];
-    assert!(failure(script(&twice)).contains("given twice"));
+    wrong_use_with(script(&twice), &["given twice"]);
     let path = place.at("array.sh");
     std::fs::write(&path, &text).expect("writable");
     assert!(Command::new("sh").arg("-n").arg(&path).status().expect("runs").success());

@@ -185,7 +185,7 @@ fn check_maps(arguments: &Arguments, maps: u64, read: Option<(u64, u64)>, is_pic
     let read = read.map_or("no frame was read".into(), |(first, last)| format!("frames {first} to {last} were read"));
     ensure!(
         maps > 0,
-        "{source}: {read}, which give no map\n\nhint: with --across-frames N the first map needs N frames without a gap; take more \
+        "{source}: there is no map; {read}\n\nhint: with --across-frames N the first map needs N frames without a gap; take more \
          --frames, or a smaller N"
     );
     match (&arguments.png, arguments.frame) {
