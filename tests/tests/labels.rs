@@ -129,9 +129,18 @@ fn labels_beyond_a_recording_are_refused_wherever_they_are_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     simulate(&fixture("scenes/corridor.toml"), "--frames 20 --people 1", &path("run.mcap"));
-    let file = write_file(folder.path(), "far.txt", "0\t99\tone\n");
-    let input = format!("{}={}", path("run.mcap").display(), file.display());
-    fails_with(command!("model evaluate cfar", &input), &["'one' from 0 to 99 s is out of range", "from 0 to 2 s"]);
+    let evaluate = |label: &str| {
+        let file = write_file(folder.path(), "labels.txt", label);
+        command!("model evaluate --json cfar", format!("{}={}", path("run.mcap").display(), file.display()))
+    };
+    let far = ["'one' from 0 to 99 s is out of range", "from 0 to 2 s"];
+    fails_with(evaluate("0\t99\tone\n"), &far);
+    fails_with(evaluate("0\t1\tone\n50\t60\tempty\n"), &["'empty' from 50 to 60 s is out of range"]);
+    // Tracks whose last times are rounded were refused, too.
+    for track in ["0\t2.1\tone\n", "-0.2\t2\tone\n", "0\t2\tone\n2\t2.5\tempty\n"] {
+        let answer = json_lines(evaluate(track)).remove(0);
+        assert_eq!(answer["recordings"][0]["frames"], 20, "{track}: {answer}");
+    }
 }
 
 /// Regression test: a wrong label could be taken back on the page alone.

@@ -151,7 +151,7 @@ fn recording(
             }
         }
     }
-    check_spans(spans, extent_s)?;
+    labels::check_read(spans, extent_s)?;
     if extent_s.is_none() {
         message!("{}: no frame, and so no map", sink.unit.recording);
     }

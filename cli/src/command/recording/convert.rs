@@ -2,7 +2,6 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use radome_driver::LabelSpan;
-use radome_driver::recording::span_check::check_spans;
 use radome_driver::recording::{Format, Recording, RecordingError, RecordingWriter, WriteReport};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
@@ -189,7 +188,7 @@ fn read_labels(input: &Path, source: &Recording) -> anyhow::Result<Vec<LabelSpan
     let extent = Recording::open(input).and_then(|mut recording| recording.extent()).ok().flatten();
     let interval_s = source.waveform().frame_interval_s();
     let extent_s = extent.map(|extent| (extent.first.time_s(), extent.last.time_s() + interval_s));
-    if let Err(error) = check_spans(&spans, extent_s) {
+    if let Err(error) = labels::check_read(&spans, extent_s) {
         message!("warning: {error}");
     }
     Ok(spans)

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow, bail};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
-use radome_driver::recording::span_check::check_spans;
 use radome_dsp::{Frame, Occupancy, Waveform};
 
 use crate::exit::wrong_use;
@@ -76,9 +75,8 @@ impl LabelledRecording {
                 (path, spans)
             }
         };
-        let named = || format!("{input}: labels cannot be used");
-        check_spans(&spans, None).with_context(named)?;
-        check_spans(&spans, labels::extent_s(&mut Recording::open(&path)?)?).with_context(named)?;
+        let extent_s = labels::extent_s(&mut Recording::open(&path)?)?;
+        labels::check_read(&spans, extent_s).with_context(|| format!("{input}: labels cannot be used"))?;
         Ok(LabelledRecording { path, labels: Labels::Spans(spans) })
     }
 
