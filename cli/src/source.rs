@@ -55,7 +55,7 @@ pub struct SourceArgs {
     /// Seed of a simulation; 1 if absent
     #[arg(long)]
     pub seed: Option<u64>,
-    /// Number of people, instead of the scene's own
+    /// Number of people, instead of the scene's own; a script has at most its own people
     #[arg(long)]
     pub people: Option<usize>,
     /// Seconds for which to search for a lost board

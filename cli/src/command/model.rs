@@ -15,7 +15,7 @@ pub use study::StudyFile;
 pub enum Action {
     /// Train a network on a dataset
     Train(train::Arguments),
-    /// Adapt a model to one room by labelled recordings of it, or by a recording of it empty
+    /// Adapt a model to one room with labelled recordings of the room, or with a recording of the empty room
     Adapt(adapt::Arguments),
     /// Measure what a model reads in an empty room, so that fans and curtains do not count as people
     Background(background::Arguments),

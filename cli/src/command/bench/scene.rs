@@ -31,7 +31,7 @@ pub struct Arguments {
     /// Tolerances, dB
     #[arg(long, value_name = "DB,...", value_delimiter = ',', default_value = "2,0.5,0.2", requires = "scene")]
     tolerances_db: Vec<f64>,
-    /// Number of people, instead of the scene's own
+    /// Number of people, instead of the scene's own; a script has at most its own people
     #[arg(long, requires = "scene")]
     people: Option<usize>,
     /// Seed of all random draws

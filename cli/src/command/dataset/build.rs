@@ -15,7 +15,8 @@ pub struct Arguments {
     /// Folder to make; with --shard, the folder for the shards
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Make part I of N (from 0) for `dataset merge`; `auto/N` or `auto` takes I from a Slurm, HyperQueue or Kubernetes array
+    /// Make part I of N (from 0) for `dataset merge`; `auto/N` takes I from a Slurm, HyperQueue or Kubernetes
+    /// array, `auto` takes I and N from a Slurm array
     #[arg(long, value_name = "I/N")]
     shard: Option<Shard>,
     /// Print one JSON object at the end

@@ -37,8 +37,8 @@ pub struct Arguments {
     /// Dataset folder of a condition, in the spec or not. The trained models are evaluated on its maps
     #[arg(long, value_name = "NAME=DIR", value_hint = clap::ValueHint::DirPath)]
     condition: Vec<Given>,
-    /// Do only part I of N of the trainings (from 0), in the same folder as the other parts; `auto/N` or `auto` takes I from a
-    /// Slurm, HyperQueue or Kubernetes array. When all are done, --report-only writes the report
+    /// Do only part I of N of the trainings (from 0), in the same folder as the other parts; `auto/N` takes I from a
+    /// Slurm, HyperQueue or Kubernetes array, `auto` takes I and N from a Slurm array. When all are done, --report-only writes the report
     #[arg(long, value_name = "I/N", default_value_t = Shard::WHOLE)]
     shard: Shard,
     /// Only write the report of the present results

@@ -31,7 +31,7 @@ pub struct Arguments {
     /// List only paths that meet the person with this number. People are numbered from 0; messages of `scene pair` number them from 1
     #[arg(long, value_name = "N")]
     person: Option<usize>,
-    /// Number of people, instead of the scene's own
+    /// Number of people, instead of the scene's own; a script has at most its own people
     #[arg(long)]
     people: Option<usize>,
     /// Seed of all random draws

@@ -28,7 +28,7 @@ pub struct Arguments {
     /// Seed of all random draws
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
-    /// Number of people, instead of the scene's own
+    /// Number of people, instead of the scene's own; a script has at most its own people
     #[arg(long)]
     people: Option<usize>,
     /// Print one JSON object

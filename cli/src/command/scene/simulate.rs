@@ -34,14 +34,14 @@ pub struct Arguments {
     /// Seed of all random draws
     #[arg(long, default_value_t = DEFAULT_SEED)]
     seed: u64,
-    /// Number of people, instead of the scene's own
+    /// Number of people, instead of the scene's own; a script has at most its own people
     #[arg(long)]
     people: Option<usize>,
     /// Target error of the echoes in the maps, rms over the cells above noise, dB; 0.5 if absent
     #[arg(long, value_name = "DB")]
     tolerance_db: Option<f64>,
-    /// Simulate only part I of N (from 0) of the frames, into a file such as NAME-shard-00003-of-00008.mcap; `auto/N` or `auto`
-    /// takes I from a Slurm, HyperQueue or Kubernetes array
+    /// Simulate only part I of N (from 0) of the frames, into a file such as NAME-shard-00003-of-00008.mcap; `auto/N` takes
+    /// I from a Slurm, HyperQueue or Kubernetes array, `auto` takes I and N from a Slurm array
     #[arg(long, value_name = "I/N", requires = "output")]
     shard: Option<Shard>,
     /// PNG file to draw the scene into. Former option, replaced by `radome scene preview`

@@ -13,7 +13,7 @@ use super::records::{
 use super::{
     FrameResult, LabelSpan, RESULTS_VERSION, RecordingHeader, decode_frame, frame_position, staged, take_labels,
 };
-use crate::recording::{Extent, Position, RecordingError, first_index, time_ns};
+use crate::recording::{Extent, Position, RecordingError, first_index, time_ns, warn_once};
 
 /// Reason of an error where a file holds more than one recording.
 pub(super) const FILE_GOES_ON: &str =
@@ -32,8 +32,8 @@ pub struct McapReader {
     /// Messages of the current chunk and the offset of that chunk.
     pending: VecDeque<(Topic, Vec<u8>)>,
     chunk_offset: u64,
-    /// Number of the frame behind the last one that was read.
-    expected: u64,
+    /// Number of the frame behind the last one that was read; `None` before the first one.
+    expected: Option<u64>,
     ended: bool,
     /// Whether the reader has told of the bytes at the end of the file that it cannot read.
     has_told_of_end: bool,
@@ -90,7 +90,7 @@ impl McapReader {
             body: Vec::new(),
             pending: VecDeque::new(),
             chunk_offset: 0,
-            expected: 0,
+            expected: None,
             ended: false,
             has_told_of_end: false,
             wanted: None,
@@ -238,7 +238,7 @@ impl McapReader {
             }
         }
         self.pending.clear();
-        (self.ended, self.has_told_of_end) = (false, false);
+        (self.ended, self.has_told_of_end, self.expected) = (false, false, None);
         self.records.go_to(start)?;
         self.wanted = Some(place);
         self.fill_pending()?;
@@ -249,7 +249,7 @@ impl McapReader {
         if let Some(last) = self.pending.iter().rposition(is_earlier) {
             let skipped = self.pending.drain(..=last).next_back();
             let position = skipped.and_then(|(_, data)| frame_position(&data));
-            self.expected = position.map_or(0, |position| position.sequence.saturating_add(1));
+            self.expected = position.and_then(|position| position.sequence.checked_add(1));
         }
         Ok(())
     }
@@ -306,7 +306,7 @@ impl McapReader {
                 Topic::Gap => {
                     let gap: Gap = serde_json::from_slice(&data)
                         .map_err(|e| self.records.corrupt(self.chunk_offset, format!("a gap is malformed: {e}")))?;
-                    self.expected = gap.first_sequence.saturating_add(gap.frames);
+                    self.expected = gap.first_sequence.checked_add(gap.frames);
                     if self.wanted.is_some_and(|place| place.is_behind(&gap)) {
                         continue;
                     }
@@ -314,14 +314,26 @@ impl McapReader {
                 }
                 Topic::Frame => {
                     // An index that lacks a chunk has led to a place before the one that was asked for.
-                    let is_earlier = |place: SeekTarget| frame_position(&data).is_some_and(|at| !place.is_reached(at));
+                    let position = frame_position(&data);
+                    let is_earlier = |place: SeekTarget| position.is_some_and(|at| !place.is_reached(at));
                     if self.wanted.is_some_and(is_earlier) {
+                        self.expected = position.and_then(|at| at.sequence.checked_add(1));
                         continue;
                     }
                     self.wanted = None;
+                    if let (Some(expected), Some(Position { sequence, .. })) = (self.expected, position)
+                        && sequence != expected
+                    {
+                        // As other programs write them; the frames are handed out as they are.
+                        warn_once(format!(
+                            "{}: the numbers of frames do not go up by one, and no gap says why: frames are missing, twice there or \
+                             in another order",
+                            self.records.path.display()
+                        ));
+                    }
                     decode_frame(&data, self.header.waveform.shape(), frame)
                         .map_err(|reason| self.records.corrupt(self.chunk_offset, reason))?;
-                    self.expected = frame.sequence.saturating_add(1);
+                    self.expected = frame.sequence.checked_add(1);
                     return Ok(SourceEvent::Frame);
                 }
             }
@@ -337,7 +349,11 @@ impl McapReader {
             return Err(self.records.corrupt(at, FILE_GOES_ON.into()));
         }
         Ok(match self.index.is_cut() {
-            true => SourceEvent::Gap(Gap { first_sequence: self.expected, frames: 0, reason: GapReason::Recorded }),
+            true => SourceEvent::Gap(Gap {
+                first_sequence: self.expected.unwrap_or(0),
+                frames: 0,
+                reason: GapReason::Recorded,
+            }),
             false => SourceEvent::End,
         })
     }

@@ -29,7 +29,7 @@ pub struct Arguments {
     /// Fraction of each recording, from its start, that the receiver is fitted to; the rest tests the fit
     #[arg(long, default_value_t = 0.5, value_name = "0..1")]
     pub part: f64,
-    /// Number of people, instead of the scene's own
+    /// Number of people, instead of the scene's own; a script has at most its own people
     #[arg(long)]
     pub people: Option<usize>,
     /// First seed of the simulated copies
