@@ -9,7 +9,7 @@ use anyhow::{Context, ensure};
 use radome_driver::Judge as NamedJudge;
 use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::detect::CfarCounter;
-use radome_dsp::rdm::{AxesCoverage, PhysicalAxes, SlowTime};
+use radome_dsp::rdm::{AxesCoverage, Channels, PhysicalAxes, SlowTime};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, ReceiverFault, Waveform};
 use radome_files::read;
 use radome_models::evidence_mean::EvidenceMean;
@@ -117,7 +117,7 @@ pub enum Prediction {
     WarmingUp { have: usize, need: usize },
     /// Probabilities of empty, one and two from this frame and those that the model remembers.
     Probabilities([f32; 3]),
-    /// No receiver gives a signal, so the frame contains no information about the room.
+    /// No receiver that the model needs gives a signal, so the frame contains no information about the room.
     NoSignal,
 }
 
@@ -135,7 +135,9 @@ impl std::fmt::Display for FaultyReceiver {
         let FaultyReceiver { rx, receivers, fault } = *self;
         write!(f, "receiver {} of {receivers}: {fault}", rx + 1)?;
         if fault.is_dead() {
-            f.write_str("; frames in which no receiver gives a signal get no answer")?;
+            f.write_str(
+                "; frames get no answer if no receiver gives a signal, or if the model needs this one, as those of one waveform do",
+            )?;
         }
         f.write_str(match fault {
             ReceiverFault::Constant => "\n\nhint: see whether the board programs this receiver, or capture without it",
@@ -247,6 +249,12 @@ impl Model {
     pub fn judge(self, waveform: &Waveform, max_range_m: Option<f64>) -> anyhow::Result<Judge> {
         self.check_waveform(waveform)?;
         if let Some(range_m) = max_range_m {
+            let is_of_any_waveform = self.network().is_none_or(|of| of.rdm_spec().physical_axes.is_some());
+            ensure!(
+                is_of_any_waveform,
+                "--max-range-m is for models of any waveform, and this model takes only its own\n\nhint: leave it out, or use {BUILT_IN} \
+                 or {CFAR}"
+            );
             let nearest_m = self.nearest_m();
             ensure!(
                 range_m >= nearest_m,
@@ -259,11 +267,6 @@ impl Model {
                 if let Some(axes) = spec.physical_axes {
                     say_losses(&losses(&axes, waveform, classifier.waveform()));
                 }
-                ensure!(
-                    max_range_m.is_none() || spec.physical_axes.is_some(),
-                    "--max-range-m is for models of any waveform, and this model takes only its own\n\nhint: leave it out, or use {BUILT_IN} \
-                     or {CFAR}"
-                );
                 let processor = RdmProcessor::new(&RdmSpec { max_range_m, ..*spec }, waveform)?;
                 let map = processor.empty_map();
                 let mean = EvidenceMean::new(classifier.card().memory_s);
@@ -372,16 +375,16 @@ impl Judge {
     /// Those of [`Judge::frame`].
     pub fn changed_frame(&mut self, received: &Frame, changed: &Frame) -> anyhow::Result<Prediction> {
         let receivers = received.shape.rx;
-        let mut dead = 0;
-        for rx in 0..receivers {
+        let mut is_dead = vec![false; receivers];
+        for (rx, is_dead) in is_dead.iter_mut().enumerate() {
             if let Some(fault) = received.receiver_fault(rx) {
                 say_fault(FaultyReceiver { rx, receivers, fault });
-                dead += usize::from(fault.is_dead());
+                *is_dead = fault.is_dead();
             }
         }
         // Every frame gives a map, so that displays of maps have the newest one.
         let prediction = self.judge(received, changed)?;
-        if dead < receivers {
+        if self.has_signal(&is_dead) {
             return Ok(match (prediction, &mut self.0) {
                 (Prediction::Probabilities(frame), Kind::Network { mean, .. }) => {
                     Prediction::Probabilities(mean.update(received.time_s(), frame))
@@ -392,6 +395,20 @@ impl Judge {
         // The reset keeps a frame without a signal from affecting later frames.
         self.reset();
         Ok(Prediction::NoSignal)
+    }
+
+    /// Returns whether the receivers that the model needs give a signal. Models of any waveform take those that do. Maps of the
+    /// others show a dead receiver as people.
+    fn has_signal(&self, is_dead: &[bool]) -> bool {
+        match &self.0 {
+            Kind::Network { processor, .. } if processor.spec().physical_axes.is_none() => {
+                match processor.spec().channels {
+                    Channels::One(index) => is_dead.get(index) != Some(&true),
+                    Channels::All | Channels::IncoherentSum => !is_dead.contains(&true),
+                }
+            }
+            _ => is_dead.contains(&false),
+        }
     }
 
     fn judge(&mut self, received: &Frame, changed: &Frame) -> anyhow::Result<Prediction> {

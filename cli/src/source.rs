@@ -298,7 +298,7 @@ pub fn name_of(path: &Path) -> OsString {
 }
 
 fn is_scene(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e == "toml")
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("toml"))
 }
 
 fn simulator(scene: &Scene, options: &SourceOptions) -> anyhow::Result<Simulator> {

@@ -152,6 +152,12 @@ impl Transport {
         self.state().preroll_s = preroll_s;
     }
 
+    /// Returns whether the player still has to go to a place that was asked for: its position is that of another one.
+    pub fn is_seeking(&self) -> bool {
+        let state = self.state();
+        state.sought.is_some() || state.steps < 0
+    }
+
     /// Returns whether a frame is part of the preroll of the frame that was sought.
     pub fn is_preroll(&self, sequence: u64) -> bool {
         self.state().preroll.contains(&sequence)

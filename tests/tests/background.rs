@@ -4,7 +4,9 @@
 use std::f64::consts::TAU;
 use std::path::Path;
 
-use radome_tests::{add_signal, command, fails_with, failure, fixture, json_lines, live_command, simulate, success};
+use radome_tests::{
+    add_signal, command, fails_with, failure, fixture, json_lines, live_command, simulate, success, wrong_use_with,
+};
 use serde_json::Value;
 
 /// Simulates thirty seconds of a corridor with this number of people.
@@ -97,7 +99,7 @@ mod hard_cases {
             command!("model background", source, "--model", &model, "--seconds", seconds, "-o", at("room.json"))
         };
         fails_with(capture(&at("one.mcap"), "60"), &["was not empty", "hint:"]);
-        fails_with(capture(&at("empty.mcap"), "2"), &["expected 90", "hint:"]);
+        wrong_use_with(capture(&at("empty.mcap"), "2"), &["expected 90", "hint: --seconds 10"]);
         assert!(!at("room.json").exists());
         success(capture(&at("empty.mcap"), "60"));
         let with = |background: &Path, model: &str| {

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
 use radome_tests::{
-    command, fails_with, failure, fixture_text, json_lines, simulate, success, write_file, wrong_use_with,
+    command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, success, write_file,
+    wrong_use_with,
 };
 use serde_json::Value;
 
@@ -170,6 +171,34 @@ fn another_receiver_takes_the_place_of_a_dead_one() {
             std::fs::remove_file(dead).expect("removable");
         }
     }
+}
+
+/// Regression test: with one of its receivers dead, a model of one waveform saw two people in every frame, and nobody was told.
+#[test]
+fn a_model_that_needs_a_dead_receiver_gives_no_answer() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let whole = folder.path().join("whole.mcap");
+    simulate(&fixture("scenes/corridor.toml"), "--people 0 --seed 5 --frames 12", &whole);
+    let model = fixture("models/paper-hqnn.safetensors");
+    let live = |path: &Path| json_lines(command!("live --json", path, "--model", &model));
+    let is_dead = |path: &Path| {
+        let mut answers = live(path);
+        answers.retain(|answer| answer["sequence"].is_number());
+        assert_eq!(answers.len(), 12);
+        answers.iter().all(|answer| answer["no_signal"] == true && answer["label"].is_null())
+    };
+    assert!(!is_dead(&whole));
+    let doctor = |path: &Path| success(command!("doctor", path)).0;
+    assert!(!doctor(&whole).contains("gives no signal") && !doctor(&whole).contains("no receiver"));
+    for rx in 0..3 {
+        let dead = changed(&whole, &format!("dead-{rx}.mcap"), 0, |_, frame| receiver(frame, rx).fill(2048));
+        assert!(is_dead(&dead), "receiver {rx}");
+        let said = doctor(&dead);
+        assert!(said.contains(&format!("receiver {} of 3 gives no signal", rx + 1)), "{said}");
+    }
+    let all = changed(&whole, "all.mcap", 0, |_, frame| frame.codes.fill(2048));
+    let (status, said, _) = outcome(command!("doctor", &all));
+    assert!(status == Some(1) && said.contains("no receiver gives a signal"), "{status:?} {said}");
 }
 
 #[test]

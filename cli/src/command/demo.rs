@@ -14,9 +14,9 @@ pub struct Arguments {
     /// Stop after this number of frames
     #[arg(long, default_value_t = 300)]
     frames: u64,
-    /// Seed of the people's paths; paper-hqnn was trained on seeds below 100000
-    #[arg(long, default_value_t = live::UNSEEN_SEED)]
-    seed: u64,
+    /// Seed of the people's paths, 100001 if absent; paper-hqnn was trained on seeds below 100000
+    #[arg(long)]
+    seed: Option<u64>,
     /// Pace, as a multiple of real time; 0 is as fast as possible
     #[arg(long, default_value_t = 1.0, value_parser = not_negative)]
     speed: f64,
@@ -46,7 +46,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
             source: format!("emulated:{}", scene.display()),
             frames: Some(arguments.frames),
             speed: (arguments.speed > 0.0).then_some(arguments.speed),
-            seed: Some(arguments.seed),
+            seed: arguments.seed,
             ..SourceArgs::default()
         },
         model,

@@ -138,9 +138,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
 
     let mut pipeline = Pipeline::default();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
-    let inlet = pipeline.consumer("classifier", 16, policy);
+    // The recorder gets each frame first: a frame that the classifier has judged is then in the recording.
     let recorder = output.map(|output| arguments.recorder(output, &header, &mut pipeline, &source, has_failed));
     let recorder = recorder.transpose()?;
+    let inlet = pipeline.consumer("classifier", 16, policy);
     let reader = pipeline.start(source.frames, arguments.source.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);

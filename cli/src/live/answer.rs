@@ -52,7 +52,7 @@ pub struct Answer {
     /// Number of people in the room, after the same delays.
     pub people: usize,
     /// Whether `people` is due to labels, see [`super::occupancy::PeopleCount::is_settled`].
-    #[serde(skip)]
+    #[serde(rename = "settled")]
     pub is_settled: bool,
     /// Whether the frame comes before the one that was sought in a recording, only to fill the model's window and the filter. Such
     /// an answer is neither counted nor passed on.

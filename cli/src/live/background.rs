@@ -24,6 +24,8 @@ const LEAST_THRESHOLD_DB: f32 = 60.0;
 /// Largest threshold. A room that exceeds it was not empty, or its background does not repeat. Walkers have 300 to 3000
 /// dB.
 const MOST_THRESHOLD_DB: f32 = 300.0;
+/// Largest magnitude of a level, dB: no map has more.
+const MOST_LEVEL_DB: f32 = 500.0;
 /// Probabilities of empty, one and two for a frame that shows no more than the empty room, since people are sometimes
 /// missed.
 pub const NOBODY_SEEN: [f32; 3] = [0.96, 0.02, 0.02];
@@ -146,6 +148,16 @@ impl Background {
         let cells = background.level_db.len();
         if background.doppler.checked_mul(background.range) != Some(cells) || cells == 0 {
             bail!("{}: {cells} cells, expected {} x {}", path.display(), background.doppler, background.range);
+        }
+        let is_threshold = (LEAST_THRESHOLD_DB..=MOST_THRESHOLD_DB).contains(&background.threshold_db);
+        let is_level = |level_db: &f32| level_db.abs() <= MOST_LEVEL_DB;
+        if !is_threshold || !background.level_db.iter().all(is_level) {
+            bail!(
+                "{}: its threshold of {} dB is not {LEAST_THRESHOLD_DB} to {MOST_THRESHOLD_DB} dB, or a level is beyond {MOST_LEVEL_DB} dB: \
+                 the file is damaged\n\nhint: radome model background SOURCE -o FILE.json captures the empty room anew",
+                path.display(),
+                background.threshold_db
+            );
         }
         if background.model_hash != judge.model_hash {
             bail!(

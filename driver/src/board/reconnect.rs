@@ -41,13 +41,14 @@ impl Reconnect {
         std::iter::successors(Some(self.first_wait), move |wait| Some(wait.saturating_mul(2).min(longest)))
     }
 
-    /// Repeats `reopen` until it succeeds; returns `error` if the time since `noticed` runs out.
+    /// Repeats `reopen` until it succeeds; returns `error` if the time since `noticed` runs out, and logs what came in its place.
     fn until_back(
         self,
         noticed: Instant,
         error: BoardError,
         mut reopen: impl FnMut() -> Result<(), BoardError>,
     ) -> Result<(), BoardError> {
+        let mut last = None;
         for wait in self.waits() {
             let left = self.give_up_after.saturating_sub(noticed.elapsed());
             if left.is_zero() {
@@ -55,9 +56,15 @@ impl Reconnect {
             }
             thread::sleep(wait.min(left));
             match reopen() {
-                Err(error) if error.is_passing() => tracing::debug!(%error, "the board is not back yet"),
+                Err(error) if error.is_passing() => {
+                    tracing::debug!(%error, "the board is not back yet");
+                    last = Some(error);
+                }
                 result => return result,
             }
+        }
+        if let Some(last) = last {
+            tracing::warn!("the board did not come back; the last attempt: {last}");
         }
         Err(error)
     }

@@ -1,5 +1,6 @@
 //! Individual checks of the doctor.
 
+use std::collections::BTreeSet;
 use std::io::{ErrorKind, Write};
 use std::net::{SocketAddr, TcpListener};
 use std::path::Path;
@@ -201,6 +202,8 @@ struct Seen {
     unknown: u64,
     /// Samples at the lowest or highest code.
     saturated: u64,
+    /// Receivers that gave no signal in some frame.
+    dead: BTreeSet<usize>,
     /// Longest time to classify one of them; `None` where no model is checked.
     slowest: Option<Duration>,
 }
@@ -220,6 +223,7 @@ fn frames(
         match source.next_frame(&mut frame) {
             Ok(SourceEvent::Frame) => {
                 seen.saturated += u64::from(frame.saturated_samples());
+                seen.dead.extend((0..frame.shape.rx).filter(|rx| frame.is_receiver_dead(*rx)));
                 let asked = Instant::now();
                 match judge.as_mut().map(|judge| judge.frame(&frame)) {
                     Some(Err(error)) => return Check::error("frames", &error),
@@ -239,13 +243,13 @@ fn frames(
             Err(error) => return Check::error("frames", &anyhow::Error::from_boxed(error)),
         }
     }
-    seen.check(kept.len(), start.elapsed(), interval_s, is_live)
+    seen.check(kept.len(), start.elapsed(), interval_s, is_live, frame.shape.rx)
 }
 
 impl Seen {
     /// Reports the numbers for `count` frames that came in the time `took`.
-    fn check(&self, count: usize, took: Duration, interval_s: f64, is_live: bool) -> Check {
-        let Seen { lost, unknown, saturated, slowest } = self;
+    fn check(&self, count: usize, took: Duration, interval_s: f64, is_live: bool, receivers: usize) -> Check {
+        let Seen { lost, unknown, saturated, dead, slowest } = self;
         let more = lost_besides(*unknown);
         let found = format!(
             "{count} frames in {:.1} s, {lost} lost{more}, {saturated} saturated samples{}",
@@ -262,6 +266,18 @@ impl Seen {
                 }
             };
             return Check::fail("frames", found, hint);
+        }
+        if let Some(first) = dead.first() {
+            let found = match dead.len() == receivers {
+                true => format!("{found}; no receiver gives a signal"),
+                false => format!("{found}; receiver {} of {receivers} gives no signal", first + 1),
+            };
+            let hint = "see whether the board programs this receiver, and whether something covers or overdrives it";
+            return if dead.len() == receivers {
+                Check::fail("frames", found, hint)
+            } else {
+                Check::warn("frames", found, hint)
+            };
         }
         if *lost > 0 || *unknown > 0 {
             let hint = match is_live {

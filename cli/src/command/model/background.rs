@@ -3,8 +3,9 @@ use std::path::PathBuf;
 use anyhow::{Context, ensure};
 use serde_json::json;
 
+use crate::exit::wrong_use;
 use crate::judge::{BUILT_IN, Model, Prediction};
-use crate::live::background::{Background, Capture};
+use crate::live::background::{Background, Capture, LEAST_FRAMES};
 use crate::live::pipeline::{Item, Items};
 use crate::output;
 use crate::output_file::Overwrite;
@@ -27,9 +28,9 @@ pub struct Arguments {
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Duration of the measurement by the frames' own clock, s
-    #[arg(long, default_value_t = 60.0, value_parser = not_negative)]
-    seconds: f64,
+    /// Duration of the measurement by the frames' own clock, s; if absent 60, or more where that would be too few frames
+    #[arg(long, value_parser = not_negative)]
+    seconds: Option<f64>,
     /// Print one JSON object at the end
     #[arg(long)]
     json: bool,
@@ -51,6 +52,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let source = source::open(&arguments.source.source, &options)?;
     message!("{}; nobody should be in the room", source.description);
     let (waveform, is_live) = (source.frames.waveform().clone(), source.is_live);
+    let least_s = LEAST_FRAMES as f64 * waveform.frame_interval_s();
+    let seconds = arguments.seconds.unwrap_or(f64::max(60.0, 1.1 * least_s));
+    if seconds < least_s {
+        wrong_use!(
+            "--seconds {seconds} are {:.0} frames of the empty room, expected {LEAST_FRAMES} at least\n\nhint: --seconds {:.0}",
+            seconds / waveform.frame_interval_s(),
+            (1.1 * least_s).ceil()
+        );
+    }
     let mut at_work = model.judge(&waveform, arguments.max_range_m)?;
     let mut capture = Capture::default();
     let mut start_s = None;
@@ -60,7 +70,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             Item::End(_) => break,
             Item::Gap(_) => at_work.reset(),
             Item::Frame(frame) => {
-                if frame.time_s() - *start_s.get_or_insert(frame.time_s()) > arguments.seconds {
+                if frame.time_s() - *start_s.get_or_insert(frame.time_s()) > seconds {
                     break;
                 }
                 if let Prediction::Probabilities(_) = at_work.frame(&frame)? {

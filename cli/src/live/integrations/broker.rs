@@ -10,6 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
+use crossbeam::channel::bounded;
 use percent_encoding::percent_decode_str;
 use rumqttc::v5::MqttOptions;
 use rumqttc::{TlsConfiguration, Transport};
@@ -25,6 +26,8 @@ pub const USER_VARIABLE: &str = "RADOME_MQTT_USER";
 pub const PASSWORD_VARIABLE: &str = "RADOME_MQTT_PASSWORD";
 /// Longest password that is read from a file, bytes.
 const MOST_PASSWORD_BYTES: u64 = 4096;
+/// Time to wait for a password from a pipe.
+const PASSWORD_PATIENCE: Duration = Duration::from_secs(10);
 /// Longest packet that is accepted from a broker, bytes. Messages of the subscribed topics have a few bytes.
 const MOST_PACKET_BYTES: u32 = 4096;
 /// Keep-alive interval of a connection. After one and a half times this, the broker reports the radar as offline.
@@ -95,8 +98,21 @@ fn variable(name: &str) -> anyhow::Result<Option<String>> {
     }
 }
 
-/// Reads the first line of a file that only its owner and group may read.
+/// Reads the first line of a file that only its owner and group may read. Of a pipe, it waits for a few seconds.
 fn read_password(path: &Path) -> anyhow::Result<Secret> {
+    let (sender, receiver) = bounded(1);
+    let file = path.to_owned();
+    std::thread::spawn(move || sender.send(read_password_at_once(&file)));
+    receiver.recv_timeout(PASSWORD_PATIENCE).unwrap_or_else(|_| {
+        bail!(
+            "{}: no password has come for {} s\n\nhint: it is a pipe to which nobody writes, or its disk hangs",
+            path.display(),
+            PASSWORD_PATIENCE.as_secs()
+        )
+    })
+}
+
+fn read_password_at_once(path: &Path) -> anyhow::Result<Secret> {
     let named = || format!("cannot read the password in {}", path.display());
     let file = File::open(path).with_context(named)?;
     let mode = file.metadata().with_context(named)?.permissions().mode();

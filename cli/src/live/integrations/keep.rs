@@ -86,6 +86,8 @@ struct Kept {
     /// Frame without the codes.
     head: Frame,
     result: FrameResult,
+    /// Whether the number of people was known.
+    is_settled: bool,
 }
 
 impl Kept {
@@ -93,7 +95,12 @@ impl Kept {
     fn new(mut packed: Vec<u8>, moment: &Moment) -> Self {
         packed.clear();
         packed12::pack(&moment.frame.codes, &mut packed);
-        Kept { packed, head: frame_head(moment.frame), result: frame_result(moment) }
+        Kept {
+            packed,
+            head: frame_head(moment.frame),
+            result: frame_result(moment),
+            is_settled: moment.answer.is_settled,
+        }
     }
 
     fn bytes(&self) -> usize {
@@ -172,7 +179,7 @@ impl Keeper {
     ) -> anyhow::Result<Option<(Self, Reports, Saver)>> {
         let Some(folder) = &arguments.keep_to else { return Ok(None) };
         let span_s = arguments.keep_last_s;
-        let most_bytes = usize::try_from(arguments.keep_memory_mib << 20).unwrap_or(usize::MAX);
+        let most_bytes = usize::try_from(arguments.keep_memory_mib.saturating_mul(1 << 20)).unwrap_or(usize::MAX);
         let frame_bytes = packed12::packed_length(header.waveform.shape().codes()) + size_of::<Kept>();
         if most_bytes < frame_bytes {
             wrong_use!(
@@ -196,7 +203,7 @@ impl Keeper {
         let saving = Saving {
             ring: ring.clone(),
             folder: folder.clone(),
-            most_disk_bytes: arguments.keep_disk_mib << 20,
+            most_disk_bytes: arguments.keep_disk_mib.saturating_mul(1 << 20),
             header: header.clone(),
             latest: latest.clone(),
         };
@@ -295,11 +302,11 @@ impl Saving {
         // Cloning the list of references holds the lock only briefly, so the classifier's thread hardly waits.
         let entries = lock(&self.ring).entries.clone();
         let entries: Vec<Entry> = entries.into();
-        let results = entries.iter().filter_map(|entry| match entry {
-            Entry::Frame(kept) => Some(kept.result),
+        let kept = entries.iter().filter_map(|entry| match entry {
+            Entry::Frame(kept) => Some((kept.result, kept.is_settled)),
             Entry::Gap(_) => None,
         });
-        let results: Vec<FrameResult> = results.collect();
+        let (results, is_settled): (Vec<FrameResult>, Vec<bool>) = kept.unzip();
         ensure!(!results.is_empty(), "no frame has come yet");
         let held = folder_bytes(&self.folder)?;
         ensure!(
@@ -324,7 +331,7 @@ impl Saving {
             }
         }
         results.iter().try_for_each(|result| writer.result(result))?;
-        let (start_s, end_s) = disputed(&results, report.truth, self.header.waveform.frame_interval_s());
+        let (start_s, end_s) = disputed(&results, &is_settled, report.truth, self.header.waveform.frame_interval_s());
         writer.label(&LabelSpan {
             who: Some(format!("report by {}", report.by)),
             made_ns: Some(now_ns),
@@ -343,13 +350,18 @@ fn free_name(folder: &Path, now_s: u64, truth: Occupancy) -> PathBuf {
     std::iter::once(name("")).chain(numbered).find(|path| !path.exists()).unwrap_or_else(|| name(""))
 }
 
-/// Interval from the start of the last wrong answers until the end; the whole buffer if no answer was wrong.
-fn disputed(results: &[FrameResult], truth: Occupancy, interval_s: f64) -> (f64, f64) {
+/// Interval from the start of the last wrong answers until the end. If no answer before them was right, it starts at the last change
+/// of the answer. Without a wrong answer or a change, it is the whole buffer. Answers up to the last one that was not settled
+/// do not count: an outage may lie between.
+fn disputed(results: &[FrameResult], is_settled: &[bool], truth: Occupancy, interval_s: f64) -> (f64, f64) {
+    let unsettled = is_settled.iter().rposition(|is_settled| !is_settled).map_or(0, |last| last + 1);
+    let results = results.get(unsettled..).filter(|settled| !settled.is_empty()).unwrap_or(results);
     let is_wrong = |result: &&FrameResult| usize::from(result.people) != truth.index();
     let wrong_until = results.iter().rposition(|result| is_wrong(&result));
     let start = wrong_until.map_or(0, |last| {
         let before = results.iter().take(last).rposition(|result| !is_wrong(&result));
-        before.map_or(0, |before| before + 1)
+        let changed = || results.windows(2).rposition(|pair| pair[0].people != pair[1].people);
+        before.or_else(changed).map_or(0, |before| before + 1)
     });
     let time_s = |result: Option<&FrameResult>| result.map_or(0.0, FrameResult::time_s);
     (time_s(results.get(start)), time_s(results.last()) + interval_s)
@@ -412,7 +424,7 @@ mod tests {
 
     #[test]
     fn what_is_disputed_starts_where_the_answer_became_wrong() {
-        let span = |people: &[u8], truth| disputed(&results(people), truth, 0.1);
+        let span = |people: &[u8], truth| disputed(&results(people), &vec![true; people.len()], truth, 0.1);
         let close = |(a, b): (f64, f64), (c, d): (f64, f64)| (a - c).abs() < 1e-9 && (b - d).abs() < 1e-9;
         assert!(close(span(&[0, 0, 1, 1, 2], Occupancy::Empty), (0.2, 0.5)));
         // The answer became right again before the user reported.
@@ -421,5 +433,18 @@ mod tests {
         assert!(close(span(&[1, 0, 1, 1], Occupancy::Empty), (0.2, 0.4)));
         assert!(close(span(&[1, 1, 0, 0], Occupancy::One), (0.2, 0.4)));
         assert!(close(span(&[0, 0], Occupancy::Empty), (0.0, 0.2)));
+        // Two people came into an empty room, and one was told of.
+        assert!(close(span(&[0, 0, 1, 1], Occupancy::Two), (0.2, 0.4)));
+        assert!(close(span(&[1, 1], Occupancy::Two), (0.0, 0.2)));
+    }
+
+    /// Regression test: the label of a report covered an outage and the time before the first answer.
+    #[test]
+    fn answers_that_were_not_settled_are_not_disputed() {
+        let span = |people: &[u8], is_settled: &[bool]| disputed(&results(people), is_settled, Occupancy::Two, 0.1);
+        let (start_s, end_s) = span(&[1, 1, 0, 0, 1, 1], &[true, true, false, false, true, true]);
+        assert!((start_s - 0.4).abs() < 1e-9 && (end_s - 0.6).abs() < 1e-9, "{start_s} {end_s}");
+        let (start_s, end_s) = span(&[0, 0], &[false, false]);
+        assert!(start_s == 0.0 && (end_s - 0.2).abs() < 1e-9, "{start_s} {end_s}");
     }
 }

@@ -102,12 +102,16 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
         }
         Command::Label { occupancy, who } => {
             let who = name(who)?;
+            check_is_shown(shared)?;
             edit(shared, |book, now_s| book.press(occupancy, now_s, who))?;
         }
-        Command::Stop => edit(shared, |book, now_s| {
-            book.stop(now_s);
-            Ok(())
-        })?,
+        Command::Stop => {
+            check_is_shown(shared)?;
+            edit(shared, |book, now_s| {
+                book.stop(now_s);
+                Ok(())
+            })?;
+        }
         Command::Move { id, start_s, end_s } => {
             edit(shared, |book, _| book.change(id, |label| (label.start_s, label.end_s) = (start_s, end_s)))?;
         }
@@ -123,6 +127,19 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
         Command::Undo => edit(shared, |book, _| book.undo())?,
         Command::Redo => edit(shared, |book, _| book.redo())?,
     }
+    Ok(())
+}
+
+/// Fails while a frame of a recording is being sought: a label would begin or end at the place before.
+fn check_is_shown(shared: &Shared) -> anyhow::Result<()> {
+    let Some(playback) = &shared.about.playback else { return Ok(()) };
+    let transport = &playback.transport;
+    let is_shown = |time_s| shared.labels.is_near(time_s);
+    let is_there = transport.playback().position.is_none_or(|position| is_shown(position.time_s()));
+    ensure!(
+        !transport.is_seeking() && is_there,
+        "the recording is still being sought: press again when its frame is shown"
+    );
     Ok(())
 }
 

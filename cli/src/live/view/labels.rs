@@ -29,6 +29,8 @@ const GROWING_SAVED: Duration = Duration::from_secs(10);
 const GROWING_RECORDED: Duration = Duration::from_millis(500);
 /// Time for which successive changes are collected into one write.
 const IN_A_ROW: Duration = Duration::from_millis(300);
+/// Most frames that a player may be ahead of the newest answer: those that wait for the classifier.
+const MOST_WAITING: f64 = 20.0;
 /// Message to pages once the recorder has failed.
 const RECORDER_FAILED: &str = "the recording has failed and holds no frames from then on; export the labels";
 
@@ -92,13 +94,29 @@ impl Book {
         Ok(())
     }
 
-    /// Ends the open label; `false` if there is none.
-    pub(super) fn stop(&mut self, end_s: f64) -> bool {
-        let is_open = self.open.is_some();
-        if is_open {
+    /// Ends the open label, if there is one.
+    pub(super) fn stop(&mut self, end_s: f64) {
+        if self.open.is_some() {
             self.remember();
             self.end_open(end_s);
         }
+    }
+
+    /// Ends the open label, and those of states that can come back by undo and redo, before the time jumps; `false` if none
+    /// was open. This is no change of its own for undo: a label that was open before a jump is never open behind it.
+    fn end_before_jump(&mut self, end_s: f64) -> bool {
+        let is_open = self.open.is_some();
+        let (mut past, mut future) = (std::mem::take(&mut self.past), std::mem::take(&mut self.future));
+        for (spans, open) in past.iter_mut().chain(&mut future).filter(|(_, open)| open.is_some()) {
+            std::mem::swap(&mut self.spans, spans);
+            std::mem::swap(&mut self.open, open);
+            self.end_open(end_s);
+            std::mem::swap(&mut self.spans, spans);
+            std::mem::swap(&mut self.open, open);
+        }
+        (self.past, self.future) = (past, future);
+        self.end_open(end_s);
+        self.revision += u64::from(is_open);
         is_open
     }
 
@@ -394,6 +412,11 @@ impl Keeper {
         f64::from_bits(self.now_s.load(Ordering::Relaxed))
     }
 
+    /// Returns whether the newest frame is the one of this time, s, or one that still waits for its answer may be.
+    pub fn is_near(&self, time_s: f64) -> bool {
+        (time_s - self.now_s()).abs() <= MOST_WAITING * self.interval_s
+    }
+
     /// Applies a change of the labels, which is given the time of the newest frame, s.
     ///
     /// # Errors
@@ -410,7 +433,7 @@ impl Keeper {
     pub fn before_jump(&self) {
         let end_s = self.now_s() + self.interval_s;
         let mut state = lock(&self.state);
-        if state.book.stop(end_s) {
+        if state.book.end_before_jump(end_s) {
             state.told += 1;
             self.changed.notify_all();
         }
@@ -570,6 +593,23 @@ mod tests {
             book.redo().expect("taken back");
         }
         assert_eq!(spans(&book), painted);
+    }
+
+    /// Regression test: to take a label back behind a jump opened it again, and it grew over all that was skipped.
+    #[test]
+    fn what_was_open_before_a_jump_is_not_open_behind_it() {
+        let mut book = Book::new(Vec::new(), Some((0.0, 20.0)));
+        book.press(Occupancy::One, 1.0, None).expect("room");
+        book.press(Occupancy::Two, 3.0, None).expect("room");
+        assert!(book.end_before_jump(4.0) && !book.end_before_jump(14.0));
+        assert_eq!(spans(&book), [(1.0, 3.0, "one"), (3.0, 4.0, "two")]);
+        book.undo().expect("a change");
+        assert_eq!((spans(&book), book.open.is_none()), (vec![(1.0, 4.0, "one")], true));
+        book.undo().expect("a change");
+        assert!(spans(&book).is_empty() && book.open.is_none() && book.undo().is_err());
+        book.redo().expect("taken back");
+        book.redo().expect("taken back");
+        assert_eq!((spans(&book), book.open.is_none()), (vec![(1.0, 3.0, "one"), (3.0, 4.0, "two")], true));
     }
 
     #[test]
