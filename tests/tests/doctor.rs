@@ -214,7 +214,7 @@ fn findings_about_a_recording_are_not_those_of_a_board() {
     Recorder::create(&empty, &header).expect("creates").finish().expect("finishes");
     let mut recorder = Recorder::create(&holed, &header).expect("creates");
     let mut frame = Frame::zeroed(header.waveform.shape());
-    frame.codes.fill(2000);
+    frame.codes.iter_mut().zip((2000..2007).cycle()).for_each(|(code, value)| *code = value);
     recorder.frame(&frame).expect("records");
     recorder.gap(&Gap { first_sequence: 1, frames: 0, reason: GapReason::Disconnected }).expect("records");
     recorder.finish().expect("finishes");
