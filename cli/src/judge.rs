@@ -9,7 +9,7 @@ use anyhow::{Context, ensure};
 use radome_driver::Judge as NamedJudge;
 use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::detect::CfarCounter;
-use radome_dsp::rdm::{AxesCoverage, Channels, PhysicalAxes, SlowTime};
+use radome_dsp::rdm::{AxesCoverage, PhysicalAxes, SlowTime};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, ReceiverFault, Waveform};
 use radome_files::read;
 use radome_models::evidence_mean::EvidenceMean;
@@ -375,16 +375,14 @@ impl Judge {
     /// Those of [`Judge::frame`].
     pub fn changed_frame(&mut self, received: &Frame, changed: &Frame) -> anyhow::Result<Prediction> {
         let receivers = received.shape.rx;
-        let mut is_dead = vec![false; receivers];
-        for (rx, is_dead) in is_dead.iter_mut().enumerate() {
+        for rx in 0..receivers {
             if let Some(fault) = received.receiver_fault(rx) {
                 say_fault(FaultyReceiver { rx, receivers, fault });
-                *is_dead = fault.is_dead();
             }
         }
         // Every frame gives a map, so that displays of maps have the newest one.
         let prediction = self.judge(received, changed)?;
-        if self.has_signal(&is_dead) {
+        if self.has_signal(received) {
             return Ok(match (prediction, &mut self.0) {
                 (Prediction::Probabilities(frame), Kind::Network { mean, .. }) => {
                     Prediction::Probabilities(mean.update(received.time_s(), frame))
@@ -397,17 +395,11 @@ impl Judge {
         Ok(Prediction::NoSignal)
     }
 
-    /// Returns whether the receivers that the model needs give a signal. Models of any waveform take those that do. Maps of the
-    /// others show a dead receiver as people.
-    fn has_signal(&self, is_dead: &[bool]) -> bool {
+    /// Returns whether the receivers that the model needs give a signal.
+    fn has_signal(&self, frame: &Frame) -> bool {
         match &self.0 {
-            Kind::Network { processor, .. } if processor.spec().physical_axes.is_none() => {
-                match processor.spec().channels {
-                    Channels::One(index) => is_dead.get(index) != Some(&true),
-                    Channels::All | Channels::IncoherentSum => !is_dead.contains(&true),
-                }
-            }
-            _ => is_dead.contains(&false),
+            Kind::Network { processor, .. } => processor.spec().has_signal(frame),
+            Kind::Cfar(_) => (0..frame.shape.rx).any(|rx| !frame.is_receiver_dead(rx)),
         }
     }
 

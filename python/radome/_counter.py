@@ -23,7 +23,7 @@ class Answer:
 
     ``label`` is the most probable class behind the filter; ``probabilities`` those of ``CLASSES`` behind the filter,
     ``frame_probabilities`` those of the frame alone, both ``[class]``, float32. All three are ``None`` while a window
-    over frames fills, and where no receiver gives a signal.
+    over frames fills, and where no receiver that the model needs gives a signal.
     """
 
     sequence: int

@@ -62,7 +62,7 @@ struct Work {
 ///
 /// Called with a `Frame` or a `Map` it returns the probabilities of empty, one and two (`radome.CLASSES`), `[class]`, float32. Give
 /// it the frames of one source in their order, and call `reset` at a gap. It returns `None` while a window over frames fills, and
-/// for a frame in which no receiver gives a signal. A map must be made by the model's `rdm_spec`.
+/// for a frame in which no receiver that the model needs gives a signal. A map must be made by the model's `rdm_spec`.
 #[pyclass(frozen, module = "radome._radome")]
 pub struct Model {
     work: Mutex<Work>,
@@ -106,7 +106,7 @@ impl Model {
             *maps = Some((frame.waveform.clone(), processor));
         }
         let Some((_, processor)) = maps else { return Ok(None) };
-        if !frame.has_signal() {
+        if !processor.spec().has_signal(&frame.inner) {
             processor.reset();
             return Ok(None);
         }

@@ -122,7 +122,7 @@ fn recording(
     let waveform = frames.waveform().clone();
     let mut map = processor.processor.empty_map();
     let mut frame = Frame::zeroed(waveform.shape());
-    let mut unlabelled = 0u64;
+    let (mut unlabelled, mut silent) = (0u64, 0u64);
     let mut extent_s: Option<(f64, f64)> = None;
     loop {
         if output::interrupted() {
@@ -134,6 +134,11 @@ fn recording(
             SourceEvent::Frame => {
                 let end_s = frame.time_s() + waveform.frame_interval_s();
                 extent_s = Some((extent_s.map_or(frame.time_s(), |(first, _)| first), end_s));
+                if !processor.processor.spec().has_signal(&frame) {
+                    silent += 1;
+                    processor.processor.reset();
+                    continue;
+                }
                 if processor.process(&frame, &mut map)? != MapStatus::Ready {
                     continue;
                 }
@@ -154,6 +159,9 @@ fn recording(
     labels::check_read(spans, extent_s)?;
     if extent_s.is_none() {
         message!("{}: no frame, and so no map", sink.unit.recording);
+    }
+    if silent > 0 {
+        message!("{}: {silent} frames in which a receiver gives no signal were left out", sink.unit.recording);
     }
     if unlabelled > 0 {
         message!("{}: {unlabelled} maps without a label were left out", sink.unit.recording);

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::axes::{AxesCoverage, PhysicalAxes};
 use super::error::{LEAST_CHANGE_S, MOST_CELLS, MOST_CHANGE_S, MOST_FFT_POINTS, MapMismatch, SpecError};
 use super::map::RdmShape;
-use crate::{Waveform, WaveformMismatch, Window};
+use crate::{Frame, Waveform, WaveformMismatch, Window};
 
 /// Conversion of codes to numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -203,6 +203,17 @@ impl RdmSpec {
         match self.slow_time {
             SlowTime::Chirps => waveform.request.chirps_per_frame,
             SlowTime::Frames { frames } => frames,
+        }
+    }
+
+    /// Returns whether the receivers that a map of this frame needs give a signal. On physical axes, one of them is enough: the
+    /// others are left out. Elsewhere a map shows a dead receiver as echoes, or as nothing.
+    pub fn has_signal(&self, frame: &Frame) -> bool {
+        let is_alive = |rx: usize| !frame.is_receiver_dead(rx);
+        match self.channels {
+            _ if self.physical_axes.is_some() => (0..frame.shape.rx).any(is_alive),
+            Channels::One(index) => is_alive(index),
+            Channels::All | Channels::IncoherentSum => (0..frame.shape.rx).all(is_alive),
         }
     }
 

@@ -169,6 +169,25 @@ fn a_constant_of_full_scale_reads_6_db_in_the_vendors_scale() {
 }
 
 #[test]
+fn a_dead_receiver_counts_where_the_map_needs_it() {
+    let w = waveform(3, 16, 32);
+    let spec = |channels| RdmSpec { channels, ..RdmSpec::default() };
+    let axes = PhysicalAxes { range_step_m: 0.1, range_bins: 8, velocity_step_m_per_s: 0.1, velocity_bins: 8 };
+    let axes = RdmSpec { physical_axes: Some(axes), ..spec(Channels::IncoherentSum) };
+    let mut frame = busy_frame(w.shape(), 1);
+    let seen = |frame: &Frame| {
+        [spec(Channels::One(0)), spec(Channels::One(1)), spec(Channels::All), spec(Channels::IncoherentSum), axes]
+            .map(|spec| spec.has_signal(frame))
+    };
+    assert_eq!(seen(&frame), [true; 5]);
+    let length = frame.shape.chirps * frame.shape.samples;
+    frame.codes[length..2 * length].fill(2048);
+    assert_eq!(seen(&frame), [true, false, false, false, true]);
+    frame.codes.fill(2048);
+    assert_eq!(seen(&frame), [false; 5]);
+}
+
+#[test]
 fn maps_over_frames_agree_with_the_formula_in_f64() {
     let w = waveform(2, 4, 32);
     let spec = RdmSpec {
