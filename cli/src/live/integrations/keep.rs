@@ -351,7 +351,7 @@ fn free_name(folder: &Path, now_s: u64, truth: Occupancy) -> PathBuf {
 }
 
 /// Interval from the start of the last wrong answers until the end. If no answer before them was right, it starts at the last change
-/// of the answer. Without a wrong answer or a change, it is the whole buffer. Answers up to the last one that was not settled
+/// among them. Without a wrong answer or a change, it is the whole buffer. Answers up to the last one that was not settled
 /// do not count: an outage may lie between.
 fn disputed(results: &[FrameResult], is_settled: &[bool], truth: Occupancy, interval_s: f64) -> (f64, f64) {
     let unsettled = is_settled.iter().rposition(|is_settled| !is_settled).map_or(0, |last| last + 1);
@@ -360,7 +360,8 @@ fn disputed(results: &[FrameResult], is_settled: &[bool], truth: Occupancy, inte
     let wrong_until = results.iter().rposition(|result| is_wrong(&result));
     let start = wrong_until.map_or(0, |last| {
         let before = results.iter().take(last).rposition(|result| !is_wrong(&result));
-        let changed = || results.windows(2).rposition(|pair| pair[0].people != pair[1].people);
+        let until_then = results.get(..=last).unwrap_or(results);
+        let changed = || until_then.windows(2).rposition(|pair| pair[0].people != pair[1].people);
         before.or_else(changed).map_or(0, |before| before + 1)
     });
     let time_s = |result: Option<&FrameResult>| result.map_or(0.0, FrameResult::time_s);
@@ -436,6 +437,8 @@ mod tests {
         // Two people came into an empty room, and one was told of.
         assert!(close(span(&[0, 0, 1, 1], Occupancy::Two), (0.2, 0.4)));
         assert!(close(span(&[1, 1], Occupancy::Two), (0.0, 0.2)));
+        // The answer became right in the end: what was wrong before is labelled, too.
+        assert!(close(span(&[1, 1, 2, 2], Occupancy::Two), (0.0, 0.4)));
     }
 
     /// Regression test: the label of a report covered an outage and the time before the first answer.

@@ -88,6 +88,12 @@ impl Index {
                 records.path.display()
             ));
         }
+        if let Some(end) = index.file_goes_on_at {
+            warn_once(format!(
+                "{}: the recording ends at byte {end}, but the file goes on; radome recording repair saves the recording",
+                records.path.display()
+            ));
+        }
         index.frames = index.chunks.iter().fold(0, |sum: u64, chunk| sum.saturating_add(chunk.frames));
         index.gaps = index.chunks.iter().fold(0, |sum: u64, chunk| sum.saturating_add(chunk.gaps));
         Ok(index)
