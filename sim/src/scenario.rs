@@ -51,7 +51,7 @@ impl Scenario {
                 slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
             });
         } else if let Some(wandering) = &file.people.wander {
-            let all = wander::everybody(file, wandering, blocks(scene), seed, people).into_iter();
+            let all = wander::wandering_people(file, wandering, blocks(scene), seed, people).into_iter();
             scenario.fixed = all.map(|(person, wanderer)| Arc::new(Motion::wandering(person, wanderer))).collect();
         } else if let Some(desk) = &file.people.desk {
             scenario.fixed = desk_people(scene, desk, seed, people).into_iter().map(Arc::new).collect();
@@ -95,7 +95,7 @@ fn ground(scene: &Scene) -> Option<Ground> {
         Some(keep_off_m) => Some(Ground::new([width, depth], blocks(scene), keep_off_m)),
         None => has_walls.then(|| Ground::new([width, depth], walls, OFF_WALLS_M)),
     };
-    ground.map(|ground| if has_walls { ground.among_walls() } else { ground })
+    ground.map(|ground| if has_walls { ground.with_walls() } else { ground })
 }
 
 /// Walks along the corners of a route.
@@ -213,7 +213,7 @@ impl Script<'_> {
 
     /// Walks to a place, around obstacles, or straight through them if there is no way around.
     fn go(&self, path: MotionBuilder, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
-        let way = self.ground.map_or_else(|| Some(vec![to]), |ground| ground.way_around(path.place(), to));
+        let way = self.ground.map_or_else(|| Some(vec![to]), |ground| ground.find_route(path.place(), to));
         let is_outside = self.tell_if_outside(to, "goes straight to");
         if !is_outside && way.is_none() {
             self.tell(to, "goes straight to", "cannot be reached around walls and furniture");

@@ -6,10 +6,22 @@ use crate::em::specular::Ellipsoid;
 
 /// Number of ellipsoids of a body.
 pub const SEGMENTS: usize = 13;
+/// Index of the head.
+pub const HEAD: usize = 0;
 /// Index of the chest.
 pub const CHEST: usize = 1;
 /// Index of the pelvis.
 pub const PELVIS: usize = 2;
+/// Index of the left upper arm; the right one follows.
+pub const UPPER_ARM: usize = 3;
+/// Index of the left forearm; the right one follows.
+pub const FOREARM: usize = 5;
+/// Index of the left thigh; the right one follows.
+pub const THIGH: usize = 7;
+/// Index of the left shank; the right one follows.
+pub const SHANK: usize = 9;
+/// Index of the left foot; the right one follows.
+pub const FOOT: usize = 11;
 /// Names of the segments, by index. The left and right segments of a limb have consecutive indices.
 pub const SEGMENT_NAMES: [&str; SEGMENTS] = [
     "head",
@@ -61,7 +73,7 @@ pub struct Posture {
 /// Orientations of a body's parts at one time: x forward, y left, z up in each part's frame. Limbs point along -z.
 /// Arrays of two are `[left, right]`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Frames {
+pub struct Orientations {
     /// Middle of the hips, m.
     pub hips: DVec3,
     /// Orientation of the pelvis.
@@ -136,71 +148,83 @@ impl Build {
     }
 
     /// Returns the ellipsoids for a posture, in room coordinates.
-    pub fn segments(&self, p: &Posture) -> [Ellipsoid; SEGMENTS] {
-        self.hang(&p.frames())
+    pub fn segments(&self, posture: &Posture) -> [Ellipsoid; SEGMENTS] {
+        self.ellipsoids(&posture.orientations())
     }
 
     /// Returns the ellipsoids for given orientations of the parts, in room coordinates.
-    pub fn hang(&self, f: &Frames) -> [Ellipsoid; SEGMENTS] {
+    pub fn ellipsoids(&self, orientations: &Orientations) -> [Ellipsoid; SEGMENTS] {
         let (h, g) = (self.height_m, self.girth);
-        let &Frames { hips, pelvis, trunk, chest, .. } = f;
+        let &Orientations { hips, pelvis, trunk, chest, .. } = orientations;
         let ellipsoid =
             |centre, axes, a: f64, b: f64, c: f64| Ellipsoid { centre, axes, semi_axes_m: DVec3::new(a, b, c) };
         let neck = hips + trunk * DVec3::Z * (0.288 * h);
-        let mut all = [ellipsoid(hips, pelvis, 0.1, 0.1, 0.1); SEGMENTS];
-        all[0] = ellipsoid(neck + f.head * DVec3::new(0.01, 0.0, 0.108 * h), f.head, 0.095, 0.078, 0.068 * h);
-        all[1] = ellipsoid(hips + trunk * DVec3::Z * (0.190 * h), chest, 0.115 * g + f.chest_m, 0.165 * g, 0.125 * h);
-        all[2] = ellipsoid(hips + trunk * DVec3::Z * (0.035 * h), pelvis, 0.110 * g, 0.165 * g, 0.085 * h);
+        let mut ellipsoids = [ellipsoid(hips, pelvis, 0.1, 0.1, 0.1); SEGMENTS];
+        ellipsoids[HEAD] = ellipsoid(
+            neck + orientations.head * DVec3::new(0.01, 0.0, 0.108 * h),
+            orientations.head,
+            0.095,
+            0.078,
+            0.068 * h,
+        );
+        ellipsoids[CHEST] = ellipsoid(
+            hips + trunk * DVec3::Z * (0.190 * h),
+            chest,
+            0.115 * g + orientations.chest_m,
+            0.165 * g,
+            0.125 * h,
+        );
+        ellipsoids[PELVIS] = ellipsoid(hips + trunk * DVec3::Z * (0.035 * h), pelvis, 0.110 * g, 0.165 * g, 0.085 * h);
         for side in 0..2 {
-            let left = if side == 0 { 1.0 } else { -1.0 };
+            let to_left = if side == 0 { 1.0 } else { -1.0 };
             // A limb hangs along -z of its frame.
             let limb = |joint: DVec3, frame: DMat3, length: f64, thick: f64| {
                 let centre = joint - frame * DVec3::Z * (0.5 * length);
                 (ellipsoid(centre, frame, thick, thick, 0.5 * length + 0.3 * thick), joint - frame * DVec3::Z * length)
             };
-            let shoulder = neck + chest * DVec3::new(0.0, left * 0.112 * h, 0.0);
-            let (segment, elbow) = limb(shoulder, f.upper_arm[side], 0.186 * h, 0.047 * g);
-            all[3 + side] = segment;
-            let (segment, _) = limb(elbow, f.forearm[side], 0.215 * h, 0.038 * g);
-            all[5 + side] = segment;
-            let hip = hips + pelvis * DVec3::new(0.0, left * 0.052 * h, 0.0);
-            let (segment, knee) = limb(hip, f.thigh[side], self.thigh_m(), 0.075 * g);
-            all[7 + side] = segment;
-            let (segment, ankle) = limb(knee, f.shank[side], self.shank_m(), 0.053 * g);
-            all[9 + side] = segment;
-            let foot = f.foot[side];
-            all[11 + side] =
+            let shoulder = neck + chest * DVec3::new(0.0, to_left * 0.112 * h, 0.0);
+            let (segment, elbow) = limb(shoulder, orientations.upper_arm[side], 0.186 * h, 0.047 * g);
+            ellipsoids[UPPER_ARM + side] = segment;
+            let (segment, _) = limb(elbow, orientations.forearm[side], 0.215 * h, 0.038 * g);
+            ellipsoids[FOREARM + side] = segment;
+            let hip = hips + pelvis * DVec3::new(0.0, to_left * 0.052 * h, 0.0);
+            let (segment, knee) = limb(hip, orientations.thigh[side], self.thigh_m(), 0.075 * g);
+            ellipsoids[THIGH + side] = segment;
+            let (segment, ankle) = limb(knee, orientations.shank[side], self.shank_m(), 0.053 * g);
+            ellipsoids[SHANK + side] = segment;
+            let foot = orientations.foot[side];
+            ellipsoids[FOOT + side] =
                 ellipsoid(ankle + foot * DVec3::new(0.05, 0.0, -0.02), foot, 0.075 * h, 0.028 * h, 0.022 * h);
         }
-        all
+        ellipsoids
     }
 }
 
 impl Posture {
     /// Returns the orientation of every part.
-    pub fn frames(&self) -> Frames {
+    pub fn orientations(&self) -> Orientations {
         let heading = DMat3::from_rotation_z(self.heading_rad);
         // Pitch is about the body's left axis: a positive angle tilts an upward direction forward.
         let trunk = heading * DMat3::from_rotation_y(self.lean_rad);
         let chest = trunk * DMat3::from_rotation_z(self.twist_rad);
         // Flexion rotates a limb about the left axis.
-        let hang = |base: DMat3, flexion: f64| base * DMat3::from_rotation_y(-flexion);
-        let upper_arm = self.shoulder_rad.map(|flexion| hang(chest, flexion));
+        let flexed = |base: DMat3, flexion: f64| base * DMat3::from_rotation_y(-flexion);
+        let upper_arm = self.shoulder_rad.map(|flexion| flexed(chest, flexion));
         let legs =
             if self.legs_left_rad == 0.0 { heading } else { heading * DMat3::from_rotation_x(self.legs_left_rad) };
-        let thigh = self.hip_rad.map(|flexion| hang(legs, flexion));
-        let shank = std::array::from_fn(|side| hang(thigh[side], -self.knee_rad[side]));
-        Frames {
+        let thigh = self.hip_rad.map(|flexion| flexed(legs, flexion));
+        let shank = std::array::from_fn(|side| flexed(thigh[side], -self.knee_rad[side]));
+        Orientations {
             hips: DVec3::new(self.position_m[0], self.position_m[1], self.hip_height_m),
             pelvis: if self.pelvis_rad == 0.0 { heading } else { heading * DMat3::from_rotation_y(self.pelvis_rad) },
             trunk,
             chest,
             head: trunk,
             upper_arm,
-            forearm: std::array::from_fn(|side| hang(upper_arm[side], self.elbow_rad[side])),
+            forearm: std::array::from_fn(|side| flexed(upper_arm[side], self.elbow_rad[side])),
             thigh,
             shank,
-            foot: std::array::from_fn(|side| hang(shank[side], self.ankle_rad[side])),
+            foot: std::array::from_fn(|side| flexed(shank[side], self.ankle_rad[side])),
             chest_m: self.chest_m,
         }
     }
@@ -208,8 +232,8 @@ impl Posture {
 
 /// Half the extent of an ellipsoid along the room's axes, m.
 pub fn half_extent(e: &Ellipsoid) -> DVec3 {
-    let t = (e.axes * DMat3::from_diagonal(e.semi_axes_m)).transpose();
-    DVec3::new(t.x_axis.length(), t.y_axis.length(), t.z_axis.length())
+    let rows = (e.axes * DMat3::from_diagonal(e.semi_axes_m)).transpose();
+    DVec3::new(rows.x_axis.length(), rows.y_axis.length(), rows.z_axis.length())
 }
 
 #[cfg(test)]
@@ -234,7 +258,7 @@ mod tests {
         posture.knee_rad = [0.0, 0.8];
         posture.shoulder_rad = [0.0, 0.4];
         let all = build.segments(&posture);
-        assert!(all[7].centre.x > 0.1 && all[10].centre.x < -0.1 && all[4].centre.x > 0.05);
-        assert!(all[3].centre.y > 0.15 && all[4].centre.y < -0.15, "left is +y when facing +x");
+        assert!(all[THIGH].centre.x > 0.1 && all[SHANK + 1].centre.x < -0.1 && all[UPPER_ARM + 1].centre.x > 0.05);
+        assert!(all[UPPER_ARM].centre.y > 0.15 && all[UPPER_ARM + 1].centre.y < -0.15, "left is +y when facing +x");
     }
 }

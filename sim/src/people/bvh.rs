@@ -57,7 +57,7 @@ const CHANNELS: [(&str, Channel); 6] = [
 ];
 
 /// Error at a line: the text that was found, and the text that was expected.
-fn error(line: usize, found: &str, expected: &str) -> FileError {
+fn error_at_line(line: usize, found: &str, expected: &str) -> FileError {
     let problem = format!("{found}, expected {expected}");
     FileError::new(format!("line {line}"), problem, "export the clip again as BVH, one line a frame")
 }
@@ -65,41 +65,46 @@ fn error(line: usize, found: &str, expected: &str) -> FileError {
 /// Words of the text with their line numbers.
 struct Words<'a> {
     all: Vec<(usize, &'a str)>,
-    at: usize,
-    last_line: usize,
+    /// Index of the next word.
+    next_word: usize,
+    line_count: usize,
 }
 
 impl<'a> Words<'a> {
     fn new(text: &'a str) -> Self {
         let line = |(i, line): (usize, &'a str)| line.split_whitespace().map(move |word| (i + 1, word));
-        Words { all: text.lines().enumerate().flat_map(line).collect(), at: 0, last_line: text.lines().count().max(1) }
+        Words {
+            all: text.lines().enumerate().flat_map(line).collect(),
+            next_word: 0,
+            line_count: text.lines().count().max(1),
+        }
     }
 
     fn peek(&self) -> Option<&'a str> {
-        self.all.get(self.at).map(|(_, word)| *word)
+        self.all.get(self.next_word).map(|(_, word)| *word)
     }
 
     fn line(&self) -> usize {
-        self.all.get(self.at).map_or(self.last_line, |(line, _)| *line)
+        self.all.get(self.next_word).map_or(self.line_count, |(line, _)| *line)
     }
 
-    fn fault(&self, expected: &str) -> FileError {
+    fn error_here(&self, expected: &str) -> FileError {
         let found = self.peek().map_or("the file ends".to_owned(), |word| format!("found {word:?}"));
-        error(self.line(), &found, expected)
+        error_at_line(self.line(), &found, expected)
     }
 
     fn expect(&mut self, word: &str) -> Result<(), FileError> {
         if self.peek().is_some_and(|w| w.eq_ignore_ascii_case(word)) {
-            self.at += 1;
+            self.next_word += 1;
             return Ok(());
         }
-        Err(self.fault(&format!("{word:?}")))
+        Err(self.error_here(&format!("{word:?}")))
     }
 
-    /// Takes the next word as what `parse` makes of it.
+    /// Parses the next word and moves past it.
     fn next<T>(&mut self, expected: &str, parse: impl Fn(&'a str) -> Option<T>) -> Result<T, FileError> {
-        let parsed = self.peek().and_then(parse).ok_or_else(|| self.fault(expected))?;
-        self.at += 1;
+        let parsed = self.peek().and_then(parse).ok_or_else(|| self.error_here(expected))?;
+        self.next_word += 1;
         Ok(parsed)
     }
 
@@ -125,7 +130,11 @@ impl<'a> Words<'a> {
 /// limits.
 pub fn parse_bvh(text: &str) -> Result<Bvh, FileError> {
     if text.len() > LARGEST_BYTES {
-        return Err(error(1, &format!("the text has {} bytes", text.len()), &format!("{LARGEST_BYTES} at most")));
+        return Err(error_at_line(
+            1,
+            &format!("the text has {} bytes", text.len()),
+            &format!("{LARGEST_BYTES} at most"),
+        ));
     }
     let mut words = Words::new(text);
     let joints = hierarchy(&mut words)?;
@@ -136,11 +145,11 @@ pub fn parse_bvh(text: &str) -> Result<Bvh, FileError> {
     words.expect("Time:")?;
     let frame_time_s = words.number("the time of a frame, s")?;
     if !(1e-4..=1.0).contains(&frame_time_s) {
-        words.at -= 1;
-        return Err(words.fault("0.0001 to 1 s from frame to frame"));
+        words.next_word -= 1;
+        return Err(words.error_here("0.0001 to 1 s from frame to frame"));
     }
-    let wide: usize = joints.iter().map(|j| j.channels.len()).sum();
-    let frames = frames(&mut words, count, wide)?;
+    let width: usize = joints.iter().map(|j| j.channels.len()).sum();
+    let frames = frames(&mut words, count, width)?;
     Ok(Bvh { joints, frame_time_s, frames })
 }
 
@@ -150,68 +159,73 @@ fn hierarchy(words: &mut Words) -> Result<Vec<BvhJoint>, FileError> {
     words.expect("ROOT")?;
     let mut joints: Vec<BvhJoint> = Vec::new();
     // Joints whose braces are not closed yet.
-    let mut open: Vec<usize> = Vec::new();
+    let mut open_joints: Vec<usize> = Vec::new();
     let mut name = joint_name(words);
     loop {
         if joints.len() >= MOST_JOINTS {
-            return Err(words.fault(&format!("at most {MOST_JOINTS} joints")));
+            return Err(words.error_here(&format!("at most {MOST_JOINTS} joints")));
         }
         words.expect("{")?;
         let end_site = name.is_empty();
         let offset = words.offset()?;
         let channels = if end_site { Vec::new() } else { channels(words)? };
-        joints.push(BvhJoint { name: std::mem::take(&mut name), parent: open.last().copied(), offset, channels });
-        open.push(joints.len() - 1);
+        joints.push(BvhJoint {
+            name: std::mem::take(&mut name),
+            parent: open_joints.last().copied(),
+            offset,
+            channels,
+        });
+        open_joints.push(joints.len() - 1);
         if end_site {
             words.expect("}")?;
-            open.pop();
+            open_joints.pop();
         }
-        while words.peek() == Some("}") && !open.is_empty() {
-            words.at += 1;
-            open.pop();
+        while words.peek() == Some("}") && !open_joints.is_empty() {
+            words.next_word += 1;
+            open_joints.pop();
         }
-        if open.is_empty() {
+        if open_joints.is_empty() {
             return Ok(joints);
         }
         match words.next("JOINT, End Site or }", Some)? {
             word if word.eq_ignore_ascii_case("JOINT") => name = joint_name(words),
             word if word.eq_ignore_ascii_case("End") => words.expect("Site")?,
             _ => {
-                words.at -= 1;
-                return Err(words.fault("JOINT, End Site or }"));
+                words.next_word -= 1;
+                return Err(words.error_here("JOINT, End Site or }"));
             }
         }
         if name.is_empty() && words.peek() != Some("{") {
-            return Err(words.fault("{"));
+            return Err(words.error_here("{"));
         }
     }
 }
 
-/// Parses `count` frames of `wide` numbers, one frame a line. The text must end after the last frame.
-fn frames(words: &mut Words, count: usize, wide: usize) -> Result<Vec<Vec<f64>>, FileError> {
-    if count.saturating_mul(wide) > MOST_NUMBERS {
-        return Err(words.fault(&format!("at most {MOST_NUMBERS} numbers in all")));
+/// Parses `count` frames of `width` numbers, one frame a line. The text must end after the last frame.
+fn frames(words: &mut Words, count: usize, width: usize) -> Result<Vec<Vec<f64>>, FileError> {
+    if count.saturating_mul(width) > MOST_NUMBERS {
+        return Err(words.error_here(&format!("at most {MOST_NUMBERS} numbers in all")));
     }
-    if wide == 0 && count > 0 {
+    if width == 0 && count > 0 {
         let found = format!("{count} frames of a skeleton without channels");
-        return Err(error(words.line(), &found, "a joint with channels"));
+        return Err(error_at_line(words.line(), &found, "a joint with channels"));
     }
     // No memory is reserved for frames that the text may not contain.
     let mut frames = Vec::new();
     for frame in 0..count {
-        let begins = words.line();
-        let expected = format!("{wide} finite numbers for frame {frame} of {count}");
-        let row = (0..wide).map(|_| words.number(&expected)).collect::<Result<Vec<f64>, FileError>>()?;
+        let first_line = words.line();
+        let expected = format!("{width} finite numbers for frame {frame} of {count}");
+        let row = (0..width).map(|_| words.number(&expected)).collect::<Result<Vec<f64>, FileError>>()?;
         // A line that is too short would take its numbers from the next line.
-        let ends = words.all.get(words.at - 1).map_or(begins, |(line, _)| *line);
-        if ends != begins {
+        let last_line = words.all.get(words.next_word - 1).map_or(first_line, |(line, _)| *line);
+        if last_line != first_line {
             let found = format!("frame {frame} has too few numbers");
-            return Err(error(begins, &found, &format!("{wide} on its line")));
+            return Err(error_at_line(first_line, &found, &format!("{width} on its line")));
         }
         frames.push(row);
     }
     if words.peek().is_some() {
-        return Err(words.fault(&format!("the end of the file after {count} frames of {wide} numbers")));
+        return Err(words.error_here(&format!("the end of the file after {count} frames of {width} numbers")));
     }
     Ok(frames)
 }
@@ -219,20 +233,20 @@ fn frames(words: &mut Words, count: usize, wide: usize) -> Result<Vec<Vec<f64>>,
 /// Parses a joint's name, which may contain blanks.
 fn joint_name(words: &mut Words) -> String {
     let line = words.line();
-    let mut parts = Vec::new();
+    let mut words_of_name = Vec::new();
     while let Some(word) = words.peek().filter(|w| *w != "{" && words.line() == line) {
-        parts.push(word);
-        words.at += 1;
+        words_of_name.push(word);
+        words.next_word += 1;
     }
-    if parts.is_empty() { "joint".to_owned() } else { parts.join(" ") }
+    if words_of_name.is_empty() { "joint".to_owned() } else { words_of_name.join(" ") }
 }
 
 fn channels(words: &mut Words) -> Result<Vec<Channel>, FileError> {
     words.expect("CHANNELS")?;
     let count = words.count("the number of channels")?;
     if count > 6 {
-        words.at -= 1;
-        return Err(words.fault("at most 6 channels"));
+        words.next_word -= 1;
+        return Err(words.error_here("at most 6 channels"));
     }
     let channel = |word: &str| CHANNELS.iter().find(|(name, _)| name.eq_ignore_ascii_case(word)).map(|(_, c)| *c);
     (0..count).map(|_| words.next("Xposition, Yrotation or the like", channel)).collect()
@@ -241,24 +255,24 @@ fn channels(words: &mut Words) -> Result<Vec<Channel>, FileError> {
 impl Bvh {
     /// Returns the positions of the joints in a frame, in the file's unit and axes. Without a frame, returns the rest
     /// pose.
-    pub fn places(&self, frame: Option<usize>) -> Vec<DVec3> {
-        let mut numbers = frame.and_then(|f| self.frames.get(f)).into_iter().flatten();
+    pub fn joint_positions(&self, frame: Option<usize>) -> Vec<DVec3> {
+        let mut channel_values = frame.and_then(|f| self.frames.get(f)).into_iter().flatten();
         let mut world: Vec<(DVec3, DMat3)> = Vec::with_capacity(self.joints.len());
         for joint in &self.joints {
-            let (place, turned) =
+            let (parent_position, parent_rotation) =
                 joint.parent.and_then(|p| world.get(p).copied()).unwrap_or((DVec3::ZERO, DMat3::IDENTITY));
-            let (mut offset, mut turn) = (joint.offset, DMat3::IDENTITY);
+            let (mut offset, mut rotation) = (joint.offset, DMat3::IDENTITY);
             for channel in &joint.channels {
-                let Some(&number) = numbers.next() else { break };
+                let Some(&value) = channel_values.next() else { break };
                 match *channel {
-                    Channel::Position(axis) => offset[axis] = number,
-                    Channel::Rotation(0) => turn *= DMat3::from_rotation_x(number.to_radians()),
-                    Channel::Rotation(1) => turn *= DMat3::from_rotation_y(number.to_radians()),
-                    Channel::Rotation(_) => turn *= DMat3::from_rotation_z(number.to_radians()),
+                    Channel::Position(axis) => offset[axis] = value,
+                    Channel::Rotation(0) => rotation *= DMat3::from_rotation_x(value.to_radians()),
+                    Channel::Rotation(1) => rotation *= DMat3::from_rotation_y(value.to_radians()),
+                    Channel::Rotation(_) => rotation *= DMat3::from_rotation_z(value.to_radians()),
                 }
             }
-            world.push((place + turned * offset, turned * turn));
+            world.push((parent_position + parent_rotation * offset, parent_rotation * rotation));
         }
-        world.into_iter().map(|(place, _)| place).collect()
+        world.into_iter().map(|(position, _)| position).collect()
     }
 }

@@ -5,21 +5,21 @@ use std::f64::consts::TAU;
 
 use glam::DVec3;
 
-use super::skin::Map;
+use super::skin::BoneMap;
 use crate::math::median;
 
 /// Height above the lowest point within which points of a foot touch the floor, as a part of the body's height: 5 mm
 /// for 1.75 m.
-const CONTACT: f64 = 0.003;
+const CONTACT_HEIGHT: f64 = 0.003;
 /// Height of a foot's lowest point above the floor beyond which it does not touch, as a part of the body's height: 2 cm
 /// for 1.75 m.
-const FLIGHT: f64 = 0.0115;
+const FLIGHT_HEIGHT: f64 = 0.0115;
 /// Number of harmonics of a cycle in which the body's speed may follow its feet: up to about 5 Hz.
 const SURGE_HARMONICS: usize = 6;
 /// Hint where a clip's cycle cannot be found.
-pub(super) const SAY_CYCLE: &str = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
+pub(super) const CYCLE_HINT: &str = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
 /// Iterations for the spline's coefficients. Each iteration halves the remaining error.
-const ROUNDS: usize = 60;
+const SPLINE_ITERATIONS: usize = 60;
 
 /// Position on the ground plan and in the cycle of steps, at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,53 +31,54 @@ pub struct Walk {
     /// Number of cycles (two steps each) completed.
     pub phase: f64,
     /// Intensity of walking: 0 standing, 1 walking.
-    pub vigour: f64,
+    pub intensity: f64,
 }
 
 /// Poses of bones over one cycle.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Cycle {
     /// Coefficients of cubic B-splines: `[phase][bone]`.
-    coefficients: Vec<Vec<Map>>,
+    coefficients: Vec<Vec<BoneMap>>,
 }
 
 impl Cycle {
-    /// Makes a curve through poses at the phases `k / count`. The curve is periodic.
-    pub fn through(poses: &[Vec<Map>]) -> Self {
+    /// Makes a periodic curve through poses at the phases `k / count`.
+    pub fn through(poses: &[Vec<BoneMap>]) -> Self {
         let count = poses.len();
         let mut coefficients = poses.to_vec();
         // c[k-1] + 4 c[k] + c[k+1] = 6 p[k], solved by Gauss-Seidel iteration.
-        for _ in 0..ROUNDS {
+        for _ in 0..SPLINE_ITERATIONS {
             for k in 0..count {
                 for bone in 0..coefficients[k].len() {
-                    let around = coefficients[(k + count - 1) % count][bone] + coefficients[(k + 1) % count][bone];
-                    coefficients[k][bone] = poses[k][bone] * 1.5 - around * 0.25;
+                    let neighbours = coefficients[(k + count - 1) % count][bone] + coefficients[(k + 1) % count][bone];
+                    coefficients[k][bone] = poses[k][bone] * 1.5 - neighbours * 0.25;
                 }
             }
         }
         Cycle { coefficients }
     }
 
-    /// The pose at a phase, in cycles.
-    pub fn at(&self, phase: f64) -> Vec<Map> {
+    /// Pose at a phase, in cycles.
+    pub fn at(&self, phase: f64) -> Vec<BoneMap> {
         let count = self.coefficients.len();
-        let place = phase.rem_euclid(1.0) * count as f64;
-        let (k, u) = (place.floor(), place - place.floor());
-        let v = 1.0 - u;
+        let scaled_phase = phase.rem_euclid(1.0) * count as f64;
+        let (k, fraction) = (scaled_phase.floor(), scaled_phase - scaled_phase.floor());
+        let rest = 1.0 - fraction;
         let weights = [
-            v * v * v / 6.0,
-            (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0,
-            (4.0 - 6.0 * v * v + 3.0 * v * v * v) / 6.0,
-            u * u * u / 6.0,
+            rest * rest * rest / 6.0,
+            (4.0 - 6.0 * fraction * fraction + 3.0 * fraction * fraction * fraction) / 6.0,
+            (4.0 - 6.0 * rest * rest + 3.0 * rest * rest * rest) / 6.0,
+            fraction * fraction * fraction / 6.0,
         ];
-        let around: [&[Map]; 4] = std::array::from_fn(|i| {
-            let at = (k as usize + count + i).checked_sub(1).and_then(|i| i.checked_rem(count));
-            at.and_then(|i| self.coefficients.get(i)).map(Vec::as_slice).unwrap_or_default()
+        let control_poses: [&[BoneMap]; 4] = std::array::from_fn(|i| {
+            let index = (k as usize + count + i).checked_sub(1).and_then(|i| i.checked_rem(count));
+            index.and_then(|i| self.coefficients.get(i)).map(Vec::as_slice).unwrap_or_default()
         });
-        let bones = around.iter().map(|a| a.len()).min().unwrap_or(0);
-        let blend =
-            |bone: usize| weights.iter().zip(around).map(|(&w, a)| a[bone] * w).fold(Map::NOTHING, |s, m| s + m);
-        (0..bones).map(blend).collect()
+        let bones = control_poses.iter().map(|a| a.len()).min().unwrap_or(0);
+        let blended = |bone: usize| {
+            weights.iter().zip(control_poses).map(|(&w, a)| a[bone] * w).fold(BoneMap::ZERO, |s, m| s + m)
+        };
+        (0..bones).map(blended).collect()
     }
 }
 
@@ -89,7 +90,7 @@ pub(super) struct Stance {
     /// Height of the floor under the feet, m.
     pub floor_m: f64,
     /// Residual sliding velocity of the contact points, by phase, m a cycle; `None` in flight.
-    slips_m: Vec<Option<DVec3>>,
+    slips_m_per_cycle: Vec<Option<DVec3>>,
     /// Height of the lowest point above the floor, by phase, m.
     heights_m: Vec<f64>,
 }
@@ -112,57 +113,65 @@ impl Stance {
     /// up; `height_m` is the body's height.
     pub fn of(points: &[Vec<DVec3>], height_m: f64) -> Self {
         let count = points.len();
-        let lowest: Vec<f64> = points.iter().map(|p| p.iter().map(|p| p.z).fold(f64::INFINITY, f64::min)).collect();
-        let floor_m = median(lowest.clone());
+        let lowest_m: Vec<f64> = points.iter().map(|p| p.iter().map(|p| p.z).fold(f64::INFINITY, f64::min)).collect();
+        let floor_m = median(lowest_m.clone());
         // Velocity of the contact points, m a cycle; `None` in flight.
-        let touching = |k: usize| {
+        let contact_velocities = |k: usize| {
             let (before, now, after) = (&points[(k + count - 1) % count], &points[k], &points[(k + 1) % count]);
-            let rates = now.iter().enumerate().filter(|(_, p)| p.z < lowest[k] + CONTACT * height_m);
-            let rates: Vec<DVec3> = rates.map(|(i, _)| (after[i] - before[i]) * (0.5 * count as f64)).collect();
-            let lands = lowest[k] <= floor_m + FLIGHT * height_m;
-            lands.then(|| middle_of(&rates))
+            let velocities = now.iter().enumerate().filter(|(_, p)| p.z < lowest_m[k] + CONTACT_HEIGHT * height_m);
+            let velocities: Vec<DVec3> =
+                velocities.map(|(i, _)| (after[i] - before[i]) * (0.5 * count as f64)).collect();
+            let is_on_floor = lowest_m[k] <= floor_m + FLIGHT_HEIGHT * height_m;
+            is_on_floor.then(|| median_velocity(&velocities))
         };
-        let touching: Vec<Option<DVec3>> = (0..count).map(touching).collect();
-        let all: Vec<DVec3> = touching.iter().flatten().copied().collect();
-        let middle = middle_of(&all);
+        let contact_velocities: Vec<Option<DVec3>> = (0..count).map(contact_velocities).collect();
+        let on_floor: Vec<DVec3> = contact_velocities.iter().flatten().copied().collect();
+        let median_on_floor = median_velocity(&on_floor);
         // A foot that swings close to the floor does not stand.
-        let standing: Vec<DVec3> = all.into_iter().filter(|&r| stands(r, middle)).collect();
+        let standing: Vec<DVec3> =
+            on_floor.into_iter().filter(|&velocity| is_standing(velocity, median_on_floor)).collect();
         let mean = standing.iter().sum::<DVec3>() / standing.len().max(1) as f64;
-        let slips_m = touching.iter().map(|t| t.map(|rate| rate - mean)).collect();
-        Stance { travel_m: -mean, floor_m, slips_m, heights_m: lowest.iter().map(|z| z - floor_m).collect() }
+        let slips_m_per_cycle = contact_velocities.iter().map(|t| t.map(|velocity| velocity - mean)).collect();
+        Stance {
+            travel_m: -mean,
+            floor_m,
+            slips_m_per_cycle,
+            heights_m: lowest_m.iter().map(|z| z - floor_m).collect(),
+        }
     }
 
     /// Returns the stance of a body that covers a given displacement in a cycle.
-    pub fn over(mut self, travel_m: DVec3) -> Self {
-        let more = travel_m - self.travel_m;
-        self.slips_m.iter_mut().flatten().for_each(|slip| *slip += more);
+    pub fn with_travel(mut self, travel_m: DVec3) -> Self {
+        let difference = travel_m - self.travel_m;
+        self.slips_m_per_cycle.iter_mut().flatten().for_each(|slip| *slip += difference);
         Stance { travel_m, ..self }
     }
 
-    fn stands(&self, slip_m: DVec3) -> bool {
-        stands(slip_m - self.travel_m, -self.travel_m)
+    /// Whether a contact point with a sliding velocity stands on the floor.
+    fn is_standing_slip(&self, slip_m_per_cycle: DVec3) -> bool {
+        is_standing(slip_m_per_cycle - self.travel_m, -self.travel_m)
     }
 
     /// Returns the displacement, by phase, m, that makes standing feet rest on the floor. It is added to uniform
     /// motion, forward and upward. It is smooth: it contains only the first harmonics of the cycle.
     pub fn surge_m(&self) -> Vec<DVec3> {
-        let count = self.slips_m.len();
-        let slip = |k: usize| self.slips_m[k].filter(|&s| self.stands(s)).unwrap_or_default();
+        let count = self.slips_m_per_cycle.len();
+        let slip = |k: usize| self.slips_m_per_cycle[k].filter(|&s| self.is_standing_slip(s)).unwrap_or_default();
         // Heights need no integration.
-        let height = |k: usize| if self.slips_m[k].is_some() { self.heights_m[k] } else { 0.0 };
+        let height = |k: usize| if self.slips_m_per_cycle[k].is_some() { self.heights_m[k] } else { 0.0 };
         let mut surge = vec![DVec3::NEG_Z * (0..count).map(height).sum::<f64>() / count.max(1) as f64; count];
         for harmonic in 1..=SURGE_HARMONICS.min(count / 4) {
             let angle = |k: usize| TAU * (harmonic * k) as f64 / count as f64;
-            let part =
+            let slip_coefficient =
                 |of: fn(f64) -> f64| (0..count).map(|k| slip(k) * of(angle(k))).sum::<DVec3>() * (2.0 / count as f64);
-            let (cosine, sine) = (part(f64::cos), part(f64::sin));
-            let up =
+            let (cosine, sine) = (slip_coefficient(f64::cos), slip_coefficient(f64::sin));
+            let height_coefficient =
                 |of: fn(f64) -> f64| (0..count).map(|k| height(k) * of(angle(k))).sum::<f64>() * (2.0 / count as f64);
-            let (up_cosine, up_sine) = (up(f64::cos), up(f64::sin));
+            let (up_cosine, up_sine) = (height_coefficient(f64::cos), height_coefficient(f64::sin));
             // Subtracts the integral of `cosine cos + sine sin` over phase.
-            let over = 1.0 / (TAU * harmonic as f64);
+            let integral_factor = 1.0 / (TAU * harmonic as f64);
             for (k, surge) in surge.iter_mut().enumerate() {
-                *surge -= (cosine * angle(k).sin() - sine * angle(k).cos()) * over;
+                *surge -= (cosine * angle(k).sin() - sine * angle(k).cos()) * integral_factor;
                 surge.z -= up_cosine * angle(k).cos() + up_sine * angle(k).sin();
             }
         }
@@ -176,54 +185,55 @@ impl Stance {
             let squares: f64 = slips.iter().map(|s| s.length_squared()).sum();
             (squares / slips.len().max(1) as f64).sqrt() * factor
         };
-        let all: Vec<DVec3> = self.slips_m.iter().flatten().copied().collect();
-        let standing: Vec<DVec3> = all.iter().copied().filter(|&s| self.stands(s)).collect();
+        let slips: Vec<DVec3> = self.slips_m_per_cycle.iter().flatten().copied().collect();
+        let standing: Vec<DVec3> = slips.iter().copied().filter(|&s| self.is_standing_slip(s)).collect();
         FootSliding {
-            rms_m_per_s: rms(&all),
+            rms_m_per_s: rms(&slips),
             standing_rms_m_per_s: rms(&standing),
-            standing: standing.len() as f64 / self.slips_m.len().max(1) as f64,
+            standing: standing.len() as f64 / self.slips_m_per_cycle.len().max(1) as f64,
         }
     }
 }
 
-/// Whether a contact point stands on the floor. `rate` is its velocity under the body and `most` the median velocity. A
-/// standing point moves backward, at no more than twice the median speed; a swinging one moves forward.
-fn stands(rate: DVec3, most: DVec3) -> bool {
-    rate.dot(most) > 0.0 && rate.length() < 2.0 * most.length()
+/// Whether a contact point stands on the floor, from its velocity under the body and the median velocity. A standing
+/// point moves backward, at no more than twice the median speed; a swinging one moves forward.
+fn is_standing(velocity: DVec3, median_velocity: DVec3) -> bool {
+    velocity.dot(median_velocity) > 0.0 && velocity.length() < 2.0 * median_velocity.length()
 }
 
 /// Componentwise median of velocities on the ground plan.
-fn middle_of(rates: &[DVec3]) -> DVec3 {
-    let of = |axis: usize| median(rates.iter().map(|rate| rate[axis]).collect());
-    DVec3::new(of(0), of(1), 0.0)
+fn median_velocity(velocities: &[DVec3]) -> DVec3 {
+    let component = |axis: usize| median(velocities.iter().map(|velocity| velocity[axis]).collect());
+    DVec3::new(component(0), component(1), 0.0)
 }
 
-/// Places relative to their centroid.
-pub(super) fn centred(places: &[DVec3]) -> Vec<DVec3> {
-    let middle = places.iter().sum::<DVec3>() / places.len().max(1) as f64;
-    places.iter().map(|&place| place - middle).collect()
+/// Positions relative to their centroid.
+pub(super) fn centred(positions: &[DVec3]) -> Vec<DVec3> {
+    let centroid = positions.iter().sum::<DVec3>() / positions.len().max(1) as f64;
+    positions.iter().map(|&position| position - centroid).collect()
 }
 
+/// Root mean square of the distances between two lists of positions.
 pub(super) fn rms_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
     let squares: f64 = a.iter().zip(b).map(|(p, q)| p.distance_squared(*q)).sum();
     (squares / a.len().max(1) as f64).sqrt()
 }
 
-/// Finds the best cycle in a sequence of poses: first and last index, and cost. `places` are joints, `[pose][joint]`,
+/// Finds the best cycle in a sequence of poses: first and last index, and cost. `positions` are those of joints, `[pose][joint]`,
 /// at even times; `shortest` and `longest` count poses. Two poses are similar if their joints, relative to the
 /// centroid, have similar positions and velocities.
-pub(super) fn best_cycle(places: &[Vec<DVec3>], shortest: usize, longest: usize) -> Option<(usize, usize, f64)> {
-    let centred: Vec<Vec<DVec3>> = places.iter().map(|p| centred(p)).collect();
-    let apart = |a: usize, b: usize| rms_distance(&centred[a], &centred[b]);
-    let last = places.len().checked_sub(1)?;
+pub(super) fn best_cycle(positions: &[Vec<DVec3>], shortest: usize, longest: usize) -> Option<(usize, usize, f64)> {
+    let centred: Vec<Vec<DVec3>> = positions.iter().map(|p| centred(p)).collect();
+    let pose_distance = |a: usize, b: usize| rms_distance(&centred[a], &centred[b]);
+    let last = positions.len().checked_sub(1)?;
     let mut best: Option<(usize, usize, f64)> = None;
     for a in 1..last {
         for b in a + shortest..=(a + longest).min(last - 1) {
             // The poses before and after are compared too, so that velocities count as positions do.
-            let cost = apart(a, b) + apart(a - 1, b - 1) + apart(a + 1, b + 1);
+            let cost = pose_distance(a, b) + pose_distance(a - 1, b - 1) + pose_distance(a + 1, b + 1);
             // A motionless stretch is similar at all times, so the cost is relative to the motion within the cycle.
-            let moves = (a..b).step_by(2).map(|i| apart(a, i)).fold(0.0, f64::max);
-            let cost = cost / moves.max(1e-12);
+            let largest_motion = (a..b).step_by(2).map(|i| pose_distance(a, i)).fold(0.0, f64::max);
+            let cost = cost / largest_motion.max(1e-12);
             if best.is_none_or(|(_, _, least)| cost < least) {
                 best = Some((a, b, cost));
             }
@@ -239,10 +249,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_curve_goes_through_the_poses_and_between_them_smoothly() {
+    fn the_curve_interpolates_poses_smoothly() {
         let pose = |phase: f64| {
             let centre = DVec3::new((TAU * phase).cos(), (2.0 * TAU * phase).sin(), 1.0);
-            vec![Map { centre, interval: DMat3::from_rotation_y(0.6 * (TAU * phase).sin()) }]
+            vec![BoneMap { centre, linear: DMat3::from_rotation_y(0.6 * (TAU * phase).sin()) }]
         };
         let poses: Vec<_> = (0..48).map(|k| pose(f64::from(k) / 48.0)).collect();
         let cycle = Cycle::through(&poses);
@@ -250,13 +260,13 @@ mod tests {
             let phase = f64::from(i) / 333.0;
             let (found, exact) = (cycle.at(phase)[0], pose(phase)[0]);
             assert!(found.centre.distance(exact.centre) < 2e-5, "{phase}");
-            assert!((found.interval.determinant() - 1.0).abs() < 1e-5, "turned without stretching at {phase}");
+            assert!((found.linear.determinant() - 1.0).abs() < 1e-5, "turned without stretching at {phase}");
         }
     }
 
     /// Two feet, each on the floor for one half of the cycle and swung forward during the other half.
     #[test]
-    fn the_ground_covered_is_that_over_which_feet_rest() {
+    fn travel_in_a_cycle_is_the_distance_that_standing_feet_move_back() {
         let foot = |phase: f64| {
             let p = phase.rem_euclid(1.0);
             // 1.4 m a cycle: the foot moves back by 0.7 m in half a cycle.
@@ -278,7 +288,7 @@ mod tests {
     /// Uniform forward motion of the body makes feet slide whose backward motion is not uniform. The surge removes the
     /// sliding.
     #[test]
-    fn a_body_that_surges_with_its_feet_does_not_slide() {
+    fn the_surge_removes_foot_sliding() {
         let at = |p: f64| -1.4 * p + 0.03 * (2.0 * TAU * p).sin();
         let foot = |p: f64, side: f64| {
             let p = (p + side).rem_euclid(1.0);

@@ -15,10 +15,10 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use super::body::{Build, SEGMENTS};
-use super::cycle::{Cycle, FootSliding, SAY_CYCLE, Stance, Walk, best_cycle, centred, rms_distance};
-use super::refine::{BoundMesh, follow, refine};
-use super::rig::{Clip, Rig, mean};
-use super::skin::{Map, Skin};
+use super::cycle::{CYCLE_HINT, Cycle, FootSliding, Stance, Walk, best_cycle, centred, rms_distance};
+use super::refine::{BoundMesh, posed_position, refine};
+use super::rig::{Clip, Rig, mean_transforms};
+use super::skin::{BoneMap, Influence, Skin};
 use super::{collada, gltf};
 use crate::em::specular::Ellipsoid;
 use crate::file_error::FileError;
@@ -33,17 +33,17 @@ const CYCLE_S: [f64; 2] = [0.6, 2.5];
 /// Longest clip that is searched, s.
 const LONGEST_S: f64 = 120.0;
 /// Upper limit of joint positions that are compared to find a cycle. The time of the search grows with their number.
-const MOST_PLACES: usize = 1_000_000;
+const MOST_POSITIONS: usize = 1_000_000;
 /// Upper limit of vertices that are tracked over the floor. If there are more, evenly spaced ones are taken.
-const MOST_FEET: usize = 20_000;
+const MOST_FOOT_VERTICES: usize = 20_000;
 /// Largest difference between the ends of a cycle, as a part of the body's height.
-const CLOSED: f64 = 0.03;
+const LARGEST_END_DIFFERENCE: f64 = 0.03;
 /// Least displacement in a cycle of a walking body, as a part of its height.
 const LEAST_TRAVEL: f64 = 0.1;
 /// Least and greatest plausible height of a body, m.
 const HEIGHTS_M: [f64; 2] = [0.5, 2.5];
 /// Lowest part of the body, as a part of its height. It contains the vertices that touch the floor.
-const FEET: f64 = 0.15;
+const FOOT_ZONE: f64 = 0.15;
 
 /// Options of an actor's file besides its name.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -66,16 +66,25 @@ pub struct Actor {
     /// Skin of the actor.
     pub skin: Arc<Skin>,
     cycle: Cycle,
-    standing: Vec<Map>,
-    /// For each segment of a body: the bone that moves it, and an ellipsoid around it when standing.
-    parts: [(usize, Ellipsoid); SEGMENTS],
+    standing: Vec<BoneMap>,
+    /// Part of the actor for each segment of a body.
+    parts: [ActorPart; SEGMENTS],
     /// Height of the standing actor, m.
     pub height_m: f64,
     /// Ground covered in a cycle of steps, m.
     pub cycle_m: f64,
-    walked: Stance,
+    stance: Stance,
     /// Number of edges at which the skin ends: borders of sheets and holes.
     pub open_edges: usize,
+}
+
+/// Part of an actor that stands for a segment of a body.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct ActorPart {
+    /// Index of the bone that moves the part.
+    bone: usize,
+    /// Ellipsoid around the part when standing.
+    ellipsoid: Ellipsoid,
 }
 
 impl Actor {
@@ -85,27 +94,27 @@ impl Actor {
     /// # Errors
     /// [`FileError`] if the file is malformed, has no skin, no walk or no cycle of steps, or exceeds the limits.
     pub fn parse(bytes: &[u8], path: &Path, options: &ActorOptions) -> Result<Self, FileError> {
-        let rig = &read(bytes, path, options)?;
-        let clip = choose(&rig.clips, options.animation.as_deref())?;
+        let rig = &read_rig(bytes, path, options)?;
+        let clip = choose_clip(&rig.clips, options.animation.as_deref())?;
         let span = cycle_span(rig, clip, options.cycle_s)?;
-        let (mut poses, mut standing) = sample(rig, clip, span);
+        let (mut poses, mut standing) = sample_cycle(rig, clip, span);
         // The pose is rotated upright and scaled to metres.
-        let up = |v: DVec3| rig.up.to_z_up(v) * rig.metres;
+        let up = |v: DVec3| rig.up.to_z_up(v) * rig.unit_m;
         let upright = DMat3::from_cols(up(DVec3::X), up(DVec3::Y), up(DVec3::Z));
-        let own = height(rig, &standing, upright)?;
-        let height_m = options.height_m.unwrap_or(own);
+        let file_height_m = posed_height(rig, &standing, upright)?;
+        let height_m = options.height_m.unwrap_or(file_height_m);
         if !(HEIGHTS_M[0]..=HEIGHTS_M[1]).contains(&height_m) {
-            let problem = format!("it is {own:.4} m tall, expected {} to {} m", HEIGHTS_M[0], HEIGHTS_M[1]);
+            let problem = format!("it is {file_height_m:.4} m tall, expected {} to {} m", HEIGHTS_M[0], HEIGHTS_M[1]);
             let hint = "say the file's unit (unit = \"mm\"), or what height the actor is to have (height_m = 1.75)";
             return Err(FileError::new("skin", problem, hint));
         }
-        let scale = upright * (height_m / own);
-        poses.iter_mut().for_each(|p| turn(p, scale, DVec3::ZERO));
-        turn(&mut standing, scale, DVec3::ZERO);
+        let scale = upright * (height_m / file_height_m);
+        poses.iter_mut().for_each(|p| transform(p, scale, DVec3::ZERO));
+        transform(&mut standing, scale, DVec3::ZERO);
 
         // Displacement and direction of walking, from the feet.
-        let first = feet(rig, &standing);
-        let stance = stance_of(rig, &first, &poses, height_m);
+        let feet = foot_vertices(rig, &standing);
+        let stance = stance_of(rig, &feet, &poses, height_m);
         let travel_m = stance.travel_m.length();
         if travel_m < LEAST_TRAVEL * height_m {
             let names: Vec<&str> = rig.clips.iter().map(|c| c.name.as_str()).collect();
@@ -115,70 +124,74 @@ impl Actor {
         let heading = stance.travel_m.y.atan2(stance.travel_m.x);
         let ahead = DMat3::from_rotation_z(-heading);
         for (pose, surge_m) in poses.iter_mut().zip(stance.surge_m()) {
-            turn(pose, ahead, ahead * surge_m - DVec3::Z * stance.floor_m);
+            transform(pose, ahead, ahead * surge_m - DVec3::Z * stance.floor_m);
         }
-        let lowest = first.iter().map(|&v| follow(rig.vertices[v], &rig.weights[v], &standing).z);
+        let lowest = feet.iter().map(|&v| posed_position(rig.vertices[v], &rig.weights[v], &standing).z);
         let lowest = lowest.fold(f64::INFINITY, f64::min);
-        turn(&mut standing, ahead, DVec3::Z * -lowest);
+        transform(&mut standing, ahead, DVec3::Z * -lowest);
 
         let mesh = Mesh { vertices: rig.vertices.clone(), triangles: rig.triangles.clone() };
         let bound = refine(&mesh, &rig.weights, &standing)?;
-        let parts = parts(&bound, &standing, height_m);
-        let rest = rest(&bound, &standing, &poses)?;
-        let influence = |(weights, &place): (&Vec<(usize, f64)>, &DVec3)| -> Vec<(usize, f64, DVec3)> {
-            weights.iter().map(|&(bone, weight)| (bone, weight, place)).collect()
+        let parts = actor_parts(&bound, &standing, height_m);
+        let rest = rest_mesh(&bound, &standing, &poses)?;
+        let vertex_influences = |(weights, &vertex): (&Vec<(usize, f64)>, &DVec3)| -> Vec<Influence> {
+            weights.iter().map(|&(bone, weight)| Influence { bone, weight, point: vertex }).collect()
         };
-        let influences: Vec<_> = bound.weights.iter().zip(&bound.mesh.vertices).map(influence).collect();
+        let influences: Vec<_> = bound.weights.iter().zip(&bound.mesh.vertices).map(vertex_influences).collect();
         let mut actor = Actor {
-            skin: Arc::new(Skin::bound(&rest, &influences, segments(&bound, &standing, height_m))),
+            skin: Arc::new(Skin::bound(&rest, &influences, segments_of_bones(&bound, &standing, height_m))),
             cycle: Cycle::through(&poses),
             standing,
             parts,
             height_m,
             cycle_m: travel_m,
-            walked: Stance::default(),
+            stance: Stance::default(),
             open_edges: bound.open_edges,
         };
         // Contact of the feet on the interpolated curve between poses.
         let count = 4 * poses.len();
-        let walked: Vec<Vec<Map>> = (0..count).map(|k| actor.cycle.at(k as f64 / count as f64)).collect();
-        actor.walked = stance_of(rig, &first, &walked, height_m).over(DVec3::X * travel_m);
+        let poses: Vec<Vec<BoneMap>> = (0..count).map(|k| actor.cycle.at(k as f64 / count as f64)).collect();
+        actor.stance = stance_of(rig, &feet, &poses, height_m).with_travel(DVec3::X * travel_m);
         Ok(actor)
     }
 
     /// Returns how much the feet slide over the floor at a walking speed.
     pub fn foot_sliding(&self, speed_m_per_s: f64) -> FootSliding {
-        self.walked.sliding(speed_m_per_s)
+        self.stance.sliding(speed_m_per_s)
     }
 
     /// Returns the maps of the bones, in room coordinates.
-    pub(super) fn maps(&self, walk: &Walk) -> Vec<Map> {
-        let turned = DMat3::from_rotation_z(walk.heading_rad);
-        let place = DVec3::new(walk.position_m[0], walk.position_m[1], 0.0);
-        let mut maps = if walk.vigour > 0.0 { self.cycle.at(walk.phase) } else { self.standing.clone() };
-        if walk.vigour < 1.0 {
-            maps.iter_mut().zip(&self.standing).for_each(|(m, &s)| *m = *m * walk.vigour + s * (1.0 - walk.vigour));
+    pub(super) fn maps(&self, walk: &Walk) -> Vec<BoneMap> {
+        let rotation = DMat3::from_rotation_z(walk.heading_rad);
+        let position = DVec3::new(walk.position_m[0], walk.position_m[1], 0.0);
+        let mut maps = if walk.intensity > 0.0 { self.cycle.at(walk.phase) } else { self.standing.clone() };
+        if walk.intensity < 1.0 {
+            maps.iter_mut()
+                .zip(&self.standing)
+                .for_each(|(m, &s)| *m = *m * walk.intensity + s * (1.0 - walk.intensity));
         }
-        turn(&mut maps, turned, place);
+        transform(&mut maps, rotation, position);
         maps
     }
 
     /// Returns ellipsoids around the actor's parts, in room coordinates.
     pub(super) fn body(&self, walk: &Walk) -> [Ellipsoid; SEGMENTS] {
         let maps = self.maps(walk);
-        self.parts.map(|(bone, part)| {
-            let (Some(now), Some(then)) = (maps.get(bone), self.standing.get(bone)) else { return part };
-            let moved = now.interval * then.interval.inverse();
-            let x = (moved * part.axes.x_axis).normalize_or(DVec3::X);
-            let y = (moved * part.axes.y_axis).reject_from_normalized(x).normalize_or(x.any_orthonormal_vector());
+        self.parts.map(|ActorPart { bone, ellipsoid }| {
+            let (Some(now), Some(standing)) = (maps.get(bone), self.standing.get(bone)) else { return ellipsoid };
+            let from_standing = now.linear * standing.linear.inverse();
+            let x = (from_standing * ellipsoid.axes.x_axis).normalize_or(DVec3::X);
+            let y = (from_standing * ellipsoid.axes.y_axis)
+                .reject_from_normalized(x)
+                .normalize_or(x.any_orthonormal_vector());
             let axes = DMat3::from_cols(x, y, x.cross(y));
-            Ellipsoid { centre: now.centre + moved * (part.centre - then.centre), axes, ..part }
+            Ellipsoid { centre: now.centre + from_standing * (ellipsoid.centre - standing.centre), axes, ..ellipsoid }
         })
     }
 }
 
 /// Reads and checks a file, with the options' unit and up axis.
-fn read(bytes: &[u8], path: &Path, options: &ActorOptions) -> Result<Rig, FileError> {
+fn read_rig(bytes: &[u8], path: &Path, options: &ActorOptions) -> Result<Rig, FileError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
     let mut rig = match extension.as_str() {
         "gltf" | "glb" => gltf::parse_gltf(bytes, path.parent().unwrap_or(Path::new("")))?,
@@ -190,22 +203,22 @@ fn read(bytes: &[u8], path: &Path, options: &ActorOptions) -> Result<Rig, FileEr
     };
     rig.check()?;
     if let Some(unit) = options.unit {
-        rig.metres = unit.metres();
+        rig.unit_m = unit.metres();
     }
     rig.up = options.up.unwrap_or(rig.up);
     Ok(rig)
 }
 
 /// Returns the requested clip, the only clip, or the only one that is called a walk.
-fn choose<'a>(clips: &'a [Clip], name: Option<&str>) -> Result<&'a Clip, FileError> {
+fn choose_clip<'a>(clips: &'a [Clip], name: Option<&str>) -> Result<&'a Clip, FileError> {
     let names: Vec<&str> = clips.iter().map(|c| c.name.as_str()).collect();
     let hint = format!("the file has {names:?}: say one of them, animation = \"...\"");
     if clips.is_empty() {
         let hint = "export the actor with its animation, or let a BVH clip walk instead";
         return Err(FileError::new("animations", "the file has none, expected a walk", hint));
     }
-    let walks = |c: &&Clip| name.map_or(c.name.to_lowercase().contains("walk"), |name| c.name == name);
-    let found: Vec<&Clip> = clips.iter().filter(walks).collect();
+    let is_requested = |c: &&Clip| name.map_or(c.name.to_lowercase().contains("walk"), |name| c.name == name);
+    let found: Vec<&Clip> = clips.iter().filter(is_requested).collect();
     match (found.as_slice(), clips, name) {
         (&[one], ..) => Ok(one),
         ([], [one], None) => Ok(one),
@@ -215,73 +228,75 @@ fn choose<'a>(clips: &'a [Clip], name: Option<&str>) -> Result<&'a Clip, FileErr
 }
 
 /// Returns the begin and end of one cycle in a clip, s.
-fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2], FileError> {
+fn cycle_span(rig: &Rig, clip: &Clip, requested: Option<[f64; 2]>) -> Result<[f64; 2], FileError> {
     let place = format!("clip {:?}", clip.name);
     let Some([begin, end]) = clip.span_s().filter(|[a, b]| b - a > 0.1 && b - a < LONGEST_S) else {
         let problem = format!("it lasts {:?} s, expected 0.1 to {LONGEST_S} s", clip.span_s().map(|[a, b]| b - a));
         return Err(FileError::new(place, problem, "export the frames of the walk, at the right frame rate"));
     };
-    if let Some([a, b]) = asked {
+    if let Some([a, b]) = requested {
         return if a >= begin - 1e-6 && b <= end + 1e-6 && b - a > 0.1 {
             Ok([a, b])
         } else {
-            let problem = format!("cycle_s is {asked:?}, expected a part of {begin} to {end} s of at least 0.1 s");
-            Err(FileError::new(place, problem, SAY_CYCLE))
+            let problem = format!("cycle_s is {requested:?}, expected a part of {begin} to {end} s of at least 0.1 s");
+            Err(FileError::new(place, problem, CYCLE_HINT))
         };
     }
-    let step_s = clip.key_s().clamp(SAMPLE_S, 0.05);
+    let step_s = clip.least_key_interval_s().clamp(SAMPLE_S, 0.05);
     let count = ((end - begin) / step_s).round().max(8.0) as usize;
     let time = |k: usize| begin + (end - begin) * k as f64 / count as f64;
-    if count.saturating_mul(rig.joints.len()) > MOST_PLACES {
+    if count.saturating_mul(rig.joints.len()) > MOST_POSITIONS {
         let problem = format!("it has {} joints over {count} samples, too many to look for a cycle", rig.joints.len());
-        return Err(FileError::new(place, problem, SAY_CYCLE));
+        return Err(FileError::new(place, problem, CYCLE_HINT));
     }
-    let places: Vec<Vec<DVec3>> = (0..=count).map(|k| rig.pose(&rig.locals(clip, time(k))).0).collect();
-    let (Some(first), Some(last)) = (places.first(), places.last()) else { return Ok([begin, end]) };
+    let positions: Vec<Vec<DVec3>> = (0..=count).map(|k| rig.pose(&rig.local_transforms(clip, time(k))).0).collect();
+    let (Some(first), Some(last)) = (positions.first(), positions.last()) else { return Ok([begin, end]) };
     let (first, last) = (centred(first), centred(last));
     let spread = rms_distance(&first, &vec![DVec3::ZERO; first.len()]);
     // The spread of the joints is about a quarter of the height.
-    if rms_distance(&first, &last) < CLOSED * 4.0 * spread {
+    if rms_distance(&first, &last) < LARGEST_END_DIFFERENCE * 4.0 * spread {
         return Ok([begin, end]);
     }
     let samples = |s: f64| (s * count as f64 / (end - begin)).round() as usize;
-    match best_cycle(&places, samples(CYCLE_S[0]).max(4), samples(CYCLE_S[1])) {
+    match best_cycle(&positions, samples(CYCLE_S[0]).max(4), samples(CYCLE_S[1])) {
         Some((a, b, cost)) if cost < 1.0 => Ok([time(a), time(b)]),
         _ => {
             let problem = "its end is not its beginning, and no cycle of steps was found in it";
-            Err(FileError::new(place, problem, SAY_CYCLE))
+            Err(FileError::new(place, problem, CYCLE_HINT))
         }
     }
 }
 
 /// Returns the maps at even phases of a cycle, without the clip's displacement over the ground, and those of the
 /// standing actor, in the file's unit and axes.
-fn sample(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> (Vec<Vec<Map>>, Vec<Map>) {
-    let [fewest, most] = CYCLE_SAMPLES;
-    let count = ((end - begin) / clip.key_s().max(SAMPLE_S)).round().clamp(fewest, most) as usize;
+fn sample_cycle(rig: &Rig, clip: &Clip, [begin, end]: [f64; 2]) -> (Vec<Vec<BoneMap>>, Vec<BoneMap>) {
+    let [least, most] = CYCLE_SAMPLES;
+    let count = ((end - begin) / clip.least_key_interval_s().max(SAMPLE_S)).round().clamp(least, most) as usize;
     let phase = |k: usize| k as f64 / count as f64;
-    let locals: Vec<_> = (0..=count).map(|k| rig.locals(clip, begin + (end - begin) * phase(k))).collect();
+    let locals: Vec<_> = (0..=count).map(|k| rig.local_transforms(clip, begin + (end - begin) * phase(k))).collect();
     let up = up_axis(rig);
-    let level = |v: DVec3| v - up * v.dot(up);
-    let middle = |places: &[DVec3]| level(places.iter().sum::<DVec3>() / places.len().max(1) as f64);
+    let horizontal = |v: DVec3| v - up * v.dot(up);
+    let horizontal_centroid = |places: &[DVec3]| horizontal(places.iter().sum::<DVec3>() / places.len().max(1) as f64);
     let posed = locals.iter().map(|l| rig.pose(l));
-    let mut all: Vec<(DVec3, Vec<Map>)> = posed.map(|(places, maps)| (middle(&places), maps)).collect();
-    let (first, last) = (all[0].0, all[count].0);
-    let centre = all.iter().take(count).enumerate().map(|(k, (m, _))| *m - (last - first) * phase(k)).sum::<DVec3>()
-        / count as f64;
-    for (k, (_, maps)) in all.iter_mut().enumerate() {
+    let mut samples: Vec<(DVec3, Vec<BoneMap>)> =
+        posed.map(|(places, maps)| (horizontal_centroid(&places), maps)).collect();
+    let (first, last) = (samples[0].0, samples[count].0);
+    let centre =
+        samples.iter().take(count).enumerate().map(|(k, (m, _))| *m - (last - first) * phase(k)).sum::<DVec3>()
+            / count as f64;
+    for (k, (_, maps)) in samples.iter_mut().enumerate() {
         maps.iter_mut().for_each(|m| m.centre -= centre + (last - first) * phase(k));
     }
     // The remaining difference between the ends is distributed over the cycle.
-    let seam: Vec<Map> = all[count].1.iter().zip(&all[0].1).map(|(&b, &a)| b - a).collect();
-    all.truncate(count);
-    let close = |(k, (_, maps)): (usize, (DVec3, Vec<Map>))| -> Vec<Map> {
-        maps.iter().zip(&seam).map(|(&m, &s)| m - s * phase(k)).collect()
+    let end_difference: Vec<BoneMap> = samples[count].1.iter().zip(&samples[0].1).map(|(&b, &a)| b - a).collect();
+    samples.truncate(count);
+    let closed = |(k, (_, maps)): (usize, (DVec3, Vec<BoneMap>))| -> Vec<BoneMap> {
+        maps.iter().zip(&end_difference).map(|(&m, &s)| m - s * phase(k)).collect()
     };
-    let poses = all.into_iter().enumerate().map(close).collect();
-    let (places, mut standing) = rig.pose(&mean(&locals[..count]));
-    let under = middle(&places);
-    standing.iter_mut().for_each(|m| m.centre -= under);
+    let poses = samples.into_iter().enumerate().map(closed).collect();
+    let (places, mut standing) = rig.pose(&mean_transforms(&locals[..count]));
+    let centroid = horizontal_centroid(&places);
+    standing.iter_mut().for_each(|m| m.centre -= centroid);
     (poses, standing)
 }
 
@@ -290,15 +305,15 @@ fn up_axis(rig: &Rig) -> DVec3 {
     [DVec3::Y, DVec3::Z].into_iter().find(|&axis| rig.up.to_z_up(axis) == DVec3::Z).unwrap_or(DVec3::Z)
 }
 
-/// Rotates (and scales) all maps about the origin, then moves them.
-fn turn(maps: &mut [Map], by: DMat3, then: DVec3) {
+/// Applies a linear map about the origin to all maps, then moves them.
+fn transform(maps: &mut [BoneMap], linear: DMat3, offset: DVec3) {
     for map in maps {
-        *map = Map { centre: by * map.centre + then, interval: by * map.interval };
+        *map = BoneMap { centre: linear * map.centre + offset, linear: linear * map.linear };
     }
 }
 
 /// Returns the mesh of the standing actor. It fails if the mesh is unusable or a pose is not finite.
-fn rest(bound: &BoundMesh, standing: &[Map], poses: &[Vec<Map>]) -> Result<Mesh, FileError> {
+fn rest_mesh(bound: &BoundMesh, standing: &[BoneMap], poses: &[Vec<BoneMap>]) -> Result<Mesh, FileError> {
     let rest = Mesh { vertices: bound.posed(standing), triangles: bound.mesh.triangles.clone() };
     let hint = "check the inverse bind matrices, the scale of the bones and the keys of the clip";
     rest.check().map_err(|error| FileError::new("skin", format!("where the actor stands, {error}"), hint))?;
@@ -311,8 +326,9 @@ fn rest(bound: &BoundMesh, standing: &[Map], poses: &[Vec<Map>]) -> Result<Mesh,
     Ok(rest)
 }
 
-fn height(rig: &Rig, pose: &[Map], upright: DMat3) -> Result<f64, FileError> {
-    let heights = rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| (upright * follow(p, w, pose)).z);
+/// Height of the skin in a pose, from its lowest to its highest vertex.
+fn posed_height(rig: &Rig, pose: &[BoneMap], upright: DMat3) -> Result<f64, FileError> {
+    let heights = rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| (upright * posed_position(p, w, pose)).z);
     let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), z| (l.min(z), h.max(z)));
     if high - low > 0.0 && (high - low).is_finite() {
         return Ok(high - low);
@@ -322,29 +338,32 @@ fn height(rig: &Rig, pose: &[Map], upright: DMat3) -> Result<f64, FileError> {
 }
 
 /// Returns the vertices that may touch the floor.
-fn feet(rig: &Rig, standing: &[Map]) -> Vec<usize> {
-    let heights: Vec<f64> = rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| follow(p, w, standing).z).collect();
+fn foot_vertices(rig: &Rig, standing: &[BoneMap]) -> Vec<usize> {
+    let heights: Vec<f64> =
+        rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| posed_position(p, w, standing).z).collect();
     let (low, high) = heights.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &z| (l.min(z), h.max(z)));
-    let limit = low + FEET * (high - low);
-    let all: Vec<usize> = (0..heights.len()).filter(|&v| heights[v] < limit).collect();
-    let step = all.len().div_ceil(MOST_FEET).max(1);
-    all.into_iter().step_by(step).collect()
+    let limit = low + FOOT_ZONE * (high - low);
+    let low_vertices: Vec<usize> = (0..heights.len()).filter(|&v| heights[v] < limit).collect();
+    let step = low_vertices.len().div_ceil(MOST_FOOT_VERTICES).max(1);
+    low_vertices.into_iter().step_by(step).collect()
 }
 
 /// Finds the motion of the feet over a cycle.
-fn stance_of(rig: &Rig, feet: &[usize], poses: &[Vec<Map>], height_m: f64) -> Stance {
-    let at = |pose: &Vec<Map>| feet.iter().map(|&v| follow(rig.vertices[v], &rig.weights[v], pose)).collect();
-    let points: Vec<Vec<DVec3>> = poses.iter().map(at).collect();
+fn stance_of(rig: &Rig, foot_vertices: &[usize], poses: &[Vec<BoneMap>], height_m: f64) -> Stance {
+    let posed = |pose: &Vec<BoneMap>| {
+        foot_vertices.iter().map(|&v| posed_position(rig.vertices[v], &rig.weights[v], pose)).collect()
+    };
+    let points: Vec<Vec<DVec3>> = poses.iter().map(posed).collect();
     Stance::of(&points, height_m)
 }
 
 /// For each bone, returns the mean position of its skin when standing.
-fn middles(bound: &BoundMesh, standing: &[Map]) -> Vec<DVec3> {
+fn mean_skin_positions(bound: &BoundMesh, standing: &[BoneMap]) -> Vec<DVec3> {
     let mut sums = vec![(DVec3::ZERO, 0.0); standing.len()];
-    for (place, weights) in bound.posed(standing).into_iter().zip(&bound.weights) {
+    for (position, weights) in bound.posed(standing).into_iter().zip(&bound.weights) {
         for &(bone, weight) in weights {
             if let Some((sum, total)) = sums.get_mut(bone) {
-                *sum += place * weight;
+                *sum += position * weight;
                 *total += weight;
             }
         }
@@ -353,47 +372,50 @@ fn middles(bound: &BoundMesh, standing: &[Map]) -> Vec<DVec3> {
 }
 
 /// Returns the segment of a standing body that is nearest to a point.
-fn nearest(body: &[Ellipsoid; SEGMENTS], place: DVec3) -> usize {
-    let apart = |e: &Ellipsoid| ((e.axes.transpose() * (place - e.centre)) / e.semi_axes_m).length();
-    (0..SEGMENTS).min_by(|&a, &b| apart(&body[a]).total_cmp(&apart(&body[b]))).unwrap_or(0)
+fn nearest_segment(body: &[Ellipsoid; SEGMENTS], point: DVec3) -> usize {
+    let distance = |e: &Ellipsoid| ((e.axes.transpose() * (point - e.centre)) / e.semi_axes_m).length();
+    (0..SEGMENTS).min_by(|&a, &b| distance(&body[a]).total_cmp(&distance(&body[b]))).unwrap_or(0)
 }
 
+/// Ellipsoids of a standing body of average girth.
 fn standing_body(height_m: f64) -> [Ellipsoid; SEGMENTS] {
     let build = Build { height_m, girth: 1.0 };
     build.segments(&build.standing())
 }
 
 /// For each bone, returns the segment of a standing body that is nearest to its skin.
-fn segments(bound: &BoundMesh, standing: &[Map], height_m: f64) -> Vec<usize> {
+fn segments_of_bones(bound: &BoundMesh, standing: &[BoneMap], height_m: f64) -> Vec<usize> {
     let body = standing_body(height_m);
-    middles(bound, standing).into_iter().map(|middle| nearest(&body, middle)).collect()
+    mean_skin_positions(bound, standing).into_iter().map(|middle| nearest_segment(&body, middle)).collect()
 }
 
 /// For each segment of a body, returns the bone that moves most of the nearest skin, and an ellipsoid around that skin.
 /// They serve for occlusion by other people, echo levels and ground truth. Skeletons may be coarse: a head without a
 /// bone of its own is allowed.
-fn parts(bound: &BoundMesh, standing: &[Map], height_m: f64) -> [(usize, Ellipsoid); SEGMENTS] {
+fn actor_parts(bound: &BoundMesh, standing: &[BoneMap], height_m: f64) -> [ActorPart; SEGMENTS] {
     let body = standing_body(height_m);
     let posed = bound.posed(standing);
-    let of: Vec<usize> = posed.iter().map(|&place| nearest(&body, place)).collect();
+    let segment_of: Vec<usize> = posed.iter().map(|&place| nearest_segment(&body, place)).collect();
     let middle = posed.iter().sum::<DVec3>() / posed.len().max(1) as f64;
     std::array::from_fn(|segment| {
-        let mine = || (0..posed.len()).filter(|&v| of[v] == segment);
-        let mut moves = vec![0.0; standing.len()];
-        for &(bone, weight) in mine().flat_map(|v| &bound.weights[v]) {
-            moves[bone] += weight;
+        let vertices = || (0..posed.len()).filter(|&v| segment_of[v] == segment);
+        let mut bone_weights = vec![0.0; standing.len()];
+        for &(bone, weight) in vertices().flat_map(|v| &bound.weights[v]) {
+            bone_weights[bone] += weight;
         }
-        let bone = (0..moves.len()).max_by(|&a, &b| moves[a].total_cmp(&moves[b])).unwrap_or(0);
-        let count = mine().count() as f64;
+        let heaviest = (0..bone_weights.len()).max_by(|&a, &b| bone_weights[a].total_cmp(&bone_weights[b]));
+        let bone = heaviest.unwrap_or(0);
+        let count = vertices().count() as f64;
         if count == 0.0 {
             // The actor has no such part: a very small ellipsoid within the body replaces it.
-            return (bone, Ellipsoid { centre: middle, axes: DMat3::IDENTITY, semi_axes_m: DVec3::splat(0.02) });
+            let semi_axes_m = DVec3::splat(0.02);
+            return ActorPart { bone, ellipsoid: Ellipsoid { centre: middle, axes: DMat3::IDENTITY, semi_axes_m } };
         }
-        let centre = mine().map(|v| posed[v]).sum::<DVec3>() / count;
-        let squares = mine().map(|v| (posed[v] - centre) * (posed[v] - centre)).sum::<DVec3>() / count;
+        let centre = vertices().map(|v| posed[v]).sum::<DVec3>() / count;
+        let variances = vertices().map(|v| (posed[v] - centre) * (posed[v] - centre)).sum::<DVec3>() / count;
         // Over an ellipsoid's surface, the standard deviation of each coordinate is about its semi-axis over the square
         // root of three.
-        let semi_axes_m = (3.0 * squares).map(f64::sqrt).max(DVec3::splat(0.02));
-        (bone, Ellipsoid { centre, axes: DMat3::IDENTITY, semi_axes_m })
+        let semi_axes_m = (3.0 * variances).map(f64::sqrt).max(DVec3::splat(0.02));
+        ActorPart { bone, ellipsoid: Ellipsoid { centre, axes: DMat3::IDENTITY, semi_axes_m } }
     })
 }

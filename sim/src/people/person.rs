@@ -14,7 +14,7 @@ use crate::random::{Purpose, draw, generator};
 use crate::scene_file::PeopleFile;
 
 /// Interval in which at most one fidget happens, s.
-const FIDGET_EPOCH_S: f64 = 5.0;
+const FIDGET_INTERVAL_S: f64 = 5.0;
 
 /// Source of a person's steps.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -44,7 +44,7 @@ pub struct Person {
     heart_hz: f64,
     sway_m: f64,
     phases: [f64; 6],
-    /// Probability of a fidget in one interval of `FIDGET_EPOCH_S`.
+    /// Probability of a fidget in one interval of `FIDGET_INTERVAL_S`.
     pub fidget_probability: f64,
     /// Further properties of a person at a desk; `None` elsewhere.
     pub at_desk: Option<AtDesk>,
@@ -83,6 +83,19 @@ pub struct BodyPoint {
     pub detour_m: f64,
 }
 
+/// Occasional movement of an arm and the trunk, in addition to the posture.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Fidget {
+    /// Side of the arm: 0 left, 1 right.
+    pub(super) side: usize,
+    /// Shoulder flexion of the arm, rad.
+    pub(super) arm_rad: f64,
+    /// Forward lean of the trunk, rad.
+    pub(super) lean_rad: f64,
+    /// Rotation of the shoulders relative to the hips, rad.
+    pub(super) twist_rad: f64,
+}
+
 impl Person {
     /// Draws a person from a seed and an identity.
     pub fn draw(seed: u64, identity: [u64; 2], height_m: f64) -> Self {
@@ -116,38 +129,40 @@ impl Person {
     }
 
     /// Chest surface outward of its mean, m: breath 4..12 mm peak to peak, heart 0.2..0.5 mm.
-    pub(super) fn chest_m(&self, t: f64) -> f64 {
-        let breath = TAU * self.breath_hz * t + self.phases[0];
-        let heart = TAU * self.heart_hz * t + self.phases[1];
+    pub(super) fn chest_m(&self, time_s: f64) -> f64 {
+        let breath = TAU * self.breath_hz * time_s + self.phases[0];
+        let heart = TAU * self.heart_hz * time_s + self.phases[1];
         let beat = (3.0 * (heart.cos() - 1.0)).exp() - 0.25;
         0.5 * self.breath_m * (breath.sin() + 0.15 * (2.0 * breath).cos()) + self.heart_m * beat
     }
 
     /// Slow sway at a time, m.
-    pub(super) fn sway_m(&self, t: f64) -> (f64, f64) {
-        let wave = |hz: f64, phase: f64| (TAU * hz * t + phase).sin();
-        let p = &self.phases;
+    pub(super) fn sway_m(&self, time_s: f64) -> (f64, f64) {
+        let wave = |hz: f64, phase: f64| (TAU * hz * time_s + phase).sin();
+        let phases = &self.phases;
         (
-            self.sway_m * (0.7 * wave(0.31, p[2]) + 0.4 * wave(0.13, p[3])),
-            self.sway_m * (0.7 * wave(0.23, p[4]) + 0.4 * wave(0.11, p[5])),
+            self.sway_m * (0.7 * wave(0.31, phases[2]) + 0.4 * wave(0.13, phases[3])),
+            self.sway_m * (0.7 * wave(0.23, phases[4]) + 0.4 * wave(0.11, phases[5])),
         )
     }
 
-    /// Occasional movement of an arm and the trunk: (side, arm flexion, lean, twist).
-    pub(super) fn fidget(&self, t: f64) -> (usize, f64, f64, f64) {
-        let epoch = (t / FIDGET_EPOCH_S).floor();
-        let index = [self.identity[0] << 32 | self.identity[1], (epoch + 1e6).max(0.0) as u64];
+    /// Occasional movement of an arm and the trunk at a time.
+    pub(super) fn fidget(&self, time_s: f64) -> Fidget {
+        let interval = (time_s / FIDGET_INTERVAL_S).floor();
+        let index = [self.identity[0] << 32 | self.identity[1], (interval + 1e6).max(0.0) as u64];
         let mut rng = generator(self.seed, Purpose::Fidget, index);
         if rng.random::<f64>() >= self.fidget_probability {
-            return (0, 0.0, 0.0, 0.0);
+            return Fidget::default();
         }
         let width_s = rng.random_range(0.5..1.1);
-        let centre_s = rng.random_range(width_s..FIDGET_EPOCH_S - width_s);
-        let x = ((t - epoch * FIDGET_EPOCH_S - centre_s) / width_s).clamp(-1.0, 1.0);
-        let bump = (0.5 * (1.0 + (PI * x).cos())).powi(2);
+        let centre_s = rng.random_range(width_s..FIDGET_INTERVAL_S - width_s);
+        let offset = ((time_s - interval * FIDGET_INTERVAL_S - centre_s) / width_s).clamp(-1.0, 1.0);
+        let bump = (0.5 * (1.0 + (PI * offset).cos())).powi(2);
         let side = usize::from(rng.random::<bool>());
-        let amplitudes = (rng.random_range(0.1..0.5), rng.random_range(-0.06..0.06), rng.random_range(-0.08..0.08));
-        (side, bump * amplitudes.0, bump * amplitudes.1, bump * amplitudes.2)
+        let arm_rad: f64 = rng.random_range(0.1..0.5);
+        let lean_rad: f64 = rng.random_range(-0.06..0.06);
+        let twist_rad: f64 = rng.random_range(-0.08..0.08);
+        Fidget { side, arm_rad: bump * arm_rad, lean_rad: bump * lean_rad, twist_rad: bump * twist_rad }
     }
 }
 

@@ -6,17 +6,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use glam::DVec3;
 
 use super::rig::MOST_TRIANGLES;
-use super::skin::{EDGE_M, Map};
+use super::skin::{BoneMap, EDGE_M};
 use crate::file_error::FileError;
 use crate::geometry::polygon::bounds;
 use crate::geometry::{Mesh, bulge, edges, one_ring_normals, split, weld};
 
 /// Edges longer than this are halved, m. It is a little above the target, so that edges near the target are kept.
-const LONGEST_M: f64 = 1.4 * EDGE_M;
+const LONGEST_EDGE_M: f64 = 1.4 * EDGE_M;
 /// Distance within which vertices are merged, as a part of the mesh's size.
-const WELD: f64 = 1e-5;
+const WELD_TOLERANCE: f64 = 1e-5;
 /// Largest number of halvings: from metres to millimetres.
-const ROUNDS: usize = 10;
+const MOST_HALVINGS: usize = 10;
 /// Largest displacement of a halved edge's midpoint onto the curved surface, as a part of the edge's length. It
 /// protects creases.
 const MOST_BULGE: f64 = 0.1;
@@ -34,34 +34,34 @@ pub(super) struct BoundMesh {
 
 impl BoundMesh {
     /// Returns the positions of the vertices in a pose.
-    pub fn posed(&self, maps: &[Map]) -> Vec<DVec3> {
-        self.mesh.vertices.iter().zip(&self.weights).map(|(&p, w)| follow(p, w, maps)).collect()
+    pub fn posed(&self, maps: &[BoneMap]) -> Vec<DVec3> {
+        self.mesh.vertices.iter().zip(&self.weights).map(|(&p, w)| posed_position(p, w, maps)).collect()
     }
 }
 
 /// Returns the position of a vertex in a pose.
-pub(super) fn follow(place: DVec3, weights: &[(usize, f64)], maps: &[Map]) -> DVec3 {
-    let at = |&(bone, weight): &(usize, f64)| {
-        maps.get(bone).map_or(DVec3::ZERO, |m| (m.centre + m.interval * place) * weight)
+pub(super) fn posed_position(position: DVec3, weights: &[(usize, f64)], maps: &[BoneMap]) -> DVec3 {
+    let weighted = |&(bone, weight): &(usize, f64)| {
+        maps.get(bone).map_or(DVec3::ZERO, |m| (m.centre + m.linear * position) * weight)
     };
-    weights.iter().map(at).sum()
+    weights.iter().map(weighted).sum()
 }
 
 /// Welds vertices, separates non-manifold edges and halves edges that are too long in a pose in metres.
-pub(super) fn refine(mesh: &Mesh, weights: &[Vec<(usize, f64)>], pose: &[Map]) -> Result<BoundMesh, FileError> {
+pub(super) fn refine(mesh: &Mesh, weights: &[Vec<(usize, f64)>], pose: &[BoneMap]) -> Result<BoundMesh, FileError> {
     let mut bound = welded(mesh, weights)?;
-    untangle(&mut bound);
+    separate_tangled(&mut bound);
     // A mesh that is inside out, or mirrored by a negative scale, is reversed.
     if (Mesh { vertices: bound.posed(pose), triangles: bound.mesh.triangles.clone() }).volume_m3() < 0.0 {
         bound.mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
     }
-    for _ in 0..ROUNDS {
+    for _ in 0..MOST_HALVINGS {
         if bound.mesh.triangles.len() > MOST_TRIANGLES {
             let problem = format!("more than {MOST_TRIANGLES} triangles with edges of {EDGE_M} m");
             let hint = "reduce the mesh before exporting it: 5 mm detail is below the wavelength; and check its size";
             return Err(FileError::new("skin", problem, hint));
         }
-        if !halve(&mut bound, pose) {
+        if !halve_long_edges(&mut bound, pose) {
             break;
         }
     }
@@ -69,6 +69,12 @@ pub(super) fn refine(mesh: &Mesh, weights: &[Vec<(usize, f64)>], pose: &[Map]) -
     Ok(bound)
 }
 
+/// Vertices of an edge, independent of its direction.
+fn undirected(a: u32, b: u32) -> (u32, u32) {
+    (a.min(b), a.max(b))
+}
+
+/// Welds vertices and drops duplicated triangles.
 fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileError> {
     let [low, high] = bounds(&mesh.vertices);
     let size = (high - low).length();
@@ -76,18 +82,19 @@ fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileE
         let problem = "all its vertices are at one place";
         return Err(FileError::new("skin", problem, "check the scale of the mesh and export it again"));
     }
-    let unit =
+    let scaled =
         Mesh { vertices: mesh.vertices.iter().map(|&v| (v - low) / size).collect(), triangles: mesh.triangles.clone() };
-    let welded = weld(&unit, WELD).map_err(|e| FileError::new("skin", e.to_string(), "export the mesh again"))?;
-    // Original index of each vertex, from the triangles that are left.
-    let mut from = vec![0u32; welded.mesh.vertices.len()];
-    for (triangle, &was) in welded.mesh.triangles.iter().zip(&welded.triangle_of) {
-        for (&now, before) in triangle.iter().zip(mesh.triangles[was as usize]) {
-            from[now as usize] = before;
+    let welded =
+        weld(&scaled, WELD_TOLERANCE).map_err(|e| FileError::new("skin", e.to_string(), "export the mesh again"))?;
+    // Original index of each vertex, from the triangles that remain.
+    let mut original = vec![0u32; welded.mesh.vertices.len()];
+    for (triangle, &original_triangle) in welded.mesh.triangles.iter().zip(&welded.triangle_of) {
+        for (&vertex, original_vertex) in triangle.iter().zip(mesh.triangles[original_triangle as usize]) {
+            original[vertex as usize] = original_vertex;
         }
     }
-    let vertices = from.iter().map(|&v| mesh.vertices[v as usize]).collect();
-    let weights = from.iter().map(|&v| weights[v as usize].clone()).collect();
+    let vertices = original.iter().map(|&v| mesh.vertices[v as usize]).collect();
+    let weights = original.iter().map(|&v| weights[v as usize].clone()).collect();
     let mut bound = BoundMesh { mesh: Mesh { vertices, triangles: Vec::new() }, weights, ..BoundMesh::default() };
     // Double-sided sheets contain each triangle twice.
     let mut seen = BTreeSet::new();
@@ -106,65 +113,66 @@ fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileE
 
 /// Gives triangles vertices of their own at edges of three or more triangles, or of two triangles with different
 /// orientation.
-fn untangle(bound: &mut BoundMesh) {
+fn separate_tangled(bound: &mut BoundMesh) {
     let mut tangled: BTreeSet<(u32, u32)> = BTreeSet::new();
     for edge in edges(&bound.mesh).iter().filter(|e| e.tangled) {
         let [a, b] = edge.vertices;
-        tangled.insert((a.min(b), a.max(b)));
+        tangled.insert(undirected(a, b));
     }
-    let mut apart = 0;
+    let mut separated = 0;
     for t in 0..bound.mesh.triangles.len() {
         let [a, b, c] = bound.mesh.triangles[t];
-        if ![(a, b), (b, c), (c, a)].iter().any(|&(a, b)| tangled.contains(&(a.min(b), a.max(b)))) {
+        if ![(a, b), (b, c), (c, a)].iter().any(|&(a, b)| tangled.contains(&undirected(a, b))) {
             continue;
         }
-        apart += 1;
+        separated += 1;
         bound.mesh.triangles[t] = [a, b, c].map(|v| {
             bound.mesh.vertices.push(bound.mesh.vertices[v as usize]);
             bound.weights.push(bound.weights[v as usize].clone());
             bound.mesh.vertices.len() as u32 - 1
         });
     }
-    if apart > 0 {
+    if separated > 0 {
         tracing::warn!(
-            triangles = apart,
+            triangles = separated,
             "triangles of the actor that meet three at an edge, or face different ways, are loose"
         );
     }
 }
 
 /// Halves edges that are too long in a pose. Returns whether there were any.
-fn halve(bound: &mut BoundMesh, pose: &[Map]) -> bool {
+fn halve_long_edges(bound: &mut BoundMesh, pose: &[BoneMap]) -> bool {
     let posed = bound.posed(pose);
     let normals = one_ring_normals(&bound.mesh.vertices, &bound.mesh.triangles);
-    let mut middles: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    let mut midpoints: BTreeMap<(u32, u32), u32> = BTreeMap::new();
     for edge in edges(&bound.mesh) {
         let [a, b] = edge.vertices;
         let (p, q) = (a as usize, b as usize);
-        if posed[p].distance(posed[q]) <= LONGEST_M {
+        if posed[p].distance(posed[q]) <= LONGEST_EDGE_M {
             continue;
         }
         let ends = [bound.mesh.vertices[p], bound.mesh.vertices[q]];
-        let d = ends[1] - ends[0];
+        let offset = ends[1] - ends[0];
         // An edge at which the surface ends stays straight.
         let bulge = if edge.right.is_none() { DVec3::ZERO } else { bulge(ends, [normals[p], normals[q]]) };
-        let bulge = bulge.clamp_length_max(MOST_BULGE * d.length());
-        middles.insert((a.min(b), a.max(b)), bound.mesh.vertices.len() as u32);
-        bound.mesh.vertices.push(ends[0] + 0.5 * d + bulge);
+        let bulge = bulge.clamp_length_max(MOST_BULGE * offset.length());
+        midpoints.insert(undirected(a, b), bound.mesh.vertices.len() as u32);
+        bound.mesh.vertices.push(ends[0] + 0.5 * offset + bulge);
         let mut weights: BTreeMap<usize, f64> = BTreeMap::new();
         for &(bone, weight) in bound.weights[p].iter().chain(&bound.weights[q]) {
             *weights.entry(bone).or_insert(0.0) += 0.5 * weight;
         }
         bound.weights.push(weights.into_iter().collect());
     }
-    if middles.is_empty() {
+    if midpoints.is_empty() {
         return false;
     }
-    let far = |a: u32, b: u32| bound.mesh.vertices[a as usize].distance_squared(bound.mesh.vertices[b as usize]);
+    let distance_squared =
+        |a: u32, b: u32| bound.mesh.vertices[a as usize].distance_squared(bound.mesh.vertices[b as usize]);
     let mut triangles = Vec::with_capacity(2 * bound.mesh.triangles.len());
     for &[a, b, c] in &bound.mesh.triangles {
-        let middle = |a: u32, b: u32| middles.get(&(a.min(b), a.max(b))).copied();
-        triangles.extend(split([a, b, c], [middle(a, b), middle(b, c), middle(c, a)], far));
+        let midpoint = |a: u32, b: u32| midpoints.get(&undirected(a, b)).copied();
+        triangles.extend(split([a, b, c], [midpoint(a, b), midpoint(b, c), midpoint(c, a)], distance_squared));
     }
     bound.mesh.triangles = triangles;
     true
@@ -177,34 +185,33 @@ mod tests {
     use super::*;
     use crate::geometry::shape;
 
-    fn still() -> Vec<Map> {
-        vec![Map { centre: DVec3::ZERO, interval: DMat3::IDENTITY }]
+    fn identity_pose() -> Vec<BoneMap> {
+        vec![BoneMap { centre: DVec3::ZERO, linear: DMat3::IDENTITY }]
     }
 
     fn ball() -> Mesh {
         shape::icosphere(DVec3::splat(0.3), 2).mesh()
     }
 
-    /// A ball of 80 triangles with edges of 16 cm becomes one with edges of 2 cm. It is rounder than before and still
-    /// closed.
+    /// A ball of 80 triangles with edges of 16 cm becomes one with edges of 2 cm.
     #[test]
-    fn coarse_triangles_become_fine_and_round() {
+    fn refinement_makes_a_coarse_ball_rounder_and_keeps_it_closed() {
         let ball = ball();
         let before = ball.volume_m3();
         let weights = vec![vec![(0, 1.0)]; ball.vertices.len()];
-        let fine = refine(&ball, &weights, &still()).expect("a good mesh");
-        assert!(fine.mesh.is_solid() && fine.open_edges == 0);
-        let longest = edges(&fine.mesh)
-            .into_iter()
-            .map(|e| fine.mesh.vertices[e.vertices[0] as usize].distance(fine.mesh.vertices[e.vertices[1] as usize]));
-        assert!(longest.fold(0.0, f64::max) <= LONGEST_M);
+        let refined = refine(&ball, &weights, &identity_pose()).expect("a good mesh");
+        assert!(refined.mesh.is_solid() && refined.open_edges == 0);
+        let lengths = edges(&refined.mesh).into_iter().map(|e| {
+            refined.mesh.vertices[e.vertices[0] as usize].distance(refined.mesh.vertices[e.vertices[1] as usize])
+        });
+        assert!(lengths.fold(0.0, f64::max) <= LONGEST_EDGE_M);
         let exact = 4.0 / 3.0 * std::f64::consts::PI * 0.3f64.powi(3);
-        let after = fine.mesh.volume_m3();
+        let after = refined.mesh.volume_m3();
         assert!((after / exact - 1.0).abs() < 0.1 * (before / exact - 1.0).abs(), "{before} to {after} of {exact} m^3");
     }
 
     #[test]
-    fn seams_are_closed_doubles_dropped_and_tangles_taken_apart() {
+    fn seams_are_welded_duplicates_dropped_and_non_manifold_edges_separated() {
         let ball = ball();
         // Every triangle has vertices of its own. The first triangle exists twice, and one edge has a third triangle.
         let mut soup = Mesh::soup(ball.all_corners());
@@ -212,8 +219,8 @@ mod tests {
         soup.vertices.push(DVec3::splat(0.4));
         soup.triangles.push([0, 1, soup.vertices.len() as u32 - 1]);
         let weights = vec![vec![(0, 1.0)]; soup.vertices.len()];
-        let fine = refine(&soup, &weights, &still()).expect("a good mesh");
-        assert!(edges(&fine.mesh).iter().all(|e| !e.tangled));
-        assert!(fine.open_edges > 0, "the fin and its neighbours are loose");
+        let refined = refine(&soup, &weights, &identity_pose()).expect("a good mesh");
+        assert!(edges(&refined.mesh).iter().all(|e| !e.tangled));
+        assert!(refined.open_edges > 0, "the fin and its neighbours are loose");
     }
 }

@@ -8,15 +8,15 @@ use std::ops::{Add, Mul};
 
 use glam::{DMat3, DMat4, DQuat, DVec3};
 
-use super::skin::Map;
+use super::skin::BoneMap;
 use crate::file_error::FileError;
 use crate::geometry::import::UpAxis;
 
 /// Largest deviation of a vertex's sum of weights from one; beyond it the file is damaged. Exporters round weights to
 /// bytes.
 const WEIGHT_TOLERANCE: f64 = 0.05;
-/// Remedy for damaged files.
-const EXPORT: &str = "export it again from the program it was made with, applying all transforms";
+/// Hint for damaged files.
+const EXPORT_HINT: &str = "export it again from the program it was made with, applying all transforms";
 
 /// Upper limit of nodes, and of the joints of all skins. Actors have about a hundred.
 pub(super) const MOST_NODES: usize = 4096;
@@ -35,7 +35,7 @@ pub(super) struct Rig {
     pub triangles: Vec<[u32; 3]>,
     pub clips: Vec<Clip>,
     /// Length of the file's unit in metres.
-    pub metres: f64,
+    pub unit_m: f64,
     pub up: UpAxis,
 }
 
@@ -43,12 +43,12 @@ pub(super) struct Rig {
 pub(super) struct Node {
     pub name: String,
     pub parent: Option<usize>,
-    pub local: Local,
+    pub local: LocalTransform,
 }
 
 /// Transform of a node within its parent: scale, rotation, translation, applied in this order.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Local {
+pub(super) struct LocalTransform {
     pub translation: DVec3,
     pub rotation: DQuat,
     pub scale: DVec3,
@@ -66,22 +66,22 @@ pub(super) struct Joint {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Clip {
     pub name: String,
-    pub tracks: Vec<Track>,
+    pub tracks: Vec<KeyframeTrack>,
 }
 
 /// One component of one node's transform over time.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Track {
+pub(super) struct KeyframeTrack {
     pub node: usize,
-    pub between: Between,
+    pub interpolation: KeyInterpolation,
     /// Times of the keyframes, ascending, s.
     pub times_s: Vec<f64>,
-    pub values: Values,
+    pub values: KeyframeValues,
 }
 
 /// Interpolation between keyframes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Between {
+pub(super) enum KeyInterpolation {
     /// The value of the earlier keyframe.
     Step,
     /// Linear, or on the great arc for rotations.
@@ -91,16 +91,16 @@ pub(super) enum Between {
 }
 
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Values {
+pub(super) enum KeyframeValues {
     Translation(Vec<DVec3>),
     Rotation(Vec<DQuat>),
     Scale(Vec<DVec3>),
 }
 
-impl Local {
+impl LocalTransform {
     pub fn from_matrix(matrix: DMat4) -> Self {
         let (scale, rotation, translation) = matrix.to_scale_rotation_translation();
-        Local { translation, rotation, scale }
+        LocalTransform { translation, rotation, scale }
     }
 
     pub fn matrix(&self) -> DMat4 {
@@ -116,52 +116,54 @@ impl Clip {
     }
 
     /// Least mean interval between the keyframes of a track, s. The clip has no detail on shorter times.
-    pub fn key_s(&self) -> f64 {
-        let gap = |t: &Track| {
-            let span = t.times_s.last()? - t.times_s.first()?;
-            (t.times_s.len() > 2).then(|| span / (t.times_s.len() - 1) as f64)
+    pub fn least_key_interval_s(&self) -> f64 {
+        let mean_interval_s = |t: &KeyframeTrack| {
+            let span_s = t.times_s.last()? - t.times_s.first()?;
+            (t.times_s.len() > 2).then(|| span_s / (t.times_s.len() - 1) as f64)
         };
-        self.tracks.iter().filter_map(gap).fold(f64::INFINITY, f64::min)
+        self.tracks.iter().filter_map(mean_interval_s).fold(f64::INFINITY, f64::min)
     }
 }
 
-impl Track {
+impl KeyframeTrack {
     /// Returns the keyframe before a time, and the fraction of the interval to the next one. Times outside the track
     /// give its ends.
-    fn place(&self, time_s: f64) -> (usize, f64) {
-        let after = self.times_s.partition_point(|&t| t <= time_s);
-        let last = self.times_s.len().saturating_sub(1);
-        if after == 0 || last == 0 {
+    fn locate(&self, time_s: f64) -> (usize, f64) {
+        let next = self.times_s.partition_point(|&t| t <= time_s);
+        let last_key = self.times_s.len().saturating_sub(1);
+        if next == 0 || last_key == 0 {
             return (0, 0.0);
         }
-        let before = (after - 1).min(last - 1);
+        let before = (next - 1).min(last_key - 1);
         let (a, b) = (self.times_s[before], self.times_s[before + 1]);
         (before, if b > a { ((time_s - a) / (b - a)).clamp(0.0, 1.0) } else { 0.0 })
     }
 
-    /// Value at a time. `between` interpolates from one keyframe's value to the next one's by a fraction.
-    fn value<T>(&self, values: &[T], time_s: f64, between: impl Fn(T, T, f64) -> T) -> Option<T>
+    /// Value at a time. `interpolate` goes from one keyframe's value to the next one's by a fraction.
+    fn value<T>(&self, values: &[T], time_s: f64, interpolate: impl Fn(T, T, f64) -> T) -> Option<T>
     where
         T: Copy + Add<Output = T> + Mul<f64, Output = T>,
     {
-        let (key, u) = self.place(time_s);
+        let (before, fraction) = self.locate(time_s);
         let at = |i: usize| values.get(i).copied();
-        Some(match self.between {
-            Between::Step => at(if u >= 1.0 { key + 1 } else { key })?,
-            Between::Linear if u == 0.0 => at(key)?,
-            Between::Linear => between(at(key)?, at(key + 1)?, u),
-            Between::Cubic if self.times_s.len() < 2 => at(1)?,
-            Between::Cubic => {
-                let [a, out, into, b] = [at(3 * key + 1)?, at(3 * key + 2)?, at(3 * key + 3)?, at(3 * key + 4)?];
-                let [h00, h10, h01, h11] = self.hermite(key, u);
-                a * h00 + out * h10 + b * h01 + into * h11
+        Some(match self.interpolation {
+            KeyInterpolation::Step => at(if fraction >= 1.0 { before + 1 } else { before })?,
+            KeyInterpolation::Linear if fraction == 0.0 => at(before)?,
+            KeyInterpolation::Linear => interpolate(at(before)?, at(before + 1)?, fraction),
+            KeyInterpolation::Cubic if self.times_s.len() < 2 => at(1)?,
+            KeyInterpolation::Cubic => {
+                let [a, tangent_out, tangent_in, b] =
+                    [at(3 * before + 1)?, at(3 * before + 2)?, at(3 * before + 3)?, at(3 * before + 4)?];
+                let [h00, h10, h01, h11] = self.hermite_weights(before, fraction);
+                a * h00 + tangent_out * h10 + b * h01 + tangent_in * h11
             }
         })
     }
 
     /// Weights of the value and tangent at the keyframe, and at the next one.
-    fn hermite(&self, key: usize, u: f64) -> [f64; 4] {
-        let step_s = self.times_s.get(key + 1).map_or(0.0, |b| b - self.times_s[key]);
+    fn hermite_weights(&self, before: usize, fraction: f64) -> [f64; 4] {
+        let step_s = self.times_s.get(before + 1).map_or(0.0, |b| b - self.times_s[before]);
+        let u = fraction;
         let (u2, u3) = (u * u, u * u * u);
         [2.0 * u3 - 3.0 * u2 + 1.0, step_s * (u3 - 2.0 * u2 + u), 3.0 * u2 - 2.0 * u3, step_s * (u3 - u2)]
     }
@@ -188,7 +190,7 @@ impl Rig {
         }
         let (triangles, vertices) = (self.triangles.len(), self.vertices.len());
         if triangles == 0 {
-            return Err(FileError::new("skin", "the skinned mesh has no triangle", EXPORT));
+            return Err(FileError::new("skin", "the skinned mesh has no triangle", EXPORT_HINT));
         }
         // Seams have a vertex for each side. A mesh has at least as many corners as used vertices.
         if triangles > MOST_TRIANGLES || vertices > 3 * MOST_TRIANGLES {
@@ -209,12 +211,12 @@ impl Rig {
     fn check_skin(&self) -> Result<(), FileError> {
         if let Some(i) = self.vertices.iter().position(|v| !v.is_finite()) {
             let problem = format!("vertex {i} is at {}, expected finite numbers", self.vertices[i]);
-            return Err(FileError::new("skin", problem, EXPORT));
+            return Err(FileError::new("skin", problem, EXPORT_HINT));
         }
         for (t, corners) in self.triangles.iter().enumerate() {
             if let Some(v) = corners.iter().find(|&&v| v as usize >= self.vertices.len()) {
                 let problem = format!("triangle {t} names vertex {v} of {}", self.vertices.len());
-                return Err(FileError::new("skin", problem, EXPORT));
+                return Err(FileError::new("skin", problem, EXPORT_HINT));
             }
         }
         Ok(())
@@ -225,15 +227,15 @@ impl Rig {
         for (i, node) in self.nodes.iter().enumerate() {
             let place = format!("node {:?}", node.name);
             if node.parent.is_some_and(|p| p >= i) {
-                return Err(FileError::new(place, "its parent comes after it", EXPORT));
+                return Err(FileError::new(place, "its parent comes after it", EXPORT_HINT));
             }
-            let Local { translation, rotation, scale } = node.local;
+            let LocalTransform { translation, rotation, scale } = node.local;
             if (0..3).any(|axis| scale[axis].abs() < 1e-9) {
                 let problem = format!("its scale is {scale}, expected three numbers that are not zero");
                 return Err(FileError::new(place, problem, "apply or reset the scale of this node and export again"));
             }
             if !(translation.is_finite() && rotation.is_finite() && scale.is_finite()) {
-                return Err(FileError::new(place, "its transform has a number that is not finite", EXPORT));
+                return Err(FileError::new(place, "its transform has a number that is not finite", EXPORT_HINT));
             }
         }
         for (j, joint) in self.joints.iter().enumerate() {
@@ -242,7 +244,7 @@ impl Rig {
                 return Err(FileError::new(
                     place,
                     format!("it is node {}, of {}", joint.node, self.nodes.len()),
-                    EXPORT,
+                    EXPORT_HINT,
                 ));
             };
             let determinant = joint.inverse_bind.determinant();
@@ -260,12 +262,12 @@ impl Rig {
             let place = || format!("weights of vertex {v}");
             if let Some((joint, _)) = weights.iter().find(|(joint, _)| *joint >= self.joints.len()) {
                 let problem = format!("joint {joint} is named, but the skin has {}", self.joints.len());
-                return Err(FileError::new(place(), problem, EXPORT));
+                return Err(FileError::new(place(), problem, EXPORT_HINT));
             }
             weights.retain(|(_, weight)| *weight != 0.0);
             let sum = weights.iter().fold(0.0, |sum, (_, weight)| sum + weight);
-            let good = weights.iter().all(|(_, w)| *w > 0.0) && (sum - 1.0).abs() <= WEIGHT_TOLERANCE;
-            if !good {
+            let is_valid = weights.iter().all(|(_, w)| *w > 0.0) && (sum - 1.0).abs() <= WEIGHT_TOLERANCE;
+            if !is_valid {
                 let problem = format!("they sum to {sum}, expected positive ones that sum to 1");
                 let hint = "normalise all weights, and bind every vertex to a joint";
                 return Err(FileError::new(place(), problem, hint));
@@ -280,12 +282,14 @@ impl Rig {
             for track in &clip.tracks {
                 let name = self.nodes.get(track.node).map_or("", |n| n.name.as_str());
                 let place = format!("clip {:?}, track of {name:?}", clip.name);
-                let (values, finite) = match &track.values {
-                    Values::Translation(v) | Values::Scale(v) => (v.len(), v.iter().all(|v| v.is_finite())),
-                    Values::Rotation(q) => (q.len(), q.iter().all(|q| q.is_finite())),
+                let (values, is_finite) = match &track.values {
+                    KeyframeValues::Translation(v) | KeyframeValues::Scale(v) => {
+                        (v.len(), v.iter().all(|v| v.is_finite()))
+                    }
+                    KeyframeValues::Rotation(q) => (q.len(), q.iter().all(|q| q.is_finite())),
                 };
                 let keys = track.times_s.len();
-                let expected = if track.between == Between::Cubic { 3 * keys } else { keys };
+                let expected = if track.interpolation == KeyInterpolation::Cubic { 3 * keys } else { keys };
                 let hint = "bake the animation to key frames and export again";
                 if keys == 0 || values != expected {
                     let problem = format!("{values} values for {keys} keys, expected {expected} and at least one key");
@@ -296,13 +300,15 @@ impl Rig {
                     return Err(FileError::new(place, "key times do not ascend", hint));
                 }
                 // A keyframe's rotation of length zero cannot be normalised. Tangents may have any value.
-                let key = |i: usize| if track.between == Between::Cubic { i % 3 == 1 } else { true };
-                let turned = match &track.values {
-                    Values::Rotation(q) => q.iter().enumerate().all(|(i, q)| !key(i) || q.length() > 1e-6),
-                    Values::Scale(s) => s.iter().enumerate().all(|(i, s)| !key(i) || s.abs().min_element() > 1e-9),
-                    Values::Translation(_) => true,
+                let is_key = |i: usize| if track.interpolation == KeyInterpolation::Cubic { i % 3 == 1 } else { true };
+                let is_invertible = match &track.values {
+                    KeyframeValues::Rotation(q) => q.iter().enumerate().all(|(i, q)| !is_key(i) || q.length() > 1e-6),
+                    KeyframeValues::Scale(s) => {
+                        s.iter().enumerate().all(|(i, s)| !is_key(i) || s.abs().min_element() > 1e-9)
+                    }
+                    KeyframeValues::Translation(_) => true,
                 };
-                if !finite || !turned {
+                if !is_finite || !is_invertible {
                     let problem = "a key is not finite, or a rotation or scale of zero";
                     return Err(FileError::new(place, problem, hint));
                 }
@@ -312,92 +318,92 @@ impl Rig {
     }
 
     /// Returns the nodes' transforms at a time of a clip.
-    pub fn locals(&self, clip: &Clip, time_s: f64) -> Vec<Local> {
-        let mut locals: Vec<Local> = self.nodes.iter().map(|n| n.local).collect();
+    pub fn local_transforms(&self, clip: &Clip, time_s: f64) -> Vec<LocalTransform> {
+        let mut local_transforms: Vec<LocalTransform> = self.nodes.iter().map(|n| n.local).collect();
         for track in &clip.tracks {
-            let Some(local) = locals.get_mut(track.node) else { continue };
+            let Some(local) = local_transforms.get_mut(track.node) else { continue };
             match &track.values {
-                Values::Translation(v) => {
+                KeyframeValues::Translation(v) => {
                     local.translation = track.value(v, time_s, DVec3::lerp).unwrap_or(local.translation);
                 }
-                Values::Rotation(q) => {
+                KeyframeValues::Rotation(q) => {
                     let rotation = track.value(q, time_s, DQuat::slerp);
                     local.rotation = rotation.map_or(local.rotation, DQuat::normalize);
                 }
-                Values::Scale(v) => local.scale = track.value(v, time_s, DVec3::lerp).unwrap_or(local.scale),
+                KeyframeValues::Scale(v) => local.scale = track.value(v, time_s, DVec3::lerp).unwrap_or(local.scale),
             }
         }
-        locals
+        local_transforms
     }
 
     /// Returns the joints' positions in the file's world, and the maps from the skin's own frame.
-    pub fn pose(&self, locals: &[Local]) -> (Vec<DVec3>, Vec<Map>) {
-        let mut world: Vec<DMat4> = Vec::with_capacity(locals.len());
-        for (node, local) in self.nodes.iter().zip(locals) {
+    pub fn pose(&self, local_transforms: &[LocalTransform]) -> (Vec<DVec3>, Vec<BoneMap>) {
+        let mut world: Vec<DMat4> = Vec::with_capacity(local_transforms.len());
+        for (node, local) in self.nodes.iter().zip(local_transforms) {
             let parent = node.parent.and_then(|p| world.get(p)).copied().unwrap_or(DMat4::IDENTITY);
             world.push(parent * local.matrix());
         }
-        let of = |joint: &Joint| {
+        let posed = |joint: &Joint| {
             let joint_world = world.get(joint.node).copied().unwrap_or(DMat4::IDENTITY);
             let map = joint_world * joint.inverse_bind;
-            let map = Map { centre: map.w_axis.truncate(), interval: DMat3::from_mat4(map) };
+            let map = BoneMap { centre: map.w_axis.truncate(), linear: DMat3::from_mat4(map) };
             (joint_world.w_axis.truncate(), map)
         };
-        self.joints.iter().map(of).unzip()
+        self.joints.iter().map(posed).unzip()
     }
 }
 
-/// Mean of transforms. Quaternions are averaged with consistent signs.
-pub(super) fn mean(poses: &[Vec<Local>]) -> Vec<Local> {
+/// Returns the mean transform of each node over several poses. Quaternions are averaged with consistent signs.
+pub(super) fn mean_transforms(poses: &[Vec<LocalTransform>]) -> Vec<LocalTransform> {
     let Some(first) = poses.first() else { return Vec::new() };
-    let over = 1.0 / poses.len() as f64;
-    let of = |i: usize| {
-        let all = || poses.iter().filter_map(|p| p.get(i));
-        let side = first[i].rotation;
-        let rotation = all().fold(DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), |sum, local| {
-            sum + if local.rotation.dot(side) < 0.0 { -local.rotation } else { local.rotation }
+    let share = 1.0 / poses.len() as f64;
+    let mean_of = |i: usize| {
+        let same_node = || poses.iter().filter_map(|p| p.get(i));
+        let reference = first[i].rotation;
+        let rotation = same_node().fold(DQuat::from_xyzw(0.0, 0.0, 0.0, 0.0), |sum, local| {
+            sum + if local.rotation.dot(reference) < 0.0 { -local.rotation } else { local.rotation }
         });
-        Local {
-            translation: all().map(|l| l.translation).sum::<DVec3>() * over,
-            rotation: if rotation.length() > 1e-9 { rotation.normalize() } else { side },
-            scale: all().map(|l| l.scale).sum::<DVec3>() * over,
+        LocalTransform {
+            translation: same_node().map(|l| l.translation).sum::<DVec3>() * share,
+            rotation: if rotation.length() > 1e-9 { rotation.normalize() } else { reference },
+            scale: same_node().map(|l| l.scale).sum::<DVec3>() * share,
         }
     };
-    (0..first.len()).map(of).collect()
+    (0..first.len()).map(mean_of).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn track(between: Between, values: Values) -> Track {
-        Track { node: 0, between, times_s: vec![0.0, 2.0], values }
+    fn track(interpolation: KeyInterpolation, values: KeyframeValues) -> KeyframeTrack {
+        KeyframeTrack { node: 0, interpolation, times_s: vec![0.0, 2.0], values }
     }
 
     /// Interpolation follows glTF 2.0, appendix C.
     #[test]
-    fn keys_are_joined_as_the_format_says() {
-        let ends = || Values::Translation(vec![DVec3::ZERO, DVec3::X]);
-        let at = |track: &Track, t: f64| match &track.values {
-            Values::Translation(v) => track.value(v, t, DVec3::lerp).expect("keys").x,
+    fn keyframes_are_interpolated_as_gltf_specifies() {
+        let ends = || KeyframeValues::Translation(vec![DVec3::ZERO, DVec3::X]);
+        let at = |track: &KeyframeTrack, t: f64| match &track.values {
+            KeyframeValues::Translation(v) => track.value(v, t, DVec3::lerp).expect("keys").x,
             _ => f64::NAN,
         };
-        let (step, linear) = (track(Between::Step, ends()), track(Between::Linear, ends()));
+        let (step, linear) = (track(KeyInterpolation::Step, ends()), track(KeyInterpolation::Linear, ends()));
         assert_eq!([-1.0, 0.0, 1.9, 2.0, 3.0].map(|t| at(&step, t)), [0.0, 0.0, 0.0, 1.0, 1.0]);
         assert_eq!([-1.0, 0.5, 2.0, 3.0].map(|t| at(&linear, t)), [0.0, 0.25, 1.0, 1.0]);
         // x = t^3 from its values and slopes at 0 and 2.
         let slopes = [0.0, 0.0, 0.0, 12.0, 8.0, 0.0].map(|x| DVec3::X * x);
-        let cubic = track(Between::Cubic, Values::Translation(slopes.to_vec()));
+        let cubic = track(KeyInterpolation::Cubic, KeyframeValues::Translation(slopes.to_vec()));
         for t in [0.0, 0.3, 1.0, 1.7, 2.0] {
             assert!((at(&cubic, t) - t.powi(3)).abs() < 1e-12, "{t}");
         }
     }
 
     #[test]
-    fn rotations_go_the_short_way_round() {
+    fn rotations_are_interpolated_along_the_shorter_arc() {
         let (a, b) = (DQuat::from_rotation_z(0.2), -DQuat::from_rotation_z(1.0));
-        let turn = track(Between::Linear, Values::Rotation(vec![a, b]));
-        let Values::Rotation(values) = &turn.values else { unreachable!() };
+        let turn = track(KeyInterpolation::Linear, KeyframeValues::Rotation(vec![a, b]));
+        let KeyframeValues::Rotation(values) = &turn.values else { unreachable!() };
         let middle = turn.value(values, 1.0, DQuat::slerp).expect("keys");
         assert!(middle.dot(DQuat::from_rotation_z(0.6)).abs() > 1.0 - 1e-12);
     }

@@ -11,7 +11,7 @@ use std::ops::Range;
 
 use glam::{DMat3, DVec3};
 
-use super::body::{Build, CHEST, PELVIS, SEGMENTS, half_extent};
+use super::body::{Build, CHEST, FOOT, FOREARM, HEAD, PELVIS, SEGMENTS, SHANK, THIGH, UPPER_ARM, half_extent};
 use crate::em::specular::Ellipsoid;
 use crate::geometry::{Edge, Mesh, Surface, edges, isosurface, one_ring_normals};
 use crate::lanes::LANES;
@@ -21,7 +21,7 @@ pub const EDGE_M: f64 = 0.020;
 /// Scale of the blend between parts, m.
 const BLEND_M: f64 = 0.014;
 /// Distance beyond the nearest part, in units of [`BLEND_M`], at which another part contributes only 1e-9.
-const NEGLIGIBLE: f64 = 20.0;
+const NEGLIGIBLE_BLENDS: f64 = 20.0;
 /// Distance from its own surface up to which a segment moves the skin, m.
 const REACH_M: f64 = 0.085;
 /// Distance beyond which a part contributes neither to the surface nor to its motion, with blending taken into account,
@@ -49,27 +49,28 @@ enum Part {
 
 /// Bounding sphere of a part, and a lower bound of the slope of [`Part::distance_m`] with distance from it.
 #[derive(Debug, Clone, Copy)]
-struct Reach {
+struct BoundingSphere {
     centre: DVec3,
     radius_m: f64,
     slope: f64,
 }
 
-impl Reach {
+impl BoundingSphere {
+    /// Lower bound of the distance to the part's surface, m.
     fn least_distance_m(&self, p: DVec3) -> f64 {
         (p.distance(self.centre) - self.radius_m).max(0.0) * self.slope
     }
 }
 
 impl Part {
-    fn reach(&self) -> Reach {
+    fn bounding_sphere(&self) -> BoundingSphere {
         match *self {
             Part::Ellipsoid(_, e) => {
                 let radius_m = e.semi_axes_m.max_element();
-                Reach { centre: e.centre, radius_m, slope: e.semi_axes_m.min_element() / radius_m }
+                BoundingSphere { centre: e.centre, radius_m, slope: e.semi_axes_m.min_element() / radius_m }
             }
             Part::Cone(_, [a, b], [ra, rb]) => {
-                Reach { centre: 0.5 * (a + b), radius_m: 0.5 * a.distance(b) + ra.max(rb), slope: 1.0 }
+                BoundingSphere { centre: 0.5 * (a + b), radius_m: 0.5 * a.distance(b) + ra.max(rb), slope: 1.0 }
             }
         }
     }
@@ -100,30 +101,30 @@ impl Part {
 
 /// Smooth minimum of the distances to all parts, m: `-BLEND_M ln sum exp(-d / BLEND_M)`, computed relative to the least
 /// distance. Farther than [`FAR_M`] from all parts, it is a lower bound.
-fn blended_m(p: DVec3, parts: &[(Part, Reach)]) -> f64 {
+fn blended_distance_m(point: DVec3, parts: &[(Part, BoundingSphere)]) -> f64 {
     let mut at_least_m = [f64::INFINITY; MOST_PARTS];
     let (mut nearest, mut nearest_m) = (0, f64::INFINITY);
-    for (i, (at_least, (_, reach))) in at_least_m.iter_mut().zip(parts).enumerate() {
-        *at_least = reach.least_distance_m(p);
+    for (i, (at_least, (_, sphere))) in at_least_m.iter_mut().zip(parts).enumerate() {
+        *at_least = sphere.least_distance_m(point);
         (nearest, nearest_m) = if *at_least < nearest_m { (i, *at_least) } else { (nearest, nearest_m) };
     }
-    let Some((first, _)) = parts.get(nearest) else { return f64::INFINITY };
+    let Some((nearest_part, _)) = parts.get(nearest) else { return f64::INFINITY };
     if nearest_m > FAR_M {
         return nearest_m - BLEND_M * (parts.len() as f64).ln();
     }
     // Parts that are negligible relative to the seemingly nearest part are skipped.
-    let farthest = first.distance_m(p) + NEGLIGIBLE * BLEND_M;
-    let (mut least, mut sum) = (f64::INFINITY, 0.0);
+    let farthest = nearest_part.distance_m(point) + NEGLIGIBLE_BLENDS * BLEND_M;
+    let (mut least_m, mut sum) = (f64::INFINITY, 0.0);
     for ((part, _), _) in parts.iter().zip(at_least_m).filter(|(_, at_least)| *at_least < farthest) {
-        let d = part.distance_m(p);
-        if d < least {
-            sum = sum * ((d - least) / BLEND_M).exp() + 1.0;
-            least = d;
-        } else if d - least < NEGLIGIBLE * BLEND_M {
-            sum += ((least - d) / BLEND_M).exp();
+        let distance_m = part.distance_m(point);
+        if distance_m < least_m {
+            sum = sum * ((distance_m - least_m) / BLEND_M).exp() + 1.0;
+            least_m = distance_m;
+        } else if distance_m - least_m < NEGLIGIBLE_BLENDS * BLEND_M {
+            sum += ((least_m - distance_m) / BLEND_M).exp();
         }
     }
-    least - BLEND_M * f64::ln(sum)
+    least_m - BLEND_M * f64::ln(sum)
 }
 
 /// A skin that can take any posture of its bones.
@@ -133,13 +134,23 @@ pub struct Skin {
     /// Segment of the body to which each bone belongs.
     segment_of: Vec<usize>,
     edges: Vec<SkinEdge>,
-    /// Influences of each vertex.
+    /// Range of each vertex in `influences`.
     bindings: Vec<Range<usize>>,
-    /// Bones, weights that sum to one for each vertex, and the vertex in each bone's own frame (for the walker's, in
-    /// units of the segment's semi-axes).
-    influences: Vec<(usize, f64, DVec3)>,
+    /// Influences of all vertices.
+    influences: Vec<Influence>,
     patches: Vec<SkinPatch>,
     narrowing: Vec<f32>,
+}
+
+/// Influence of a bone on a vertex.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Influence {
+    /// Index of the bone.
+    pub(super) bone: usize,
+    /// Weight; the weights of a vertex sum to one.
+    pub(super) weight: f64,
+    /// Vertex in the bone's own frame; for the walker's bones in units of the segment's semi-axes.
+    pub(super) point: DVec3,
 }
 
 /// A connected set of consecutive triangles. Neither the triangles nor their vertices exceed the number of lanes.
@@ -176,41 +187,41 @@ pub struct PosedSkin {
 impl Skin {
     /// Makes the skin of a build, with edges of about `edge_m` (15 to 25 mm; hands and feet are lost beyond 35 mm).
     pub fn new(build: &Build, edge_m: f64) -> Self {
-        let segments = apart(build);
-        let parts: Vec<(Part, Reach)> = parts(&segments, build).into_iter().map(|part| (part, part.reach())).collect();
+        let segments = spread_segments(build);
+        let parts: Vec<(Part, BoundingSphere)> =
+            solid_parts(&segments, build).into_iter().map(|part| (part, part.bounding_sphere())).collect();
         let of_segment = |segment: usize| parts.iter().filter(|(part, _)| part.segment() == segment).copied().collect();
-        let by_segment: [Vec<(Part, Reach)>; SEGMENTS] = std::array::from_fn(of_segment);
+        let by_segment: [Vec<(Part, BoundingSphere)>; SEGMENTS] = std::array::from_fn(of_segment);
         let around = segments.iter().map(|e| (e.centre, half_extent(e)));
         let (least, greatest) =
             around.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, g), (c, half)| (l.min(c - half), g.max(c + half)));
         let margin = DVec3::splat(0.06 + 2.0 * edge_m);
-        let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended_m(p, &parts));
+        let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended_distance_m(p, &parts));
         let (mut skin, _) = Skin::unbound(&rest, (0..SEGMENTS).collect());
         for &vertex in &skin.rest.vertices {
             let first = skin.influences.len();
             let weight = |segment: usize| {
-                let distance = blended_m(vertex, &by_segment[segment]).max(0.0);
+                let distance = blended_distance_m(vertex, &by_segment[segment]).max(0.0);
                 (1.0 - distance / REACH_M).max(0.0).powi(3)
             };
             let weights: [f64; SEGMENTS] = std::array::from_fn(weight);
             let total: f64 = weights.iter().sum();
             for ((segment, e), weight) in segments.iter().enumerate().zip(weights).filter(|(_, weight)| *weight > 0.0) {
                 let unit = (e.axes.transpose() * (vertex - e.centre)) / e.semi_axes_m;
-                skin.influences.push((segment, weight / total, unit));
+                skin.influences.push(Influence { bone: segment, weight: weight / total, point: unit });
             }
             skin.bindings.push(first..skin.influences.len());
         }
         skin
     }
 
-    /// Makes a skin from a mesh in a rest pose, every edge with one triangle or two. `bound` states for each vertex the
-    /// bones, their weights and the point in each bone's frame; weights sum to one. `segment_of` states the body
-    /// segment of each bone.
-    pub(super) fn bound(rest: &Mesh, bound: &[Vec<(usize, f64, DVec3)>], segment_of: Vec<usize>) -> Self {
-        let (mut skin, from) = Skin::unbound(rest, segment_of);
-        for of in from.iter().map(|&v| bound.get(v as usize).map(Vec::as_slice).unwrap_or_default()) {
+    /// Makes a skin from a mesh in a rest pose, every edge with one triangle or two. `influences` states for each
+    /// vertex the bones that move it. `segment_of` states the body segment of each bone.
+    pub(super) fn bound(rest: &Mesh, influences: &[Vec<Influence>], segment_of: Vec<usize>) -> Self {
+        let (mut skin, original) = Skin::unbound(rest, segment_of);
+        for of_vertex in original.iter().map(|&v| influences.get(v as usize).map(Vec::as_slice).unwrap_or_default()) {
             let first = skin.influences.len();
-            skin.influences.extend_from_slice(of);
+            skin.influences.extend_from_slice(of_vertex);
             skin.bindings.push(first..skin.influences.len());
         }
         skin
@@ -218,20 +229,20 @@ impl Skin {
 
     /// Makes a skin of a mesh without bindings to bones. Also returns the original index of each of its vertices.
     fn unbound(mesh: &Mesh, segment_of: Vec<usize>) -> (Self, Vec<u32>) {
-        let (rest, patches, from) = in_patch_order(mesh);
+        let (rest, patches, original) = in_patch_order(mesh);
         let edges = skin_edges(&rest);
         let narrowing = narrowing(&rest, &edges);
         let (bindings, influences) = (Vec::new(), Vec::new());
-        (Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }, from)
+        (Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }, original)
     }
 
     /// Makes the skin of a rigid body at a fixed position, and its pose.
     pub(crate) fn still(surface: &Surface) -> (Self, PosedSkin) {
-        let (skin, from) = Skin::unbound(&surface.mesh(), Vec::new());
+        let (skin, original) = Skin::unbound(&surface.mesh(), Vec::new());
         let posed = PosedSkin {
             vertices: skin.rest.vertices.clone(),
-            velocities_m_per_s: vec![DVec3::ZERO; from.len()],
-            normals: from.iter().map(|&v| surface.normals.get(v as usize).copied().unwrap_or(DVec3::Z)).collect(),
+            velocities_m_per_s: vec![DVec3::ZERO; original.len()],
+            normals: original.iter().map(|&v| surface.normals.get(v as usize).copied().unwrap_or(DVec3::Z)).collect(),
         };
         (skin, posed)
     }
@@ -260,19 +271,19 @@ impl Skin {
     /// Returns a quantity of the segments for each vertex, weighted as the vertex follows the segments.
     pub fn blend(&self, of_segment: &[f64; SEGMENTS]) -> Vec<f64> {
         let of_bone: Vec<f64> = self.segment_of.iter().map(|&s| of_segment[s]).collect();
-        let weighted = |&(bone, weight, _): &(usize, f64, DVec3)| weight * of_bone[bone];
+        let weighted = |influence: &Influence| influence.weight * of_bone[influence.bone];
         self.bindings.iter().map(|b| self.influences(b).iter().map(weighted).sum()).collect()
     }
 
-    fn influences(&self, binding: &Range<usize>) -> &[(usize, f64, DVec3)] {
+    fn influences(&self, binding: &Range<usize>) -> &[Influence] {
         self.influences.get(binding.clone()).unwrap_or_default()
     }
 
     /// Returns the vertices for a pose of the bones, or their velocities for its rate.
-    pub(super) fn pose(&self, maps: &[Map]) -> Vec<DVec3> {
-        let follow =
-            |&(bone, weight, point): &(usize, f64, DVec3)| (maps[bone].centre + maps[bone].interval * point) * weight;
-        self.bindings.iter().map(|b| self.influences(b).iter().map(follow).sum()).collect()
+    pub(super) fn pose(&self, maps: &[BoneMap]) -> Vec<DVec3> {
+        let weighted =
+            |&Influence { bone, weight, point }: &Influence| (maps[bone].centre + maps[bone].linear * point) * weight;
+        self.bindings.iter().map(|b| self.influences(b).iter().map(weighted).sum()).collect()
     }
 }
 
@@ -309,18 +320,18 @@ fn skin_edges(mesh: &Mesh) -> Vec<SkinEdge> {
 /// Returns the mesh with triangles sorted by patch and vertices in order of use, so that each patch is contiguous in
 /// memory. Also returns the patches, and the original index of every vertex.
 fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>, Vec<u32>) {
-    let numbers_of = patches(mesh, &skin_edges(mesh));
+    let patch_of = patch_numbers(mesh, &skin_edges(mesh));
     let mut order: Vec<usize> = (0..mesh.triangles.len()).collect();
-    order.sort_by_key(|&t| numbers_of[t]);
-    let (sorted, from) = mesh.of_triangles(order.iter().map(|&t| mesh.triangles[t]));
-    let mut all = Vec::new();
+    order.sort_by_key(|&t| patch_of[t]);
+    let (sorted, original) = mesh.of_triangles(order.iter().map(|&t| mesh.triangles[t]));
+    let mut patches = Vec::new();
     let mut begin = 0;
-    for members in order.chunk_by(|&a, &b| numbers_of[a] == numbers_of[b]) {
+    for members in order.chunk_by(|&a, &b| patch_of[a] == patch_of[b]) {
         let triangles = begin..begin + members.len();
         begin = triangles.end;
-        all.push(SkinPatch::new(triangles.clone(), &sorted.triangles[triangles]));
+        patches.push(SkinPatch::new(triangles.clone(), &sorted.triangles[triangles]));
     }
-    (sorted, all, from)
+    (sorted, patches, original)
 }
 
 impl SkinPatch {
@@ -328,121 +339,130 @@ impl SkinPatch {
         let mut vertices: Vec<u32> = corners.iter().flatten().copied().collect();
         vertices.sort_unstable();
         vertices.dedup();
-        let place = |v: u32| vertices.binary_search(&v).unwrap_or(0);
+        let lane_of = |v: u32| vertices.binary_search(&v).unwrap_or(0);
         SkinPatch {
             triangles,
             vertices: std::array::from_fn(|lane| vertices.get(lane).or(vertices.first()).copied().unwrap_or(0)),
-            corners: std::array::from_fn(|lane| corners.get(lane).map_or([0; 3], |corners| corners.map(place))),
+            corners: std::array::from_fn(|lane| corners.get(lane).map_or([0; 3], |corners| corners.map(lane_of))),
         }
     }
 }
 
-/// Groups triangles into connected patches. Each patch begins at the triangle with the fewest free neighbours and adds
-/// the triangle nearest to its centre. It ends when it is full or reaches [`PATCH_M`] from its beginning.
-fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
-    let mut beside: Vec<Vec<u32>> = vec![Vec::new(); mesh.triangles.len()];
+/// Groups triangles into connected patches and returns the number of each triangle's patch. A patch begins at the
+/// triangle with the fewest free neighbours and adds the triangle nearest to its centre. It ends when it is full or
+/// reaches [`PATCH_M`] from its beginning.
+fn patch_numbers(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
+    /// Number of triangles that are not in a patch yet.
+    const FREE: u32 = u32::MAX;
+    let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); mesh.triangles.len()];
     for edge in edges {
         let [left, right] = edge.triangles;
-        beside[left as usize].push(right);
-        beside[right as usize].push(left);
+        neighbours[left as usize].push(right);
+        neighbours[right as usize].push(left);
     }
-    let middle = |t: u32| mesh.corners(t as usize).map_or(DVec3::ZERO, |[a, b, c]| (a + b + c) / 3.0);
-    let mut patches = vec![u32::MAX; mesh.triangles.len()];
-    let (mut count, mut rim) = (0, std::collections::BTreeSet::new());
-    let mut beginning = 0;
-    let free =
-        |patches: &[u32], t: u32| beside[t as usize].iter().filter(|&&o| patches[o as usize] == u32::MAX).count();
-    while let Some(start) = {
-        // The next patch begins at the rim of finished patches, where a triangle could be left isolated; otherwise
-        // anywhere.
-        let least = rim.iter().copied().min_by_key(|&t| (free(&patches, t), t));
-        least.or_else(|| (beginning..patches.len() as u32).find(|&t| patches[t as usize] == u32::MAX))
-    } {
-        beginning = if rim.is_empty() { start } else { beginning };
-        let (mut members, mut sum) = (vec![start], middle(start));
+    let centroid = |t: u32| mesh.corners(t as usize).map_or(DVec3::ZERO, |[a, b, c]| (a + b + c) / 3.0);
+    let mut patch_of = vec![FREE; mesh.triangles.len()];
+    // Free triangles beside finished patches.
+    let (mut count, mut frontier) = (0, std::collections::BTreeSet::new());
+    let mut search_from = 0;
+    let free_neighbours =
+        |patch_of: &[u32], t: u32| neighbours[t as usize].iter().filter(|&&o| patch_of[o as usize] == FREE).count();
+    loop {
+        // The next patch begins beside finished patches, where a triangle could be left isolated; otherwise anywhere.
+        let beside = frontier.iter().copied().min_by_key(|&t| (free_neighbours(&patch_of, t), t));
+        let start = beside.or_else(|| (search_from..patch_of.len() as u32).find(|&t| patch_of[t as usize] == FREE));
+        let Some(start) = start else { break };
+        search_from = if frontier.is_empty() { start } else { search_from };
+        let (mut members, mut centroid_sum) = (vec![start], centroid(start));
         let mut vertices = mesh.triangles[start as usize].to_vec();
-        patches[start as usize] = count;
-        rim.remove(&start);
+        patch_of[start as usize] = count;
+        frontier.remove(&start);
         while members.len() < LANES {
-            let centre = sum / members.len() as f64;
+            let centre = centroid_sum / members.len() as f64;
             let fits = |t: u32| {
                 let more = mesh.triangles[t as usize].iter().filter(|v| !vertices.contains(v)).count();
-                vertices.len() + more <= LANES && middle(t).distance(middle(start)) < PATCH_M
+                vertices.len() + more <= LANES && centroid(t).distance(centroid(start)) < PATCH_M
             };
-            let around = members.iter().flat_map(|&t| &beside[t as usize]);
-            let near = around.filter(|&&t| patches[t as usize] == u32::MAX && fits(t));
+            let around = members.iter().flat_map(|&t| &neighbours[t as usize]);
+            let candidates = around.filter(|&&t| patch_of[t as usize] == FREE && fits(t));
             // Triangles that would be left isolated come first.
-            let cost = |t: u32| middle(t).distance(centre) * (1.0 + 0.3 * free(&patches, t) as f64);
-            let Some(&next) = near.min_by(|&&a, &&b| cost(a).total_cmp(&cost(b)).then(a.cmp(&b))) else { break };
-            patches[next as usize] = count;
-            rim.remove(&next);
-            sum += middle(next);
+            let cost = |t: u32| centroid(t).distance(centre) * (1.0 + 0.3 * free_neighbours(&patch_of, t) as f64);
+            let cheapest = candidates.min_by(|&&a, &&b| cost(a).total_cmp(&cost(b)).then(a.cmp(&b)));
+            let Some(&next) = cheapest else { break };
+            patch_of[next as usize] = count;
+            frontier.remove(&next);
+            centroid_sum += centroid(next);
             let more: Vec<u32> = mesh.triangles[next as usize].into_iter().filter(|v| !vertices.contains(v)).collect();
             vertices.extend(more);
             members.push(next);
         }
-        rim.extend(members.iter().flat_map(|&t| &beside[t as usize]).filter(|&&t| patches[t as usize] == u32::MAX));
+        let around = members.iter().flat_map(|&t| &neighbours[t as usize]);
+        frontier.extend(around.filter(|&&t| patch_of[t as usize] == FREE));
         count += 1;
     }
-    patches
+    patch_of
 }
 
 /// Map from a bone's own frame (for an ellipsoid, the unit sphere) to the room; or the rate of such a map.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Map {
+pub(super) struct BoneMap {
+    /// Image of the origin.
     pub(super) centre: DVec3,
-    pub(super) interval: DMat3,
+    /// Linear part.
+    pub(super) linear: DMat3,
 }
 
-impl Map {
+impl BoneMap {
     /// Zero map, which adds nothing.
-    pub(super) const NOTHING: Map = Map { centre: DVec3::ZERO, interval: DMat3::ZERO };
+    pub(super) const ZERO: BoneMap = BoneMap { centre: DVec3::ZERO, linear: DMat3::ZERO };
 
-    pub(super) fn of(e: &Ellipsoid) -> Self {
-        Map { centre: e.centre, interval: e.axes * DMat3::from_diagonal(e.semi_axes_m) }
+    /// Map from the unit sphere to an ellipsoid.
+    pub(super) fn of_ellipsoid(e: &Ellipsoid) -> Self {
+        BoneMap { centre: e.centre, linear: e.axes * DMat3::from_diagonal(e.semi_axes_m) }
     }
 
     pub(super) fn is_finite(&self) -> bool {
-        self.centre.is_finite() && self.interval.is_finite()
+        self.centre.is_finite() && self.linear.is_finite()
     }
 }
 
-impl std::ops::Add for Map {
-    type Output = Map;
-    fn add(self, other: Map) -> Map {
-        Map { centre: self.centre + other.centre, interval: self.interval + other.interval }
+impl std::ops::Add for BoneMap {
+    type Output = BoneMap;
+    fn add(self, other: BoneMap) -> BoneMap {
+        BoneMap { centre: self.centre + other.centre, linear: self.linear + other.linear }
     }
 }
 
-impl std::ops::Sub for Map {
-    type Output = Map;
-    fn sub(self, other: Map) -> Map {
-        Map { centre: self.centre - other.centre, interval: self.interval - other.interval }
+impl std::ops::Sub for BoneMap {
+    type Output = BoneMap;
+    fn sub(self, other: BoneMap) -> BoneMap {
+        BoneMap { centre: self.centre - other.centre, linear: self.linear - other.linear }
     }
 }
 
-impl std::ops::Mul<f64> for Map {
-    type Output = Map;
-    fn mul(self, factor: f64) -> Map {
-        Map { centre: self.centre * factor, interval: self.interval * factor }
+impl std::ops::Mul<f64> for BoneMap {
+    type Output = BoneMap;
+    fn mul(self, factor: f64) -> BoneMap {
+        BoneMap { centre: self.centre * factor, linear: self.linear * factor }
     }
 }
 
 /// Segments of a body that stands over the origin with limbs apart.
-fn apart(build: &Build) -> [Ellipsoid; SEGMENTS] {
-    let mut all = build.segments(&build.standing());
+fn spread_segments(build: &Build) -> [Ellipsoid; SEGMENTS] {
+    let mut segments = build.segments(&build.standing());
     for side in 0..2 {
         let sign = if side == 0 { 1.0 } else { -1.0 };
-        for (angle, chain) in [(ARM_APART_RAD, &[3, 5][..]), (LEG_APART_RAD, &[7, 9, 11][..])] {
-            let [joint, _] = joints(&all[chain[0] + side]);
-            let turn = DMat3::from_rotation_x(sign * angle);
-            for &segment in chain {
-                let e = &mut all[segment + side];
-                *e = Ellipsoid { centre: joint + turn * (e.centre - joint), axes: turn * e.axes, ..*e };
+        let limbs = [(ARM_APART_RAD, &[UPPER_ARM, FOREARM][..]), (LEG_APART_RAD, &[THIGH, SHANK, FOOT][..])];
+        for (angle, limb) in limbs {
+            let [joint, _] = joints(&segments[limb[0] + side]);
+            let rotation = DMat3::from_rotation_x(sign * angle);
+            for &segment in limb {
+                let e = &mut segments[segment + side];
+                *e = Ellipsoid { centre: joint + rotation * (e.centre - joint), axes: rotation * e.axes, ..*e };
             }
         }
     }
-    all
+    segments
 }
 
 /// Upper and lower joint of a limb. Its ellipsoid extends beyond each joint by 0.3 of its thickness.
@@ -453,7 +473,7 @@ fn joints(e: &Ellipsoid) -> [DVec3; 2] {
 
 /// Returns the ellipsoids and the parts that connect them: joints, neck, shoulders, hands and heels. Ellipsoids alone
 /// touch only at points.
-fn parts(segments: &[Ellipsoid; SEGMENTS], build: &Build) -> Vec<Part> {
+fn solid_parts(segments: &[Ellipsoid; SEGMENTS], build: &Build) -> Vec<Part> {
     let mut parts: Vec<Part> = Vec::new();
     for (index, &e) in segments.iter().enumerate() {
         // The chest is narrower, to leave space for hanging arms.
@@ -461,8 +481,8 @@ fn parts(segments: &[Ellipsoid; SEGMENTS], build: &Build) -> Vec<Part> {
         parts.push(Part::Ellipsoid(index, Ellipsoid { semi_axes_m: e.semi_axes_m * slim, ..e }));
     }
     let girth = build.girth;
-    let head = segments[0].centre - segments[0].axes * DVec3::Z * 0.04;
-    let [left, right] = [joints(&segments[3])[0], joints(&segments[4])[0]];
+    let head = segments[HEAD].centre - segments[HEAD].axes * DVec3::Z * 0.04;
+    let [left, right] = [joints(&segments[UPPER_ARM])[0], joints(&segments[UPPER_ARM + 1])[0]];
     let neck = 0.5 * (left + right);
     parts.push(Part::Cone(CHEST, [neck, head], [0.062 * girth, 0.054 * girth]));
     parts.push(Part::Cone(PELVIS, [segments[PELVIS].centre, segments[CHEST].centre], [0.100 * girth, 0.090 * girth]));
@@ -473,12 +493,12 @@ fn parts(segments: &[Ellipsoid; SEGMENTS], build: &Build) -> Vec<Part> {
             parts.push(Part::Cone(segment + side, ends, [upper * girth, lower * girth]));
             ends[1]
         };
-        limb(3, 0.046, 0.038);
-        limb(5, 0.039, 0.033);
-        limb(7, 0.078, 0.052);
-        let ankle = limb(9, 0.051, 0.038);
-        let foot = &segments[11 + side];
-        parts.push(Part::Cone(11 + side, [ankle, foot.centre], [0.040, 0.036]));
+        limb(UPPER_ARM, 0.046, 0.038);
+        limb(FOREARM, 0.039, 0.033);
+        limb(THIGH, 0.078, 0.052);
+        let ankle = limb(SHANK, 0.051, 0.038);
+        let foot = &segments[FOOT + side];
+        parts.push(Part::Cone(FOOT + side, [ankle, foot.centre], [0.040, 0.036]));
     }
     parts
 }
@@ -499,7 +519,7 @@ mod tests {
 
     /// Every edge has one triangle on either side, and the surface is one piece without holes: V - E + F = 2.
     #[test]
-    fn the_skin_is_one_closed_surface_with_the_size_of_a_person() {
+    fn a_skin_is_one_closed_surface_with_the_size_of_a_person() {
         for (identity, height_m) in [(0, 1.55), (1, 1.75), (2, 1.95)] {
             let build = Person::draw(5, [identity, 0], height_m).build;
             let skin = Skin::new(&build, EDGE_M);
@@ -520,7 +540,7 @@ mod tests {
     }
 
     #[test]
-    fn triangles_are_even_and_about_fourteen_thousand() {
+    fn a_skin_has_about_14000_triangles_of_similar_size() {
         let walker = walker(1.75);
         let mesh = walker.skin().rest();
         assert!((12_000..16_500).contains(&mesh.triangles.len()), "{} triangles", mesh.triangles.len());
@@ -539,7 +559,7 @@ mod tests {
     }
 
     #[test]
-    fn velocities_are_the_rates_of_the_vertices() {
+    fn vertex_velocities_are_derivatives_of_vertex_positions() {
         let walker = walker(1.75);
         let (t, h) = (3.1, 1e-4);
         let moving = walker.posed(t);
@@ -554,7 +574,7 @@ mod tests {
     }
 
     #[test]
-    fn volume_is_kept_while_walking() {
+    fn the_volume_of_a_skin_is_nearly_constant_while_walking() {
         let walker = walker(1.75);
         let standing = walker.skin().rest().volume_m3();
         for i in 0..20 {

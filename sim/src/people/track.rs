@@ -1,10 +1,9 @@
-//! Smooth functions of time made of corners: every change of slope or level is spread over a window with a raised
-//! cosine. The form is closed, so that position, velocity and acceleration are continuous and any time can be evaluated
-//! directly.
+//! Smooth functions of time: changes of level and slope, each spread over a window with a raised cosine. The form is
+//! closed, so that position, velocity and acceleration are continuous and any time can be evaluated directly.
 
 use crate::math::{smooth_ramp, smooth_step};
 
-/// `start + sum level_k step((t - t_k)/w_k) + sum slope_k w_k ramp((t - t_k)/w_k)`.
+/// A smooth function of time: `start + sum level_k step((t - t_k)/w_k) + sum slope_k w_k ramp((t - t_k)/w_k)`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Track {
     start: f64,
@@ -28,32 +27,32 @@ impl Track {
     }
 
     /// Changes the level at a time.
-    pub fn step(&mut self, time_s: f64, change: f64) {
-        self.step_over(time_s, change, self.window_s);
+    pub fn change_level(&mut self, time_s: f64, change: f64) {
+        self.change_level_over(time_s, change, self.window_s);
     }
 
     /// Changes the slope at a time.
-    pub fn bend(&mut self, time_s: f64, change: f64) {
-        self.bend_over(time_s, change, self.window_s);
+    pub fn change_slope(&mut self, time_s: f64, change: f64) {
+        self.change_slope_over(time_s, change, self.window_s);
     }
 
     /// Changes the level about a time, over its own window before and after. The rate never exceeds `change / window_s`
     /// a second.
-    pub fn step_over(&mut self, time_s: f64, change: f64, window_s: f64) {
+    pub fn change_level_over(&mut self, time_s: f64, change: f64, window_s: f64) {
         if change != 0.0 {
             self.levels.push(Change { time_s, by: change, window_s });
         }
     }
 
     /// Changes the slope about a time, over its own window before and after.
-    pub fn bend_over(&mut self, time_s: f64, change: f64, window_s: f64) {
+    pub fn change_slope_over(&mut self, time_s: f64, change: f64, window_s: f64) {
         if change != 0.0 {
             self.slopes.push(Change { time_s, by: change, window_s });
         }
     }
 
     /// Widens the windows of the last changes of slope at exactly this time to at least `window_s`.
-    pub fn widen(&mut self, time_s: f64, window_s: f64) {
+    pub fn widen_slopes(&mut self, time_s: f64, window_s: f64) {
         for change in self.slopes.iter_mut().rev().take_while(|c| c.time_s == time_s) {
             change.window_s = change.window_s.max(window_s);
         }
@@ -88,10 +87,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn velocity_and_acceleration_are_continuous_and_corners_end_exactly() {
+    fn acceleration_is_continuous_and_values_outside_windows_are_exact() {
         let mut track = Track::constant(2.0, 0.4);
-        track.bend(1.0, 1.5);
-        track.bend(3.0, -1.5);
+        track.change_slope(1.0, 1.5);
+        track.change_slope(3.0, -1.5);
         assert_eq!(track.at(0.5), 2.0);
         assert!((track.at(5.0) - 5.0).abs() < 1e-12);
         assert!((track.at(2.0) - 3.5).abs() < 1e-12);

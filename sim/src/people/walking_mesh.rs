@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::motion::{Motion, Steps};
-use super::skin::{Map, PosedSkin, Skin};
+use super::skin::{BoneMap, PosedSkin, Skin};
 use crate::geometry::{Mesh, one_ring_normals};
 
 /// Step of the finite differences for rates, s. Their error is that of the fifth derivative, below 1 um/s.
@@ -38,10 +38,10 @@ impl WalkingMesh {
     }
 
     /// Returns the maps of the skin's bones at a time, in room coordinates.
-    fn maps(&self, time_s: f64) -> Vec<Map> {
+    fn maps(&self, time_s: f64) -> Vec<BoneMap> {
         match &self.motion.person.steps {
             Steps::Actor(actor) => actor.maps(&self.motion.walk(time_s)),
-            Steps::Gait | Steps::Clip(_) => self.motion.body(time_s).iter().map(Map::of).collect(),
+            Steps::Gait | Steps::Clip(_) => self.motion.body(time_s).iter().map(BoneMap::of_ellipsoid).collect(),
         }
     }
 
@@ -52,13 +52,13 @@ impl WalkingMesh {
             [-2.0 * h, -h, h, 2.0 * h].map(|offset| self.maps(time_s + offset));
         // The five-point rule: (f(-2h) - 8 f(-h) + 8 f(h) - f(2h)) / 12 h.
         let near = before.iter().zip(&after);
-        let rates: Vec<Map> = far_before
+        let rates: Vec<BoneMap> = far_before
             .iter()
             .zip(&far_after)
             .zip(near)
-            .map(|((a, d), (b, c))| Map {
+            .map(|((a, d), (b, c))| BoneMap {
                 centre: (a.centre - d.centre + (c.centre - b.centre) * 8.0) / (12.0 * h),
-                interval: (a.interval - d.interval + (c.interval - b.interval) * 8.0) * (1.0 / (12.0 * h)),
+                linear: (a.linear - d.linear + (c.linear - b.linear) * 8.0) * (1.0 / (12.0 * h)),
             })
             .collect();
         let vertices = self.skin.pose(&self.maps(time_s));

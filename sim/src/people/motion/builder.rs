@@ -6,7 +6,7 @@ use super::super::body::Build;
 use super::super::gait;
 use super::super::postures::{Crouch, Lying};
 use super::super::track::Track;
-use super::{Low, Motion, Person, Steps};
+use super::{Descent, Motion, Person, Steps};
 use crate::math::wrapped;
 
 /// Half the time over which a corner of the route is rounded, s.
@@ -16,7 +16,7 @@ const SIT_S: f64 = 0.8;
 /// Half the time for lying down or rising, s.
 const LIE_S: f64 = 1.6;
 /// Time on the edge of a bed before lying down and before standing up, s.
-const ON_EDGE_S: f64 = 0.8;
+const EDGE_PAUSE_S: f64 = 0.8;
 /// Least angle of a turn that takes steps, rad.
 const LEAST_MARCH_RAD: f64 = 0.4;
 /// Widest turn made while walking if the turning rate is limited, rad. Wider turns are made on the spot.
@@ -40,7 +40,7 @@ pub struct Bed {
 
 impl Bed {
     /// Distance of the hips from the edge when sitting on it, m.
-    const WITHIN_M: f64 = 0.12;
+    const HIPS_FROM_EDGE_M: f64 = 0.12;
 
     /// Distance of the hips behind the feet when sitting, m. The thighs are level.
     fn back_m(build: &Build) -> f64 {
@@ -54,14 +54,15 @@ impl Bed {
 
     /// Position for standing before the bed, m.
     pub fn stand_m(&self, build: &Build) -> [f64; 2] {
-        let from_middle = self.edge_m.abs() - Self::WITHIN_M + Self::back_m(build);
+        let from_middle = self.edge_m.abs() - Self::HIPS_FROM_EDGE_M + Self::back_m(build);
         let (sine, cosine) = self.outward_rad().sin_cos();
         [self.position_m[0] + from_middle * cosine, self.position_m[1] + from_middle * sine]
     }
 
-    fn low(&self, build: &Build) -> Low {
+    /// Descent to the edge, and the place to lie after it.
+    fn descent(&self, build: &Build) -> Descent {
         let crouch = Crouch::sit(build, self.height_m, Self::back_m(build));
-        Low { crouch, lying: Some(Lying { position_m: self.position_m, height_m: self.height_m }) }
+        Descent { crouch, lying: Some(Lying { position_m: self.position_m, height_m: self.height_m }) }
     }
 }
 
@@ -69,31 +70,34 @@ impl Bed {
 #[derive(Debug, Clone)]
 pub struct MotionBuilder {
     motion: Motion,
+    /// Time reached so far, s.
     time_s: f64,
-    place: [f64; 2],
-    facing: f64,
+    /// Position reached so far, m.
+    position_m: [f64; 2],
+    /// Heading reached so far, not wrapped, rad.
+    heading_rad: f64,
     /// Fastest turning rate, rad/s. If `None`, a turn takes the time of a corner.
     turn_rate_rad_per_s: Option<f64>,
     /// Time at which the last turn ends, s.
-    turned_s: f64,
+    turn_end_s: f64,
 }
 
 impl MotionBuilder {
     /// Begins at a position and time, facing a direction.
-    pub fn new(person: Person, start_s: f64, place: [f64; 2], facing_rad: f64) -> Self {
+    pub fn new(person: Person, start_s: f64, position_m: [f64; 2], facing_rad: f64) -> Self {
         let motion = Motion {
             person,
-            x: Track::constant(place[0], CORNER_S),
-            y: Track::constant(place[1], CORNER_S),
+            x: Track::constant(position_m[0], CORNER_S),
+            y: Track::constant(position_m[1], CORNER_S),
             heading: Track::constant(facing_rad, CORNER_S),
             phase: Track::constant(0.0, CORNER_S),
-            vigour: Track::constant(0.0, CORNER_S),
-            sit: Track::constant(0.0, SIT_S),
+            walk_intensity: Track::constant(0.0, CORNER_S),
+            sit_fraction: Track::constant(0.0, SIT_S),
             seats: Vec::new(),
-            march: Track::constant(0.0, CORNER_S),
-            low: Track::constant(0.0, SIT_S),
-            lie: Track::constant(0.0, LIE_S),
-            lows: Vec::new(),
+            march_intensity: Track::constant(0.0, CORNER_S),
+            crouch_fraction: Track::constant(0.0, SIT_S),
+            lying_fraction: Track::constant(0.0, LIE_S),
+            descents: Vec::new(),
             wanderer: None,
             start_s,
             end_s: f64::INFINITY,
@@ -101,16 +105,16 @@ impl MotionBuilder {
         MotionBuilder {
             motion,
             time_s: start_s,
-            place,
-            facing: facing_rad,
+            position_m,
+            heading_rad: facing_rad,
             turn_rate_rad_per_s: None,
-            turned_s: f64::NEG_INFINITY,
+            turn_end_s: f64::NEG_INFINITY,
         }
     }
 
     /// Limits the turning rate from here on, rad/s. Wide turns are made on the spot, with steps; others follow a curve.
-    pub fn turning_at(mut self, most_rad_per_s: Option<f64>) -> Self {
-        self.turn_rate_rad_per_s = most_rad_per_s;
+    pub fn turning_at(mut self, largest_rad_per_s: Option<f64>) -> Self {
+        self.turn_rate_rad_per_s = largest_rad_per_s;
         self
     }
 
@@ -126,18 +130,19 @@ impl MotionBuilder {
 
     /// Position reached so far, m.
     pub fn place(&self) -> [f64; 2] {
-        self.place
+        self.position_m
     }
 
-    fn change_to(&self, facing: f64) -> f64 {
-        wrapped(facing - self.facing)
+    /// Change of heading for facing a direction, rad.
+    fn change_to(&self, heading_rad: f64) -> f64 {
+        wrapped(heading_rad - self.heading_rad)
     }
 
     /// Turns to a heading about a time, over a window before and after it.
-    fn turn(&mut self, time_s: f64, facing: f64, window_s: f64) {
-        let change = self.change_to(facing);
-        self.motion.heading.step_over(time_s, change, window_s);
-        self.facing += change;
+    fn turn(&mut self, time_s: f64, heading_rad: f64, window_s: f64) {
+        let change = self.change_to(heading_rad);
+        self.motion.heading.change_level_over(time_s, change, window_s);
+        self.heading_rad += change;
     }
 
     /// Turns on the spot to a heading, rad.
@@ -147,71 +152,71 @@ impl MotionBuilder {
             return self;
         }
         let window_s = (change.abs() / self.turn_rate_rad_per_s.unwrap_or(TURN_RAD_PER_S)).max(CORNER_S);
-        let begin_s = self.time_s.max(self.turned_s);
+        let begin_s = self.time_s.max(self.turn_end_s);
         let end_s = begin_s + 2.0 * window_s;
         self.turn(begin_s + window_s, facing_rad, window_s);
         if change.abs() > LEAST_MARCH_RAD && matches!(self.motion.person.steps, Steps::Gait) {
             // The steps lie within the turn, so that both feet are down when it ends.
             for (t, sign) in [(begin_s + CORNER_S, 1.0), (end_s - CORNER_S, -1.0)] {
-                self.motion.march.step(t, sign);
-                self.motion.phase.bend(t, sign * gait::MARCH_HZ);
+                self.motion.march_intensity.change_level(t, sign);
+                self.motion.phase.change_slope(t, sign * gait::MARCH_HZ);
             }
         }
-        (self.time_s, self.turned_s) = (end_s, end_s);
+        (self.time_s, self.turn_end_s) = (end_s, end_s);
         self
     }
 
     /// Turns for a straight line that begins now. Also returns half the time over which the corner is rounded, s.
-    fn turn_into(mut self, facing: f64) -> (Self, f64) {
+    fn turn_into(mut self, heading_rad: f64) -> (Self, f64) {
         let Some(rate) = self.turn_rate_rad_per_s else {
-            self.turn(self.time_s, facing, CORNER_S);
+            self.turn(self.time_s, heading_rad, CORNER_S);
             return (self, CORNER_S);
         };
-        let angle = self.change_to(facing).abs();
+        let angle = self.change_to(heading_rad).abs();
         let window_s = (angle / rate).max(CORNER_S);
-        if angle > WIDEST_CURVE_RAD || self.time_s - window_s < self.turned_s {
-            return (self.face(facing), CORNER_S);
+        if angle > WIDEST_CURVE_RAD || self.time_s - window_s < self.turn_end_s {
+            return (self.face(heading_rad), CORNER_S);
         }
-        self.turn(self.time_s, facing, window_s);
-        self.turned_s = self.time_s + window_s;
+        self.turn(self.time_s, heading_rad, window_s);
+        self.turn_end_s = self.time_s + window_s;
         (self, window_s)
     }
 
     /// Walks straight to a position.
-    pub fn walk_to(self, to: [f64; 2], speed_m_per_s: f64) -> Self {
-        let (dx, dy) = (to[0] - self.place[0], to[1] - self.place[1]);
-        let distance = dx.hypot(dy);
-        if distance < 1e-3 {
+    pub fn walk_to(self, to_m: [f64; 2], speed_m_per_s: f64) -> Self {
+        let (dx, dy) = (to_m[0] - self.position_m[0], to_m[1] - self.position_m[1]);
+        let distance_m = dx.hypot(dy);
+        if distance_m < 1e-3 {
             return self;
         }
         let (mut this, corner_s) = self.turn_into(dy.atan2(dx));
-        let (begin, end) = (this.time_s, this.time_s + distance / speed_m_per_s);
-        let (vx, vy) = (dx / distance * speed_m_per_s, dy / distance * speed_m_per_s);
+        let (begin_s, end_s) = (this.time_s, this.time_s + distance_m / speed_m_per_s);
+        let (vx, vy) = (dx / distance_m * speed_m_per_s, dy / distance_m * speed_m_per_s);
         // The line that ends here is rounded over the same time as the one that begins.
         if corner_s > CORNER_S {
             for track in [&mut this.motion.x, &mut this.motion.y] {
-                track.widen(begin, corner_s);
+                track.widen_slopes(begin_s, corner_s);
             }
         }
-        let m = &mut this.motion;
-        let leg_m = m.person.build.standing_hip_height_m();
+        let motion = &mut this.motion;
+        let leg_m = motion.person.build.standing_hip_height_m();
         // The phase of a clip advances with the ground covered, so that feet do not slide.
-        let (vigour, cycles) = match &m.person.steps {
+        let (walk_intensity, cycles_per_s) = match &motion.person.steps {
             Steps::Gait => {
-                let vigour = (speed_m_per_s / 1.3).sqrt().min(1.35);
-                (vigour, gait::cycles_per_second(speed_m_per_s, leg_m) / m.person.style.stride)
+                let walk_intensity = (speed_m_per_s / 1.3).sqrt().min(1.35);
+                (walk_intensity, gait::cycles_per_second(speed_m_per_s, leg_m) / motion.person.style.stride)
             }
             Steps::Clip(clip) => (1.0, speed_m_per_s / clip.cycle_m(leg_m)),
             Steps::Actor(actor) => (1.0, speed_m_per_s / actor.cycle_m),
         };
-        for (t, sign, window_s) in [(begin, 1.0, corner_s), (end, -1.0, CORNER_S)] {
-            m.x.bend_over(t, sign * vx, window_s);
-            m.y.bend_over(t, sign * vy, window_s);
-            m.phase.bend(t, sign * cycles);
-            m.vigour.step(t, sign * vigour);
+        for (t, sign, window_s) in [(begin_s, 1.0, corner_s), (end_s, -1.0, CORNER_S)] {
+            motion.x.change_slope_over(t, sign * vx, window_s);
+            motion.y.change_slope_over(t, sign * vy, window_s);
+            motion.phase.change_slope(t, sign * cycles_per_s);
+            motion.walk_intensity.change_level(t, sign * walk_intensity);
         }
-        this.time_s = end;
-        this.place = to;
+        this.time_s = end_s;
+        this.position_m = to_m;
         this
     }
 
@@ -227,8 +232,8 @@ impl MotionBuilder {
         this.turn(this.time_s, heading_rad, CORNER_S);
         this.motion.seats.push((this.time_s, seat_height_m));
         let duration_s = duration_s.max(2.5 * SIT_S);
-        this.motion.sit.step(this.time_s + SIT_S, 1.0);
-        this.motion.sit.step(this.time_s + duration_s - SIT_S, -1.0);
+        this.motion.sit_fraction.change_level(this.time_s + SIT_S, 1.0);
+        this.motion.sit_fraction.change_level(this.time_s + duration_s - SIT_S, -1.0);
         this.time_s += duration_s;
         this
     }
@@ -236,7 +241,7 @@ impl MotionBuilder {
     /// Sits from the beginning, without end.
     pub fn seated(mut self, seat_height_m: f64) -> Self {
         self.motion.seats.push((f64::NEG_INFINITY, seat_height_m));
-        self.motion.sit = Track::constant(1.0, SIT_S);
+        self.motion.sit_fraction = Track::constant(1.0, SIT_S);
         self
     }
 
@@ -245,9 +250,9 @@ impl MotionBuilder {
         let duration_s = duration_s.max(2.5 * SIT_S);
         // The last walk has ended, and the feet stand.
         let begin_s = self.time_s + CORNER_S;
-        self.motion.lows.push((begin_s, Low { crouch, lying: None }));
-        self.motion.low.step(begin_s + SIT_S, 1.0);
-        self.motion.low.step(begin_s + duration_s - SIT_S, -1.0);
+        self.motion.descents.push((begin_s, Descent { crouch, lying: None }));
+        self.motion.crouch_fraction.change_level(begin_s + SIT_S, 1.0);
+        self.motion.crouch_fraction.change_level(begin_s + duration_s - SIT_S, -1.0);
         self.time_s = begin_s + duration_s + CORNER_S;
         self
     }
@@ -271,39 +276,39 @@ impl MotionBuilder {
     pub fn lie(self, bed: &Bed, duration_s: f64) -> Self {
         let mut this = self.face(bed.outward_rad());
         let begin_s = this.time_s + CORNER_S;
-        this.motion.lows.push((begin_s, bed.low(&this.motion.person.build)));
-        this.motion.low.step(begin_s + SIT_S, 1.0);
-        let lie_s = begin_s + 2.0 * SIT_S + ON_EDGE_S + LIE_S;
-        this.motion.lie.step(lie_s, 1.0);
+        this.motion.descents.push((begin_s, bed.descent(&this.motion.person.build)));
+        this.motion.crouch_fraction.change_level(begin_s + SIT_S, 1.0);
+        let lie_s = begin_s + 2.0 * SIT_S + EDGE_PAUSE_S + LIE_S;
+        this.motion.lying_fraction.change_level(lie_s, 1.0);
         this.turn(lie_s, bed.heading_rad, LIE_S);
         this.time_s = lie_s;
-        let rise_s = (begin_s + duration_s - 2.0 * SIT_S - ON_EDGE_S - LIE_S).max(lie_s + 2.5 * LIE_S);
+        let rise_s = (begin_s + duration_s - 2.0 * SIT_S - EDGE_PAUSE_S - LIE_S).max(lie_s + 2.5 * LIE_S);
         this.rise(bed, rise_s)
     }
 
     /// Lies on a bed from before the beginning, and rises after a duration, s.
     pub fn lying(mut self, bed: &Bed, duration_s: f64) -> Self {
         let build = self.motion.person.build;
-        self.place = bed.stand_m(&build);
+        self.position_m = bed.stand_m(&build);
         let m = &mut self.motion;
-        (m.x, m.y) = (Track::constant(self.place[0], CORNER_S), Track::constant(self.place[1], CORNER_S));
+        (m.x, m.y) = (Track::constant(self.position_m[0], CORNER_S), Track::constant(self.position_m[1], CORNER_S));
         m.heading = Track::constant(bed.heading_rad, CORNER_S);
-        self.facing = bed.heading_rad;
-        m.low = Track::constant(1.0, SIT_S);
-        m.lie = Track::constant(1.0, LIE_S);
-        m.lows.push((f64::NEG_INFINITY, bed.low(&build)));
+        self.heading_rad = bed.heading_rad;
+        m.crouch_fraction = Track::constant(1.0, SIT_S);
+        m.lying_fraction = Track::constant(1.0, LIE_S);
+        m.descents.push((f64::NEG_INFINITY, bed.descent(&build)));
         let rise_s = self.time_s + duration_s.max(LIE_S);
         self.rise(bed, rise_s)
     }
 
     /// Gets up from lying; the motion is half done at `rise_s`.
     fn rise(mut self, bed: &Bed, rise_s: f64) -> Self {
-        self.motion.lie.step(rise_s, -1.0);
+        self.motion.lying_fraction.change_level(rise_s, -1.0);
         self.turn(rise_s, bed.outward_rad(), LIE_S);
-        let up_s = rise_s + LIE_S + ON_EDGE_S + SIT_S;
-        self.motion.low.step(up_s, -1.0);
+        let up_s = rise_s + LIE_S + EDGE_PAUSE_S + SIT_S;
+        self.motion.crouch_fraction.change_level(up_s, -1.0);
         self.time_s = up_s + SIT_S + CORNER_S;
-        self.turned_s = rise_s + LIE_S;
+        self.turn_end_s = rise_s + LIE_S;
         self
     }
 

@@ -1,8 +1,8 @@
 //! Choice of motions that leave time to stop. The test simulates braking of all people with the dynamics of the step
 //! itself.
 
+use super::dynamics::{Command, Limits, Pose};
 use super::setting::Setting;
-use super::walker::{Command, Limits, Pose};
 
 /// Number of simulated braking steps: more than any stop takes.
 const BRAKE_STEPS: usize = 200;
@@ -18,7 +18,8 @@ pub(super) struct Braking {
     pub seat_m: Option<[f64; 2]>,
 }
 
-/// Returns the first of several motions that leaves time to stop, and its index. If there is none, returns braking.
+/// Returns the pose after the first of several commands that leaves time to stop, and the command's index. If there is
+/// none, returns the pose after braking and the number of commands.
 pub(super) fn choose(
     setting: &Setting,
     from: &Pose,
@@ -26,10 +27,10 @@ pub(super) fn choose(
     commands: &[Command; 3],
     others: &[Braking],
 ) -> (Pose, usize) {
-    for (number, command) in commands.iter().enumerate() {
+    for (index, command) in commands.iter().enumerate() {
         let next = from.advance(command, limits);
         if stops_in_time(setting, next, limits, others) {
-            return (next, number);
+            return (next, index);
         }
     }
     (from.advance(&Command::STOP, limits), commands.len())
@@ -37,21 +38,21 @@ pub(super) fn choose(
 
 /// Whether a person that brakes from a pose stays on the ground and away from other braking people.
 fn stops_in_time(setting: &Setting, from: Pose, limits: &Limits, others: &[Braking]) -> bool {
-    let least_m = setting.file.least_distance_m;
+    let least_distance_m = setting.file.least_distance_m;
     let (mut pose, mut others) = (from, others.to_vec());
     for _ in 0..BRAKE_STEPS {
         if !setting.ground.is_free(pose.position_m) {
             return false;
         }
-        let is_near = |at: [f64; 2]| pose.distance_m(at) < least_m;
-        if others.iter().any(|o| is_near(o.pose.position_m) || o.seat_m.is_some_and(is_near)) {
+        let is_too_near = |at: [f64; 2]| pose.distance_m(at) < least_distance_m;
+        if others.iter().any(|other| is_too_near(other.pose.position_m) || other.seat_m.is_some_and(is_too_near)) {
             return false;
         }
-        if pose.speed_m_per_s <= 0.0 && others.iter().all(|o| o.pose.speed_m_per_s <= 0.0) {
+        if pose.speed_m_per_s <= 0.0 && others.iter().all(|other| other.pose.speed_m_per_s <= 0.0) {
             return true;
         }
         pose = pose.advance(&Command::STOP, limits);
-        others.iter_mut().for_each(|o| o.pose = o.pose.advance(&Command::STOP, &o.limits));
+        others.iter_mut().for_each(|other| other.pose = other.pose.advance(&Command::STOP, &other.limits));
     }
     false
 }

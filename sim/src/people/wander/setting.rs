@@ -1,4 +1,4 @@
-//! The ground on which people wander: free places for hips, goals and seats, and random draws of them.
+//! The ground on which people wander, its seats, and random draws of positions on it.
 
 use std::f64::consts::PI;
 
@@ -6,18 +6,18 @@ use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::draw;
-use super::walker::{Limits, Pose};
+use super::dynamics::{Limits, Pose};
 use crate::first_warning::is_first_warning;
 use crate::people::body::Build;
 use crate::people::route::Ground;
 use crate::scene_file::{PeopleFile, WanderFile};
 
 /// Number of attempts to draw a goal.
-const PLACES: usize = 200;
+const GOAL_ATTEMPTS: usize = 200;
 /// Number of attempts to draw a pair of goals.
-const PAIRS: usize = 12;
+const PAIR_ATTEMPTS: usize = 12;
 /// Least distance between people at the beginning, m.
-const BEGIN_APART_M: f64 = 1.0;
+const LEAST_START_DISTANCE_M: f64 = 1.0;
 
 /// Part of the ground plan in which the scene lets people wander, as seen from the radar.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,7 +32,7 @@ pub(super) struct View {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Seat {
     /// Position at which the hips come to rest, m.
-    pub place_m: [f64; 2],
+    pub position_m: [f64; 2],
     /// Position for standing before it, m.
     pub before_m: [f64; 2],
     /// Heading of a sitting person, rad.
@@ -58,8 +58,8 @@ pub(super) struct Setting {
     pub size_m: [f64; 2],
     /// Free ground for hips.
     pub ground: Ground,
-    /// Free ground for planned routes, farther from all obstacles.
-    pub planned: Ground,
+    /// Free ground for routes, farther from all obstacles than `ground`.
+    pub route_ground: Ground,
     /// Part of the ground that contains the goals; all of it if absent.
     pub view: Option<View>,
     /// Seats that can be used.
@@ -84,83 +84,85 @@ impl Setting {
     }
 
     /// Draws a free place as a goal.
-    pub fn goal(&self, rng: &mut Xoshiro256PlusPlus) -> Option<[f64; 2]> {
-        for number in 0..2 * PLACES {
-            let at = match &self.view {
+    pub fn draw_goal(&self, rng: &mut Xoshiro256PlusPlus) -> Option<[f64; 2]> {
+        for attempt in 0..2 * GOAL_ATTEMPTS {
+            let position = match &self.view {
                 Some(view) => {
                     let [nearest, farthest] = self.file.range_m;
                     let range_m = nearest + (farthest - nearest) * rng.random::<f64>().powf(self.file.nearness);
-                    let most = self.file.off_boresight_deg.to_radians();
-                    let (sine, cosine) = (view.azimuth_rad + draw(rng, [-most, most])).sin_cos();
+                    let largest_rad = self.file.off_boresight_deg.to_radians();
+                    let (sine, cosine) = (view.azimuth_rad + draw(rng, [-largest_rad, largest_rad])).sin_cos();
                     [view.radar_m[0] + range_m * cosine, view.radar_m[1] + range_m * sine]
                 }
                 None => self.size_m.map(|size| draw(rng, [0.0, size])),
             };
-            let ground = if number < PLACES { &self.planned } else { &self.ground };
-            if ground.is_free(at) {
-                return Some(at);
+            let ground = if attempt < GOAL_ATTEMPTS { &self.route_ground } else { &self.ground };
+            if ground.is_free(position) {
+                return Some(position);
             }
         }
         None
     }
 
     /// Draws the first position of a person, away from others.
-    pub fn start(&self, rng: &mut Xoshiro256PlusPlus, taken: &[[f64; 2]]) -> [f64; 2] {
+    pub fn draw_start(&self, rng: &mut Xoshiro256PlusPlus, taken: &[[f64; 2]]) -> [f64; 2] {
         /// Number of grid places along each axis, for rooms where random draws find none.
         const GRID: usize = 40;
-        let off = |at: [f64; 2]| taken.iter().map(|other| distance_m(at, *other)).fold(BEGIN_APART_M, f64::min);
-        let mut is_found = true;
-        for _ in 0..PLACES {
-            let Some(at) = self.goal(rng) else {
-                is_found = false;
+        let distance_to_others = |position: [f64; 2]| {
+            taken.iter().map(|other| distance_m(position, *other)).fold(LEAST_START_DISTANCE_M, f64::min)
+        };
+        let mut has_goal = true;
+        for _ in 0..GOAL_ATTEMPTS {
+            let Some(position) = self.draw_goal(rng) else {
+                has_goal = false;
                 break;
             };
-            if off(at) >= BEGIN_APART_M {
-                return at;
+            if distance_to_others(position) >= LEAST_START_DISTANCE_M {
+                return position;
             }
         }
-        if self.view.is_some() && !is_found && is_first_warning(&["wander"]) {
+        if self.view.is_some() && !has_goal && is_first_warning(&["wander"]) {
             let WanderFile { range_m: [nearest, farthest], off_boresight_deg, .. } = self.file;
             tracing::warn!(
                 "no free place is {nearest} to {farthest} m from the radar and within {off_boresight_deg} degrees of its boresight, so \
                  people stand elsewhere, perhaps behind it: turn the radar (azimuth_deg), or widen range_m or off_boresight_deg"
             );
         }
-        let mut best = (-1.0, self.size_m.map(|size| 0.5 * size));
+        let (mut farthest_m, mut farthest) = (-1.0, self.size_m.map(|size| 0.5 * size));
         for i in 1..GRID * GRID {
-            let at =
+            let position =
                 [self.size_m[0] * (i % GRID) as f64 / GRID as f64, self.size_m[1] * (i / GRID) as f64 / GRID as f64];
-            if self.ground.is_free(at) && off(at) > best.0 {
-                best = (off(at), at);
+            if self.ground.is_free(position) && distance_to_others(position) > farthest_m {
+                (farthest_m, farthest) = (distance_to_others(position), position);
             }
         }
-        best.1
+        farthest
     }
 
     /// Draws two free places far apart with a free line between them.
-    pub fn ends(&self, rng: &mut Xoshiro256PlusPlus) -> Option<[[f64; 2]; 2]> {
-        let mut best: Option<(f64, [[f64; 2]; 2])> = None;
-        for _ in 0..PAIRS {
-            let (a, b) = (self.goal(rng)?, self.goal(rng)?);
+    pub fn draw_pacing_ends(&self, rng: &mut Xoshiro256PlusPlus) -> Option<[[f64; 2]; 2]> {
+        let mut longest: Option<(f64, [[f64; 2]; 2])> = None;
+        for _ in 0..PAIR_ATTEMPTS {
+            let (a, b) = (self.draw_goal(rng)?, self.draw_goal(rng)?);
             let length_m = distance_m(a, b);
-            if self.planned.route(a, b).len() == 1 && best.is_none_or(|(longest, _)| length_m > longest) {
-                best = Some((length_m, [a, b]));
+            if self.route_ground.route(a, b).len() == 1 && longest.is_none_or(|(best_m, _)| length_m > best_m) {
+                longest = Some((length_m, [a, b]));
             }
         }
-        best.map(|(_, ends)| ends)
+        longest.map(|(_, ends)| ends)
     }
 
     /// Draws two free places at talking distance. The first one is nearer to the given person.
-    pub fn meeting(&self, rng: &mut Xoshiro256PlusPlus, person: &Pose) -> Option<[[f64; 2]; 2]> {
-        for _ in 0..PLACES {
-            let middle = self.goal(rng)?;
+    pub fn draw_meeting(&self, rng: &mut Xoshiro256PlusPlus, person: &Pose) -> Option<[[f64; 2]; 2]> {
+        for _ in 0..GOAL_ATTEMPTS {
+            let centre = self.draw_goal(rng)?;
             // A person may stop a little beyond the place.
-            let apart_m = self.file.least_distance_m + draw(rng, [0.4, 1.0]);
+            let distance_m = self.file.least_distance_m + draw(rng, [0.4, 1.0]);
             let (sine, cosine) = draw(rng, [-PI, PI]).sin_cos();
-            let spots =
-                [0.5, -0.5].map(|part| [middle[0] + part * apart_m * cosine, middle[1] + part * apart_m * sine]);
-            if spots.iter().all(|at| self.planned.is_free(*at)) {
-                let [near, far] = spots;
+            let positions = [0.5, -0.5]
+                .map(|factor| [centre[0] + factor * distance_m * cosine, centre[1] + factor * distance_m * sine]);
+            if positions.iter().all(|position| self.route_ground.is_free(*position)) {
+                let [near, far] = positions;
                 let is_sorted = person.distance_m(near) <= person.distance_m(far);
                 return Some(if is_sorted { [near, far] } else { [far, near] });
             }

@@ -6,9 +6,9 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::table::Group;
-use super::{members, room};
+use super::{group_members, room_setting};
 use crate::em::specular::Ellipsoid;
-use crate::people::body::PELVIS;
+use crate::people::body::{FOOT, FOREARM, PELVIS};
 use crate::people::motion::Motion;
 use crate::scenario::Scenario;
 use crate::scene::Scene;
@@ -59,20 +59,20 @@ fn people(scene: &Scene, seed: u64, count: usize) -> Vec<Arc<Motion>> {
 }
 
 /// Keys of a scene file that make one mode certain.
-fn only(mode: &str) -> String {
+fn mode_weights(mode: &str) -> String {
     let weight = |name: &&str| format!("{name} = {}", if *name == mode { "1.0" } else { "0.0" });
     format!("[people.wander.modes]\n{}\n", MODES.iter().map(weight).collect::<Vec<_>>().join("\n"))
 }
 
 const MODES: [&str; 6] = ["independent", "together", "follow", "meet", "pass", "stand_and_walk"];
 
-fn apart([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
+fn distance_m([ax, ay]: [f64; 2], [bx, by]: [f64; 2]) -> f64 {
     (ax - bx).hypot(ay - by)
 }
 
 /// Velocity is continuous and acceleration is bounded at every time, also between steps of the table.
 #[test]
-fn speeds_never_jump() {
+fn speed_is_continuous_and_acceleration_is_bounded() {
     let scene = scene("sit_probability = 0.3");
     let h = 5e-3;
     for seed in 0..6 {
@@ -84,7 +84,7 @@ fn speeds_never_jump() {
                 let bend = [0, 1].map(|k| (next[k] - 2.0 * now[k] + before[k]) / (h * h));
                 let hardest = bend[0].hypot(bend[1]);
                 assert!(hardest < 1.3, "{hardest} m/s^2 at {} s", i as f64 * h);
-                let speed = apart(next, now) / h;
+                let speed = distance_m(next, now) / h;
                 assert!(speed < 1.5, "{speed} m/s at {} s", i as f64 * h);
                 (before, now) = (now, next);
             }
@@ -93,7 +93,7 @@ fn speeds_never_jump() {
 }
 
 #[test]
-fn turns_keep_to_the_bound() {
+fn turning_rates_stay_within_the_limit_of_the_scene() {
     let scene = parsed("[people]\nturn_rate_deg_per_s = 100.0\n[people.wander]\n").expect("a scene");
     let h = 0.01;
     for seed in 0..6 {
@@ -112,11 +112,11 @@ fn turns_keep_to_the_bound() {
 }
 
 #[test]
-fn hips_keep_off_walls_furniture_and_the_radar() {
+fn hips_keep_their_distance_from_walls_furniture_and_the_radar() {
     /// Margin for sway, m.
     const SWAY_M: f64 = 0.03;
     for mode in MODES {
-        let scene = scene(&format!("sit_probability = 0.0\n{}", only(mode)));
+        let scene = scene(&format!("sit_probability = 0.0\n{}", mode_weights(mode)));
         for seed in 0..4 {
             for motion in people(&scene, seed, 2) {
                 for i in 0..1200 {
@@ -128,7 +128,7 @@ fn hips_keep_off_walls_furniture_and_the_radar() {
                     let off = [0, 1].map(|k| (low[k] - at[k]).max(at[k] - high[k]).max(0.0));
                     let off_table = off[0].hypot(off[1]);
                     assert!(off_table > KEEP_OFF_M - SWAY_M, "{mode} {seed}: {off_table} m off the table at {t} s");
-                    assert!(apart(at, RADAR_M) > 0.5 - SWAY_M, "{mode} {seed}: at the radar at {t} s");
+                    assert!(distance_m(at, RADAR_M) > 0.5 - SWAY_M, "{mode} {seed}: at the radar at {t} s");
                 }
             }
         }
@@ -137,7 +137,7 @@ fn hips_keep_off_walls_furniture_and_the_radar() {
 
 /// Goals lie within the scene's ranges and angles. Curves between them go a little beyond.
 #[test]
-fn people_stay_where_the_scene_wants_them() {
+fn people_stay_near_the_ranges_and_angles_of_the_scene() {
     let scene = scene("range_m = [0.8, 3.0]\noff_boresight_deg = 30.0\nsit_probability = 0.0");
     let (mut beyond, mut all) = (0, 0);
     for seed in 0..12 {
@@ -155,22 +155,22 @@ fn people_stay_where_the_scene_wants_them() {
 }
 
 #[test]
-fn two_people_never_come_too_close_and_go_on() {
+fn two_people_keep_their_distance_and_keep_moving_in_every_mode() {
     for mode in MODES {
-        let scene = scene(&format!("sit_probability = 0.2\n{}", only(mode)));
+        let scene = scene(&format!("sit_probability = 0.2\n{}", mode_weights(mode)));
         let (mut walked_m, mut nearest_m) = (0.0, f64::INFINITY);
         for seed in 0..6 {
             let both = people(&scene, seed, 2);
-            let hips = |who: usize, t: f64| {
-                let p = both[who].body(t)[PELVIS].centre;
+            let hips = |person: usize, t: f64| {
+                let p = both[person].body(t)[PELVIS].centre;
                 [p.x, p.y]
             };
             let mut last = [hips(0, 0.0), hips(1, 0.0)];
             for i in 1..1800 {
                 let t = f64::from(i) * 0.1;
                 let now = [hips(0, t), hips(1, t)];
-                nearest_m = apart(now[0], now[1]).min(nearest_m);
-                walked_m += apart(now[0], last[0]) + apart(now[1], last[1]);
+                nearest_m = distance_m(now[0], now[1]).min(nearest_m);
+                walked_m += distance_m(now[0], last[0]) + distance_m(now[1], last[1]);
                 last = now;
             }
         }
@@ -182,10 +182,12 @@ fn two_people_never_come_too_close_and_go_on() {
 
 /// People that walk together stay together, followers are close behind, and people that meet stand face to face.
 #[test]
-fn modes_are_what_they_say() {
-    let share = |mode: &str, of: &dyn Fn(&Motion, &Motion, f64) -> bool| {
-        let scene =
-            scene(&format!("stand_probability = 0.0\npace_probability = 0.0\nsit_probability = 0.0\n{}", only(mode)));
+fn people_walk_together_follow_and_meet_in_the_modes_of_these_names() {
+    let time_share = |mode: &str, of: &dyn Fn(&Motion, &Motion, f64) -> bool| {
+        let scene = scene(&format!(
+            "stand_probability = 0.0\npace_probability = 0.0\nsit_probability = 0.0\n{}",
+            mode_weights(mode)
+        ));
         let mut count = 0;
         for seed in 0..6 {
             let both = people(&scene, seed, 2);
@@ -194,32 +196,32 @@ fn modes_are_what_they_say() {
         count as f64 / (6.0 * 1200.0)
     };
     let near = |limit_m: f64| {
-        move |a: &Motion, b: &Motion, t: f64| apart(a.walk(t).position_m, b.walk(t).position_m) < limit_m
+        move |a: &Motion, b: &Motion, t: f64| distance_m(a.walk(t).position_m, b.walk(t).position_m) < limit_m
     };
-    let independent = share("independent", &near(1.2));
-    let together = share("together", &near(1.2));
-    let follows = share("follow", &near(2.2));
+    let independent = time_share("independent", &near(1.2));
+    let together = time_share("together", &near(1.2));
+    let follows = time_share("follow", &near(2.2));
     assert!(together > 0.6 && together > independent + 0.2, "{together} together, {independent} independent");
     assert!(follows > 0.6, "{follows}");
-    let face = |a: &Motion, b: &Motion, t: f64| {
+    let face_to_face = |a: &Motion, b: &Motion, t: f64| {
         let (a, b) = (a.walk(t), b.walk(t));
-        let way = [b.position_m[0] - a.position_m[0], b.position_m[1] - a.position_m[1]];
-        let looks = a.heading_rad.cos() * way[0] + a.heading_rad.sin() * way[1];
-        let looks_back = -(b.heading_rad.cos() * way[0] + b.heading_rad.sin() * way[1]);
-        let distance = way[0].hypot(way[1]);
-        distance < 2.0 && looks > 0.8 * distance && looks_back > 0.8 * distance && a.vigour.max(b.vigour) < 0.1
+        let to_other = [b.position_m[0] - a.position_m[0], b.position_m[1] - a.position_m[1]];
+        let facing = a.heading_rad.cos() * to_other[0] + a.heading_rad.sin() * to_other[1];
+        let facing_back = -(b.heading_rad.cos() * to_other[0] + b.heading_rad.sin() * to_other[1]);
+        let distance = to_other[0].hypot(to_other[1]);
+        distance < 2.0 && facing > 0.8 * distance && facing_back > 0.8 * distance && a.intensity.max(b.intensity) < 0.1
     };
-    let (met, by_chance) = (share("meet", &face), share("independent", &face));
-    assert!(met > 0.05 && met > by_chance, "{met} face to face, {by_chance} otherwise");
+    let (meeting, independent_share) = (time_share("meet", &face_to_face), time_share("independent", &face_to_face));
+    assert!(meeting > 0.05 && meeting > independent_share, "{meeting} face to face, {independent_share} otherwise");
 }
 
 /// At every time some point of a body moves faster than half a millimetre a second. The feet of a standing person stay
 /// in place.
 #[test]
-fn nobody_vanishes_while_standing_and_feet_do_not_slide() {
+fn a_standing_person_always_moves_a_little_and_feet_do_not_slide() {
     let scene = scene("stand_probability = 1.0\npace_probability = 0.0");
     let h = 1e-3;
-    let (mut gestures, mut stood) = (0, 0);
+    let (mut gesture_count, mut standing_count) = (0, 0);
     for seed in 0..8 {
         let motion = &people(&scene, seed, 1)[0];
         for i in 0..1500 {
@@ -231,36 +233,39 @@ fn nobody_vanishes_while_standing_and_feet_do_not_slide() {
             };
             let fastest = (0..before.len()).map(speed).fold(0.0, f64::max);
             assert!(fastest > 5e-4, "seed {seed}: {fastest} m/s at {t} s");
-            let forearms = speed(5).max(speed(6));
-            assert!(forearms < 2.5, "seed {seed}: an arm moves at {forearms} m/s at {t} s");
-            gestures += usize::from(forearms > 0.2);
+            let forearm_speed = speed(FOREARM).max(speed(FOREARM + 1));
+            assert!(forearm_speed < 2.5, "seed {seed}: an arm moves at {forearm_speed} m/s at {t} s");
+            gesture_count += usize::from(forearm_speed > 0.2);
             let (a, b) = (motion.walk(t - h), motion.walk(t + h));
             if (b.heading_rad - a.heading_rad).abs() < 1e-9 {
-                stood += 1;
-                let foot = |side: usize| after[11 + side].centre.distance(before[11 + side].centre) / (2.0 * h);
-                let slides = foot(0).max(foot(1));
-                assert!(slides < 0.03, "seed {seed}: a foot slides at {slides} m/s at {t} s");
+                standing_count += 1;
+                let foot = |side: usize| after[FOOT + side].centre.distance(before[FOOT + side].centre) / (2.0 * h);
+                let sliding = foot(0).max(foot(1));
+                assert!(sliding < 0.03, "seed {seed}: a foot slides at {sliding} m/s at {t} s");
             }
         }
     }
-    assert!(stood > 4000 && gestures > 100, "{stood} times standing, {gestures} with gestures");
+    assert!(
+        standing_count > 4000 && gesture_count > 100,
+        "{standing_count} times standing, {gesture_count} with gestures"
+    );
 }
 
 /// Steps are counted by distance, not by time.
 #[test]
-fn steps_go_with_the_way() {
+fn the_phase_of_steps_advances_with_the_distance_walked() {
     let scene = scene("stand_probability = 0.0");
     for seed in 0..4 {
         let motion = &people(&scene, seed, 1)[0];
-        let mut way_m = 0.0;
+        let mut walked_m = 0.0;
         for i in 0..6000 {
             let (a, b) = (motion.walk(f64::from(i) * 0.02), motion.walk(f64::from(i + 1) * 0.02));
             assert!(b.phase >= a.phase - 1e-4);
-            way_m += apart(a.position_m, b.position_m);
+            walked_m += distance_m(a.position_m, b.position_m);
         }
         let cycles = motion.walk(120.0).phase - motion.walk(0.0).phase;
         // Turning on the spot takes steps; sway does not.
-        let per_cycle_m = way_m / cycles;
+        let per_cycle_m = walked_m / cycles;
         assert!((0.2..1.6).contains(&per_cycle_m), "{per_cycle_m} m in a cycle");
     }
 }
@@ -268,7 +273,7 @@ fn steps_go_with_the_way() {
 /// The speeds of many people, some of them standing, match measurements of people that walk in a room. There the 90th
 /// percentile of the radial speed is 0.5 to 0.6 m/s.
 #[test]
-fn radial_speeds_are_those_of_people_in_rooms() {
+fn radial_speeds_match_those_measured_in_rooms() {
     let scene = scene("");
     let mut speeds = Vec::new();
     let mut ranges_m = Vec::new();
@@ -276,7 +281,7 @@ fn radial_speeds_are_those_of_people_in_rooms() {
         let motion = &people(&scene, seed, 1)[0];
         for i in 0..200 {
             let t = f64::from(i) * 0.3;
-            let range = |t: f64| apart(motion.walk(t).position_m, RADAR_M);
+            let range = |t: f64| distance_m(motion.walk(t).position_m, RADAR_M);
             speeds.push((range(t + 0.01) - range(t - 0.01)).abs() / 0.02);
             ranges_m.push(range(t));
         }
@@ -290,16 +295,16 @@ fn radial_speeds_are_those_of_people_in_rooms() {
 }
 
 #[test]
-fn a_seed_is_one_way_in_any_order() {
+fn motion_depends_on_seed_and_time_but_not_on_the_order_of_requests() {
     let scene = scene("");
-    let there: Vec<_> = people(&scene, 3, 2);
-    let later: Vec<_> = there.iter().map(|motion| motion.posture(400.0)).collect();
-    let early: Vec<_> = there.iter().map(|motion| motion.posture(7.77)).collect();
-    let again = people(&scene, 3, 2);
+    let first: Vec<_> = people(&scene, 3, 2);
+    let later: Vec<_> = first.iter().map(|motion| motion.posture(400.0)).collect();
+    let early: Vec<_> = first.iter().map(|motion| motion.posture(7.77)).collect();
+    let second = people(&scene, 3, 2);
     for i in 0..4000 {
-        let _ = again[0].posture(f64::from(i) * 0.1);
+        let _ = second[0].posture(f64::from(i) * 0.1);
     }
-    for (i, motion) in again.iter().enumerate() {
+    for (i, motion) in second.iter().enumerate() {
         assert_eq!(motion.posture(7.77), early[i]);
         assert_eq!(motion.posture(400.0), later[i]);
     }
@@ -308,18 +313,21 @@ fn a_seed_is_one_way_in_any_order() {
 
 /// An hour takes a bounded number of blocks in memory, and its end can be requested directly.
 #[test]
-fn an_hour_is_short_work() {
+fn the_end_of_an_hour_is_available_with_few_blocks_in_memory() {
     let scene = scene("");
     let file = scene.file();
     let wander = file.people.wander.as_ref().expect("wander");
-    let group = Arc::new(Group::new(room(file, wander, blocks(&scene), 1), 2));
-    let both = members(&group, 2);
-    assert_eq!(both.len(), 2);
-    for (person, wanderer) in both {
+    let group = Arc::new(Group::new(room_setting(file, wander, blocks(&scene), 1), 2));
+    let members = group_members(&group, 2);
+    assert_eq!(members.len(), 2);
+    for (person, wanderer) in members {
         let motion = Motion::wandering(person, wanderer);
-        let at = motion.walk(3600.0).position_m;
-        assert!(at[0] > 0.3 && at[0] < SIZE_M[0] - 0.3 && at[1] > 0.3 && at[1] < SIZE_M[1] - 0.3, "{at:?}");
-        assert!(apart(at, motion.walk(0.0).position_m).is_finite());
+        let position = motion.walk(3600.0).position_m;
+        assert!(
+            position[0] > 0.3 && position[0] < SIZE_M[0] - 0.3 && position[1] > 0.3 && position[1] < SIZE_M[1] - 0.3,
+            "{position:?}"
+        );
+        assert!(distance_m(position, motion.walk(0.0).position_m).is_finite());
     }
     assert!(group.kept_blocks() <= 8, "{} blocks", group.kept_blocks());
 }
@@ -327,7 +335,7 @@ fn an_hour_is_short_work() {
 /// The number of people is the requested one, or the one that the seed draws. A passer-by beyond the wall does not
 /// count.
 #[test]
-fn as_many_people_as_drawn() {
+fn the_number_of_people_is_the_requested_or_drawn_one() {
     let scene = scene("passer_by_probability = 1.0");
     let mut counts = [0; 3];
     for seed in 0..40 {
@@ -342,7 +350,7 @@ fn as_many_people_as_drawn() {
 }
 
 #[test]
-fn who_sits_sits_on_the_seat() {
+fn a_person_who_sits_is_on_the_seat() {
     let scene = scene("sit_probability = 1.0\nsit_s = [5.0, 10.0]\nstand_probability = 0.0\npace_probability = 0.0");
     let motion = &people(&scene, 2, 1)[0];
     let mut seated = 0;
@@ -350,7 +358,7 @@ fn who_sits_sits_on_the_seat() {
         let hips = motion.body(f64::from(i) * 0.1)[PELVIS].centre;
         if hips.z < 0.65 {
             seated += 1;
-            assert!(apart([hips.x, hips.y], [3.6, 1.0]) < 0.35, "{hips:?}");
+            assert!(distance_m([hips.x, hips.y], [3.6, 1.0]) < 0.35, "{hips:?}");
         }
     }
     assert!(seated > 200, "{seated} of 1200");
@@ -360,7 +368,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn keys_that_make_no_sense_are_refused_by_name() {
+    fn invalid_keys_are_refused_by_name() {
         let cases = [
             ("[people.visits]\n[people.wander]\n", "exactly one"),
             ("[people.wander]\nmax_people = 3\n", "two"),
@@ -381,7 +389,7 @@ mod hard_cases {
 
     /// A room without space for two people, or for any, still has moving people. Times beyond all bounds have results.
     #[test]
-    fn rooms_without_place_and_times_without_bounds() {
+    fn rooms_without_space_and_extreme_times_give_finite_bodies() {
         for (keep_off_m, size) in [(0.35, "[1.2, 1.2, 2.5]"), (2.0, "[3.0, 3.0, 2.5]")] {
             let text = SCENE
                 .replace("size_m = [5.0, 4.0, 2.5]", &format!("size_m = {size}"))

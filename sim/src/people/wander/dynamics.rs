@@ -18,17 +18,17 @@ const TURN_S: f64 = 0.5;
 /// Time constant of the accelerations, s.
 const LAG_S: f64 = 0.15;
 /// Largest angular acceleration, rad/s^2.
-const MOST_RAD_PER_S2: f64 = 6.0;
+const LARGEST_RAD_PER_S2: f64 = 6.0;
 /// Speed below which a walker that is commanded to stop stands still, m/s.
 const STILL_M_PER_S: f64 = 1e-4;
 /// Speed added when steps are counted and measured, so that slow steps do not become infinitely short, m/s.
-const LEAST_STEP_M_PER_S: f64 = 0.03;
-/// Speed at which a walk has half of its vigour, m/s.
-const GOING_M_PER_S: f64 = 0.04;
-/// Turning rate at which steps on the spot have half of their vigour, rad/s.
-const MARCHING_RAD_PER_S: f64 = 0.5;
-/// Speed of a walk of vigour 1, m/s.
-const BRISK_M_PER_S: f64 = 1.3;
+const STEP_SPEED_OFFSET_M_PER_S: f64 = 0.03;
+/// Speed at which a walk has half of its intensity, m/s.
+const HALF_WALK_M_PER_S: f64 = 0.04;
+/// Turning rate at which steps on the spot have half of their intensity, rad/s.
+const HALF_MARCH_RAD_PER_S: f64 = 0.5;
+/// Speed of a walk of intensity 1, m/s.
+const FULL_WALK_M_PER_S: f64 = 1.3;
 
 /// Position and motion at the end of a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,27 +77,27 @@ pub(super) struct Limits {
 impl Limits {
     /// Cycles per second at a speed and a turning rate.
     pub fn cycles_per_s(&self, speed_m_per_s: f64, turn_rad_per_s: f64) -> f64 {
-        let speed = speed_m_per_s + LEAST_STEP_M_PER_S;
+        let speed = speed_m_per_s + STEP_SPEED_OFFSET_M_PER_S;
         let cycles_per_m = gait::cycles_per_second(speed, self.leg_m) / (speed * self.stride);
-        speed_m_per_s * cycles_per_m + gait::MARCH_HZ * march(speed_m_per_s, turn_rad_per_s)
+        speed_m_per_s * cycles_per_m + gait::MARCH_HZ * march_intensity(speed_m_per_s, turn_rad_per_s)
     }
 }
 
 /// Share of walking in the motion of the legs at a speed, 0 to 1.
-fn going(speed_m_per_s: f64) -> f64 {
+fn walking_share(speed_m_per_s: f64) -> f64 {
     let square = speed_m_per_s * speed_m_per_s;
-    square / (square + GOING_M_PER_S * GOING_M_PER_S)
+    square / (square + HALF_WALK_M_PER_S * HALF_WALK_M_PER_S)
 }
 
-/// Vigour of the gait at a speed. Its steps are as long as [`Limits::cycles_per_s`] assumes.
-pub(super) fn vigour(speed_m_per_s: f64) -> f64 {
-    ((speed_m_per_s + LEAST_STEP_M_PER_S) / BRISK_M_PER_S).sqrt().min(1.35) * going(speed_m_per_s)
+/// Intensity of the gait at a speed. Its steps are as long as [`Limits::cycles_per_s`] assumes.
+pub(super) fn walk_intensity(speed_m_per_s: f64) -> f64 {
+    ((speed_m_per_s + STEP_SPEED_OFFSET_M_PER_S) / FULL_WALK_M_PER_S).sqrt().min(1.35) * walking_share(speed_m_per_s)
 }
 
-/// Vigour of steps on the spot at a speed and a turning rate.
-pub(super) fn march(speed_m_per_s: f64, turn_rad_per_s: f64) -> f64 {
+/// Intensity of steps on the spot at a speed and a turning rate.
+pub(super) fn march_intensity(speed_m_per_s: f64, turn_rad_per_s: f64) -> f64 {
     let square = turn_rad_per_s * turn_rad_per_s;
-    square / (square + MARCHING_RAD_PER_S * MARCHING_RAD_PER_S) * (1.0 - going(speed_m_per_s))
+    square / (square + HALF_MARCH_RAD_PER_S * HALF_MARCH_RAD_PER_S) * (1.0 - walking_share(speed_m_per_s))
 }
 
 impl Pose {
@@ -126,12 +126,12 @@ impl Pose {
         [self.acceleration_m_per_s2 * cosine - across * sine, self.acceleration_m_per_s2 * sine + across * cosine]
     }
 
-    /// Direction from here to a place, rad.
+    /// Direction to a place, rad.
     pub fn bearing_rad(&self, to: [f64; 2]) -> f64 {
         (to[1] - self.position_m[1]).atan2(to[0] - self.position_m[0])
     }
 
-    /// Distance from here to a place, m.
+    /// Distance to a place, m.
     pub fn distance_m(&self, to: [f64; 2]) -> f64 {
         (to[0] - self.position_m[0]).hypot(to[1] - self.position_m[1])
     }
@@ -144,39 +144,41 @@ impl Pose {
 
     /// Pose one step later.
     pub fn advance(&self, command: &Command, limits: &Limits) -> Pose {
-        let follows = 1.0 - (-STEP_S / LAG_S).exp();
-        let most = limits.acceleration_m_per_s2;
-        let wanted = ((command.speed_m_per_s - self.speed_m_per_s) / SPEED_S).clamp(-most, most);
-        let mut acceleration = self.acceleration_m_per_s2 + (wanted - self.acceleration_m_per_s2) * follows;
+        let lag_gain = 1.0 - (-STEP_S / LAG_S).exp();
+        let largest_m_per_s2 = limits.acceleration_m_per_s2;
+        let target =
+            ((command.speed_m_per_s - self.speed_m_per_s) / SPEED_S).clamp(-largest_m_per_s2, largest_m_per_s2);
+        let mut acceleration = self.acceleration_m_per_s2 + (target - self.acceleration_m_per_s2) * lag_gain;
         let mut speed = self.speed_m_per_s + 0.5 * STEP_S * (self.acceleration_m_per_s2 + acceleration);
         if speed <= 0.0 || (command.speed_m_per_s <= 0.0 && speed < STILL_M_PER_S) {
             (speed, acceleration) = (0.0, 0.0);
         }
         // Fast walkers turn in wide curves.
-        let across = if speed > 0.0 { most / speed } else { f64::INFINITY };
-        let most_turn = limits.turn_rad_per_s.min(across);
-        let wanted = command
+        let lateral_limit = if speed > 0.0 { largest_m_per_s2 / speed } else { f64::INFINITY };
+        let largest_turn = limits.turn_rad_per_s.min(lateral_limit);
+        let target = command
             .heading_rad
-            .map_or(0.0, |heading| (wrapped(heading - self.heading_rad) / TURN_S).clamp(-most_turn, most_turn));
-        let change = (wanted - self.turn_rad_per_s) * follows;
-        let most_change = MOST_RAD_PER_S2 * STEP_S;
-        let turn = (self.turn_rad_per_s + change.clamp(-most_change, most_change)).clamp(-most_turn, most_turn);
+            .map_or(0.0, |heading| (wrapped(heading - self.heading_rad) / TURN_S).clamp(-largest_turn, largest_turn));
+        let change = (target - self.turn_rad_per_s) * lag_gain;
+        let largest_change = LARGEST_RAD_PER_S2 * STEP_S;
+        let turn =
+            (self.turn_rad_per_s + change.clamp(-largest_change, largest_change)).clamp(-largest_turn, largest_turn);
         let heading = self.heading_rad + 0.5 * STEP_S * (self.turn_rad_per_s + turn);
 
         // The distance is integrated by Simpson's rule, with speed and heading in the middle of the step.
         let middle_speed =
             0.5 * (self.speed_m_per_s + speed) + 0.125 * STEP_S * (self.acceleration_m_per_s2 - acceleration);
         let middle_heading = 0.5 * (self.heading_rad + heading) + 0.125 * STEP_S * (self.turn_rad_per_s - turn);
-        let at = |speed: f64, heading: f64| [speed * heading.cos(), speed * heading.sin()];
-        let first = at(self.speed_m_per_s, self.heading_rad);
-        let middle = at(middle_speed, middle_heading);
-        let last = at(speed, heading);
-        let way = [0, 1].map(|i| STEP_S / 6.0 * (first[i] + 4.0 * middle[i] + last[i]));
+        let velocity = |speed: f64, heading: f64| [speed * heading.cos(), speed * heading.sin()];
+        let first = velocity(self.speed_m_per_s, self.heading_rad);
+        let middle = velocity(middle_speed, middle_heading);
+        let last = velocity(speed, heading);
+        let displacement = [0, 1].map(|i| STEP_S / 6.0 * (first[i] + 4.0 * middle[i] + last[i]));
         let cycles = limits.cycles_per_s(self.speed_m_per_s, self.turn_rad_per_s)
             + 4.0 * limits.cycles_per_s(middle_speed.max(0.0), 0.5 * (self.turn_rad_per_s + turn))
             + limits.cycles_per_s(speed, turn);
         Pose {
-            position_m: [self.position_m[0] + way[0], self.position_m[1] + way[1]],
+            position_m: [self.position_m[0] + displacement[0], self.position_m[1] + displacement[1]],
             speed_m_per_s: speed,
             acceleration_m_per_s2: acceleration,
             heading_rad: heading,
@@ -193,7 +195,7 @@ mod tests {
     const LIMITS: Limits = Limits { acceleration_m_per_s2: 0.7, turn_rad_per_s: 2.1, leg_m: 0.93, stride: 1.0 };
 
     #[test]
-    fn a_walker_speeds_up_turns_and_stops_within_the_bounds() {
+    fn accelerations_and_turning_rates_stay_within_their_limits() {
         let mut pose = Pose::standing([0.0; 2], 0.0);
         let go = Command { speed_m_per_s: 1.0, heading_rad: Some(2.5) };
         let mut last = pose;
@@ -218,13 +220,13 @@ mod tests {
 
     /// At every speed, the stride that follows from the angle of the hips equals the ground covered in a cycle.
     #[test]
-    fn steps_are_as_long_as_the_way_and_end_where_it_ends() {
+    fn stride_matches_the_ground_covered_in_a_cycle() {
         for speed in [0.2, 0.5, 0.9, 1.3] {
-            let per_cycle = speed / LIMITS.cycles_per_s(speed, 0.0);
-            // Half a cycle moves a foot from 0.4 rad before the hip to 0.4 rad behind it, at vigour 1.
-            let stepped = 4.0 * LIMITS.leg_m * (0.4 * vigour(speed)).sin();
-            assert!((stepped / per_cycle - 1.0).abs() < 0.12, "{stepped} m for {per_cycle} m at {speed} m/s");
+            let per_cycle_m = speed / LIMITS.cycles_per_s(speed, 0.0);
+            // Half a cycle moves a foot from 0.4 rad before the hip to 0.4 rad behind it, at intensity 1.
+            let stride_m = 4.0 * LIMITS.leg_m * (0.4 * walk_intensity(speed)).sin();
+            assert!((stride_m / per_cycle_m - 1.0).abs() < 0.12, "{stride_m} m for {per_cycle_m} m at {speed} m/s");
         }
-        assert_eq!((vigour(0.0), LIMITS.cycles_per_s(0.0, 0.0), march(0.0, 0.0)), (0.0, 0.0, 0.0));
+        assert_eq!((walk_intensity(0.0), LIMITS.cycles_per_s(0.0, 0.0), march_intensity(0.0, 0.0)), (0.0, 0.0, 0.0));
     }
 }

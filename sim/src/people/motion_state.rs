@@ -5,7 +5,7 @@ use super::postures::{Crouch, Lying};
 
 /// State of a motion at a time.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub(super) struct Moment {
+pub(super) struct MotionState {
     /// Position without sway, m.
     pub position_m: [f64; 2],
     /// Heading, rad.
@@ -13,26 +13,26 @@ pub(super) struct Moment {
     /// Number of cycles (two steps each) completed.
     pub phase: f64,
     /// Intensity of walking: 0 standing, 1 walking.
-    pub vigour: f64,
+    pub walk_intensity: f64,
     /// Degree of sitting: 0 standing, 1 sitting with the feet ahead.
-    pub sit: f64,
+    pub sit_fraction: f64,
     /// Intensity of steps on the spot.
-    pub march: f64,
+    pub march_intensity: f64,
     /// Fraction of the descent into the crouch, on feet that stay in place.
-    pub low: f64,
-    /// Crouch to which `low` refers.
+    pub crouch_fraction: f64,
+    /// Crouch to which `crouch_fraction` refers.
     pub crouch: Option<Crouch>,
     /// Fraction of the motion from the crouch to lying.
-    pub lie: f64,
+    pub lying_fraction: f64,
     /// Place at which the person lies.
     pub lying: Option<Lying>,
     /// Small motions in addition to those of the person.
-    pub small: Option<Small>,
+    pub small_motion: Option<SmallMotion>,
 }
 
 /// Small motions of a wandering person.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Small {
+pub(super) struct SmallMotion {
     /// Hips forward of the feet, which stay in place, m.
     pub forward_m: f64,
     /// Hips to the left of the feet, which stay in place, m.
@@ -47,8 +47,9 @@ pub(super) struct Small {
     pub elbow_rad: [f64; 2],
 }
 
-impl Small {
-    pub(super) fn add(&self, build: &Build, posture: &mut Posture) {
+impl SmallMotion {
+    /// Adds the motion to a posture.
+    pub(super) fn add_to(&self, build: &Build, posture: &mut Posture) {
         let (sine, cosine) = posture.heading_rad.sin_cos();
         posture.position_m[0] += self.forward_m * cosine - self.left_m * sine;
         posture.position_m[1] += self.forward_m * sine + self.left_m * cosine;
