@@ -39,12 +39,13 @@ impl Filters {
     #[inline(always)]
     pub(crate) fn response_in_lane(&self, frequency_hz: f64) -> [f64; 2] {
         let (x, y) = (frequency_hz / self.high_pass_hz, frequency_hz / self.anti_alias_hz);
-        let real = 1.0 - y * y;
+        let quadratic = 1.0 - y * y;
         // Product of both pole pairs, then with the high-pass `j x / (1 + j x)`.
-        let pairs = [real * real - DAMPING[0] * DAMPING[1] * y * y, (DAMPING[0] + DAMPING[1]) * y * real];
-        let below = [pairs[0] - x * pairs[1], pairs[1] + x * pairs[0]];
-        let per_square = x / (below[0] * below[0] + below[1] * below[1]);
-        [below[1] * per_square, below[0] * per_square]
+        let pole_pairs =
+            [quadratic * quadratic - DAMPING[0] * DAMPING[1] * y * y, (DAMPING[0] + DAMPING[1]) * y * quadratic];
+        let denominator = [pole_pairs[0] - x * pole_pairs[1], pole_pairs[1] + x * pole_pairs[0]];
+        let factor = x / (denominator[0] * denominator[0] + denominator[1] * denominator[1]);
+        [denominator[1] * factor, denominator[0] * factor]
     }
 
     /// Power response of the high-pass alone.
@@ -91,7 +92,7 @@ mod tests {
 
     /// Compares with the product of a high-pass and two pole pairs, each as a separate complex quotient.
     #[test]
-    fn responses_are_those_of_the_filters_one_after_another() {
+    fn the_response_is_the_product_of_all_filter_sections() {
         let filters = Filters { high_pass_hz: 80e3, anti_alias_hz: 500e3 };
         for i in -2000..2000 {
             let frequency_hz = 1e3 * f64::from(i);

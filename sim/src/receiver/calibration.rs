@@ -1,13 +1,13 @@
 //! Fits a receiver to a recording. The scene before the chip may be anything, or empty.
 //!
-//! - *Noise.* Second differences of three consecutive chirps cancel static echoes and echoes of constant Doppler. A
-//!   breathing chest is cancelled to far below noise; a walking person only disturbs the bins that the person is in.
-//!   The periodograms of a recording are exponentially distributed. The mean of their lower seven tenths over its
-//!   expectation is the density, independently of the other values. A receiver's density is smooth over neighbouring
-//!   bins.
-//! - *Offset, settling and leakage.* The median over the frames of each sample's mean over chirps leaves out moving
-//!   echoes. It is fitted by a constant, two exponentials and four tones of up to two cycles a chirp, by least squares.
-//!   Static echoes have higher beat frequencies and do not take part.
+//! - *Noise.* Second differences of three consecutive chirps cancel static echoes and changes that are linear from
+//!   chirp to chirp. A breathing chest is cancelled to far below noise. A walking person only disturbs the range bins
+//!   around that person. The values of noise periodograms are exponentially distributed. Their density is the mean of
+//!   the lower seven tenths of the values, divided by its expectation. Disturbed values do not change it, because they
+//!   are among the upper ones. A receiver's density is smooth over neighbouring bins.
+//! - *Offset, settling and leakage.* The median over frames of the mean chirp leaves out moving echoes. It is fitted by
+//!   a constant, two exponentials and four tones of up to two cycles a chirp, by least squares. Static echoes have
+//!   higher beat frequencies and do not take part.
 //! - *Jitter and drift* of offset and leakage, between frames and over the recording, with noise subtracted.
 //!
 //! Echo levels are not fitted here: without a target of known size in the recording, the receiver's gain cannot be
@@ -30,7 +30,7 @@ use thiserror::Error;
 
 use super::{Receiver, RxChannel};
 use crate::math::median;
-use leakage::{Shape, fit_shape};
+use leakage::{ChirpModel, fit_chirp_model};
 
 /// Least number of frames for a fit.
 pub const LEAST_FRAMES: usize = 16;
@@ -40,9 +40,11 @@ const MOST_PERIODOGRAMS: usize = 20_000;
 const MOST_CHIRPS: usize = 4096;
 /// Least power of a channel's leakage over the noise of one frame. A channel without leakage reaches a few hundred: the
 /// fitted tones and settling exponentials are nearly dependent, so that noise gives small tones.
-const LEAST_LEAKAGE: f64 = 1e3;
+const LEAST_LEAKAGE_RATIO: f64 = 1e3;
 /// Ratio of a normal distribution's standard deviation to its median absolute deviation.
-const MAD: f64 = 1.4826;
+const SIGMA_PER_MAD: f64 = 1.4826;
+/// Median of the square of a normal variable of variance 1.
+const MEDIAN_OF_SQUARED_NORMAL: f64 = 0.454_936;
 
 /// Error of a recording to which no receiver can be fitted.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -75,9 +77,9 @@ pub enum CalibrationError {
     },
 }
 
-/// Data that are kept for one channel.
+/// Data that are kept of one channel's frames.
 struct Channel {
-    /// Periodograms, `[kept][bin]`, LSB^2 per sample.
+    /// Periodograms of second differences, `[periodogram][bin]`, LSB^2 per sample.
     periodograms: Vec<Vec<f32>>,
     /// Mean chirps of the frames, LSB.
     chirps: Vec<Vec<f32>>,
@@ -85,7 +87,7 @@ struct Channel {
     levels: Vec<Vec<Level>>,
 }
 
-/// Data that are kept for every frame's mean chirp.
+/// Data that are kept of every frame's mean chirp.
 #[derive(Debug, Clone, Copy)]
 struct Level {
     /// Mean of the chirp, LSB.
@@ -95,15 +97,16 @@ struct Level {
 }
 
 impl Level {
+    /// Level of a mean chirp, with a Hann window for the leakage.
     fn of(chirp_lsb: impl ExactSizeIterator<Item = f64>) -> Self {
-        let n = chirp_lsb.len() as f64;
+        let sample_count = chirp_lsb.len() as f64;
         let (mut sum, mut leakage) = (0.0, Complex64::default());
         for (i, x) in chirp_lsb.enumerate() {
-            let turn = std::f64::consts::TAU * i as f64 / n;
+            let angle = std::f64::consts::TAU * i as f64 / sample_count;
             sum += x;
-            leakage += Complex64::from_polar((0.5 - 0.5 * turn.cos()) * x, -turn);
+            leakage += Complex64::from_polar((0.5 - 0.5 * angle.cos()) * x, -angle);
         }
-        Level { offset_lsb: sum / n, leakage }
+        Level { offset_lsb: sum / sample_count, leakage }
     }
 }
 
@@ -112,8 +115,11 @@ pub struct Calibration {
     waveform: Waveform,
     channels: Vec<Channel>,
     fft: Arc<dyn RealToComplex<f64>>,
-    seen: usize,
-    stride: usize,
+    /// Number of frames that were added.
+    frame_count: usize,
+    /// Of this many periodograms, one is kept.
+    periodogram_stride: usize,
+    /// Of this many mean chirps, one is kept.
     chirp_stride: usize,
 }
 
@@ -153,8 +159,8 @@ impl Calibration {
             waveform: waveform.clone(),
             channels,
             fft: real_fft(shape.samples),
-            seen: 0,
-            stride: frames.saturating_mul(shape.chirps - 2).div_ceil(MOST_PERIODOGRAMS).max(1),
+            frame_count: 0,
+            periodogram_stride: frames.saturating_mul(shape.chirps - 2).div_ceil(MOST_PERIODOGRAMS).max(1),
             chirp_stride: frames.div_ceil(MOST_CHIRPS).max(1),
         })
     }
@@ -173,11 +179,11 @@ impl Calibration {
         if frame.shape != shape || frame.codes.len() != shape.codes() {
             return Err(CalibrationError::Frame { sequence: frame.sequence });
         }
-        let n = shape.samples;
+        let sample_count = shape.samples;
         let mut spectrum = self.fft.make_output_vec();
-        for (channel, codes) in self.channels.iter_mut().zip(frame.codes.chunks(shape.chirps * n)) {
-            let chirps: Vec<&[u16]> = codes.chunks(n).collect();
-            let mut mean = vec![0f32; n];
+        for (channel, codes) in self.channels.iter_mut().zip(frame.codes.chunks(shape.chirps * sample_count)) {
+            let chirps: Vec<&[u16]> = codes.chunks(sample_count).collect();
+            let mut mean = vec![0f32; sample_count];
             for (sample, mean) in mean.iter_mut().enumerate() {
                 let sum: u64 = chirps.iter().map(|chirp| u64::from(chirp[sample])).sum();
                 *mean = (sum as f64 / chirps.len() as f64) as f32;
@@ -185,24 +191,25 @@ impl Calibration {
             if let Some(levels) = channel.levels.last_mut() {
                 levels.push(Level::of(mean.iter().map(|&x| f64::from(x))));
             }
-            if self.seen.is_multiple_of(self.chirp_stride) {
+            if self.frame_count.is_multiple_of(self.chirp_stride) {
                 channel.chirps.push(mean);
             }
-            for (triple, three) in chirps.windows(3).enumerate() {
-                if !(self.seen * (shape.chirps - 2) + triple).is_multiple_of(self.stride) {
+            for (triple_index, triple) in chirps.windows(3).enumerate() {
+                if !(self.frame_count * (shape.chirps - 2) + triple_index).is_multiple_of(self.periodogram_stride) {
                     continue;
                 }
-                let [a, b, c] = [three[0], three[1], three[2]].map(|chirp| chirp.iter().map(|&code| f64::from(code)));
+                let [a, b, c] =
+                    [triple[0], triple[1], triple[2]].map(|chirp| chirp.iter().map(|&code| f64::from(code)));
                 // The sum of squared weights, 1 + 4 + 1, scales a sample's variance.
-                let second = |((a, b), c): ((f64, f64), f64)| (a - 2.0 * b + c) / 6f64.sqrt();
-                let mut difference: Vec<f64> = a.zip(b).zip(c).map(second).collect();
+                let second_difference = |((a, b), c): ((f64, f64), f64)| (a - 2.0 * b + c) / 6f64.sqrt();
+                let mut difference: Vec<f64> = a.zip(b).zip(c).map(second_difference).collect();
                 if self.fft.process(&mut difference, &mut spectrum).is_ok() {
-                    let power = spectrum.iter().map(|x| (x.norm_sqr() / n as f64) as f32);
+                    let power = spectrum.iter().map(|x| (x.norm_sqr() / sample_count as f64) as f32);
                     channel.periodograms.push(power.collect());
                 }
             }
         }
-        self.seen += 1;
+        self.frame_count += 1;
         Ok(())
     }
 
@@ -212,8 +219,8 @@ impl Calibration {
     /// [`CalibrationError::TooShort`] if there are too few frames, and [`CalibrationError::Silent`] if a channel has no
     /// noise.
     pub fn fit(&self, base: &Receiver, name: &str, measured_from: &str) -> Result<Fit, CalibrationError> {
-        if self.seen < LEAST_FRAMES {
-            return Err(CalibrationError::TooShort { got: self.seen });
+        if self.frame_count < LEAST_FRAMES {
+            return Err(CalibrationError::TooShort { got: self.frame_count });
         }
         let channels = self.channels.iter().map(|channel| self.measure(channel)).collect::<Vec<_>>();
         for (rx, (fit, _)) in channels.iter().enumerate() {
@@ -227,101 +234,111 @@ impl Calibration {
         while receiver.rx.len() < 3 {
             receiver.rx.push(RxChannel::default());
         }
-        for ((fit, shape), antenna) in channels.iter().zip(antennas) {
+        for ((fit, model), antenna) in channels.iter().zip(antennas) {
             if let Some(rx) = receiver.rx.get_mut(usize::from(antenna).saturating_sub(1)) {
-                rx.dc_code = shape.constant_lsb.clamp(0.0, 4095.0);
+                rx.dc_code = model.constant_lsb.clamp(0.0, 4095.0);
                 rx.noise_db = 0.0;
                 rx.psd_lsb2 = Some(smoothed(&fit.density_lsb2));
-                rx.leakage.clone_from(&shape.leakage);
-                rx.transient.clone_from(&shape.transient);
+                rx.leakage.clone_from(&model.leakage);
+                rx.transient.clone_from(&model.transient);
             }
         }
         let count = channels.len().max(1) as f64;
         let bins = self.waveform.request.samples_per_chirp / 2 + 1;
         let mean = |bin: usize| channels.iter().map(|(fit, _)| fit.density_lsb2[bin]).sum::<f64>() / count;
         receiver.noise.psd_lsb2 = Some(smoothed(&(0..bins).map(mean).collect::<Vec<_>>()));
-        let shapes: Vec<&Shape> = channels.iter().map(|(_, shape)| shape).collect();
-        self.fit_changes(&shapes, &mut receiver);
+        let models: Vec<&ChirpModel> = channels.iter().map(|(_, model)| model).collect();
+        self.fit_changes(&models, &mut receiver);
         Ok(Fit { receiver, channels: channels.into_iter().map(|(fit, _)| fit).collect() })
     }
 
-    fn measure(&self, channel: &Channel) -> (ChannelFit, Shape) {
+    /// Measures a channel's noise density and mean chirp, and fits the mean chirp.
+    fn measure(&self, channel: &Channel) -> (ChannelFit, ChirpModel) {
         let n = self.waveform.request.samples_per_chirp;
         let density_lsb2: Vec<f64> = (0..=n / 2)
             .map(|bin| {
                 let powers = channel.periodograms.iter().map(|powers| f64::from(powers[bin])).collect();
-                // At both ends the spectrum is real: the divisor is the median of a squared normal variable.
-                if bin == 0 || 2 * bin == n { median(powers) / 0.454_936 } else { exponential_mean(powers) }
+                // At both ends the spectrum is real, and its powers are squares of a normal variable.
+                let is_real = bin == 0 || 2 * bin == n;
+                if is_real { median(powers) / MEDIAN_OF_SQUARED_NORMAL } else { exponential_mean(powers) }
             })
             .collect();
         let sample = |i: usize| median(channel.chirps.iter().map(|chirp| f64::from(chirp[i])).collect());
         let chirp_lsb: Vec<f64> = (0..n).map(sample).collect();
-        let shape = fit_shape(&chirp_lsb, &self.waveform);
-        (ChannelFit { density_lsb2, residual_lsb: shape.residual_lsb, chirp_lsb }, shape)
+        let model = fit_chirp_model(&chirp_lsb, &self.waveform);
+        (ChannelFit { density_lsb2, residual_lsb: model.residual_lsb, chirp_lsb }, model)
     }
 
-    /// Fits jitter and drift of offsets and of the leakage: medians over channels and recordings. For the leakage they are
-    /// weighted by its power, because the same error is larger in proportion to weaker leakage. Without leakage the
+    /// Fits jitter and drift of offsets and of the leakage: medians over channels and recordings. Those of the leakage
+    /// are weighted by its power, because the same error is larger relative to weaker leakage. Without leakage, the
     /// receiver keeps its values.
-    fn fit_changes(&self, shapes: &[&Shape], receiver: &mut Receiver) {
+    fn fit_changes(&self, models: &[&ChirpModel], receiver: &mut Receiver) {
         let interval_s = self.waveform.frame_interval_s();
-        let (n, chirps) = (self.waveform.request.samples_per_chirp, self.waveform.request.chirps_per_frame as f64);
-        let second = ((1.0 / interval_s).round() as usize).max(1);
-        let (mut dc_jitter, mut dc_rate, mut jitter, mut drift) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for (channel, shape) in self.channels.iter().zip(shapes) {
+        let (samples, chirps) =
+            (self.waveform.request.samples_per_chirp, self.waveform.request.chirps_per_frame as f64);
+        let frames_per_second = ((1.0 / interval_s).round() as usize).max(1);
+        let (mut dc_jitters, mut dc_drifts, mut leakage_jitters, mut leakage_drifts) =
+            (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        for (channel, model) in self.channels.iter().zip(models) {
             let density = |bin: usize| median(channel.periodograms.iter().map(|p| f64::from(p[bin])).collect());
-            let noise_lsb2 = density(0) / 0.454_936 / (n as f64 * chirps);
-            let whole = Level::of(shape.leakage_lsb(n, &self.waveform).into_iter()).leakage;
+            let noise_lsb2 = density(0) / MEDIAN_OF_SQUARED_NORMAL / (samples as f64 * chirps);
+            let template = Level::of(model.leakage_lsb(samples, &self.waveform).into_iter()).leakage;
             // Hann's window keeps three eighths of the power, of which half is in phase with the leakage.
-            let noise = density(1) / std::f64::consts::LN_2 * 0.1875 * n as f64 / chirps;
-            let power = whole.norm_sqr();
+            let noise_power = density(1) / std::f64::consts::LN_2 * 0.1875 * samples as f64 / chirps;
+            let template_power = template.norm_sqr();
             for levels in channel.levels.iter().filter(|levels| levels.len() > 1) {
                 let offsets: Vec<f64> = levels.iter().map(|level| level.offset_lsb).collect();
-                dc_jitter.push((step_variance(&offsets) - noise_lsb2).max(0.0).sqrt());
+                dc_jitters.push((step_variance(&offsets) - noise_lsb2).max(0.0).sqrt());
                 let half = offsets.len() / 2;
                 let slopes =
                     offsets.iter().zip(offsets.iter().skip(half)).map(|(a, b)| (b - a) / (half as f64 * interval_s));
-                dc_rate.push(median(slopes.collect()).abs());
-                if power <= LEAST_LEAKAGE * noise {
+                dc_drifts.push(median(slopes.collect()).abs());
+                if template_power <= LEAST_LEAKAGE_RATIO * noise_power {
                     continue;
                 }
-                let along: Vec<f64> = levels.iter().map(|level| (level.leakage * whole.conj()).re / power).collect();
-                jitter.push(((step_variance(&along) - noise / power).max(0.0).sqrt(), power));
+                let amplitudes: Vec<f64> =
+                    levels.iter().map(|level| (level.leakage * template.conj()).re / template_power).collect();
+                leakage_jitters.push((
+                    (step_variance(&amplitudes) - noise_power / template_power).max(0.0).sqrt(),
+                    template_power,
+                ));
                 // Means over seconds replace frames, so that jitter does not count as drift.
-                let seconds: Vec<f64> =
-                    along.chunks(second).map(|of| of.iter().sum::<f64>() / of.len() as f64).collect();
-                let lag = 10.min(seconds.len().saturating_sub(1));
-                let later = seconds.iter().zip(seconds.iter().skip(lag)).map(|(a, b)| (b - a).abs());
-                let own = 2.0 * step_variance(&along) / second as f64;
-                let change = (median(later.collect()) * MAD).powi(2) - own;
-                drift.push(((change.max(0.0) * 10.0 / lag.max(1) as f64).sqrt(), power));
+                let means: Vec<f64> =
+                    amplitudes.chunks(frames_per_second).map(|of| of.iter().sum::<f64>() / of.len() as f64).collect();
+                let lag = 10.min(means.len().saturating_sub(1));
+                let changes = means.iter().zip(means.iter().skip(lag)).map(|(a, b)| (b - a).abs());
+                let jitter_variance = 2.0 * step_variance(&amplitudes) / frames_per_second as f64;
+                let drift_variance = (median(changes.collect()) * SIGMA_PER_MAD).powi(2) - jitter_variance;
+                leakage_drifts.push(((drift_variance.max(0.0) * 10.0 / lag.max(1) as f64).sqrt(), template_power));
             }
         }
-        receiver.drift.dc_jitter_lsb = median(dc_jitter);
-        receiver.drift.dc_lsb_per_s = median(dc_rate);
+        receiver.drift.dc_jitter_lsb = median(dc_jitters);
+        receiver.drift.dc_lsb_per_s = median(dc_drifts);
         let clutter = &mut receiver.clutter;
-        clutter.leakage_jitter = weighted_median(jitter).map_or(clutter.leakage_jitter, |jitter| jitter.min(1.0));
+        clutter.leakage_jitter =
+            weighted_median(leakage_jitters).map_or(clutter.leakage_jitter, |jitter| jitter.min(1.0));
         clutter.leakage_drift_per_10s =
-            weighted_median(drift).map_or(clutter.leakage_drift_per_10s, |drift| drift.min(1.0));
+            weighted_median(leakage_drifts).map_or(clutter.leakage_drift_per_10s, |drift| drift.min(1.0));
     }
 }
 
-/// Median of values with weights; `None` for an empty list. Up to the median, weights are more than half of their sum.
+/// Median of `(value, weight)` pairs: the first value at which the sum of weights exceeds half of the total. `None` for
+/// an empty list.
 fn weighted_median(mut values: Vec<(f64, f64)>) -> Option<f64> {
     values.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>();
+    let half_of_sum = 0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>();
     let mut sum = 0.0;
     let is_reached = |&(_, weight): &(f64, f64)| {
         sum += weight;
-        sum > half
+        sum > half_of_sum
     };
     values.into_iter().find(is_reached).map(|(value, _)| value)
 }
 
-/// Variance of the values' jitter, half of the variance of their steps. It is robust against a few large steps.
+/// Variance of jitter: half of the variance of the steps between values. A few large steps hardly change it.
 fn step_variance(values: &[f64]) -> f64 {
     let steps = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
-    (median(steps) * MAD).powi(2) / 2.0
+    (median(steps) * SIGMA_PER_MAD).powi(2) / 2.0
 }
 
 /// Smooths a density by the binomial mean of five logarithms. The steep lowest bins are kept.
@@ -329,28 +346,29 @@ fn smoothed(density: &[f64]) -> Vec<f64> {
     /// First bin that is smoothed. Leakage and 1/f noise are steep below it.
     const FIRST: usize = 3;
     const WEIGHTS: [f64; 5] = [1.0, 4.0, 6.0, 4.0, 1.0];
-    let at = |bin: usize| {
-        let near = WEIGHTS.iter().enumerate().filter_map(|(i, weight)| {
-            let other = (bin + i).checked_sub(2).filter(|&other| other >= FIRST)?;
-            Some((weight, density.get(other)?.max(1e-12).ln()))
+    let smoothed_at = |bin: usize| {
+        let neighbours = WEIGHTS.iter().enumerate().filter_map(|(i, weight)| {
+            let neighbour = (bin + i).checked_sub(2).filter(|&neighbour| neighbour >= FIRST)?;
+            Some((weight, density.get(neighbour)?.max(1e-12).ln()))
         });
-        let (sum, whole) = near.fold((0.0, 0.0), |(sum, whole), (weight, ln)| (sum + weight * ln, whole + weight));
-        (sum / whole).exp()
+        let (log_sum, weight_sum) = neighbours
+            .fold((0.0, 0.0), |(log_sum, weight_sum), (weight, ln)| (log_sum + weight * ln, weight_sum + weight));
+        (log_sum / weight_sum).exp()
     };
-    density.iter().enumerate().map(|(bin, &raw)| if bin < FIRST { raw } else { at(bin) }).collect()
+    density.iter().enumerate().map(|(bin, &value)| if bin < FIRST { value } else { smoothed_at(bin) }).collect()
 }
 
 /// Mean of exponentially distributed values, robust against outliers among the upper ones.
 fn exponential_mean(mut values: Vec<f64>) -> f64 {
     /// Fraction of values that is used, from below. Its mean is `1 + ln(1 - q) (1 - q) / q` if the mean of all is one.
-    const KEPT: f64 = 0.7;
-    let kept = (values.len() as f64 * KEPT) as usize;
-    if kept == 0 {
+    const USED_FRACTION: f64 = 0.7;
+    let count = (values.len() as f64 * USED_FRACTION) as usize;
+    if count == 0 {
         return median(values);
     }
-    values.select_nth_unstable_by(kept, f64::total_cmp);
-    let mean_of_one = 1.0 + (1.0 - KEPT).ln() * (1.0 - KEPT) / KEPT;
-    values[..kept].iter().sum::<f64>() / kept as f64 / mean_of_one
+    values.select_nth_unstable_by(count, f64::total_cmp);
+    let expected_mean = 1.0 + (1.0 - USED_FRACTION).ln() * (1.0 - USED_FRACTION) / USED_FRACTION;
+    values[..count].iter().sum::<f64>() / count as f64 / expected_mean
 }
 
 #[cfg(test)]
@@ -395,9 +413,9 @@ mod tests {
         calibration.fit(&Receiver::typical(), "fitted", "a test")
     }
 
-    /// The calibration recovers the parameters of a simulated receiver: noise by bin, offsets, mean chirps, jitter.
+    /// Noise by bin, offsets, mean chirps and jitter.
     #[test]
-    fn a_known_receiver_is_found_again() {
+    fn the_parameters_of_a_simulated_receiver_are_recovered() {
         let mut receiver = Receiver::typical();
         receiver.rx[1].noise_db = 2.0;
         receiver.drift.dc_jitter_lsb = 0.8;
@@ -415,23 +433,23 @@ mod tests {
         // The fitted receiver, simulated again, has the same chirps and the same noise.
         let again = fit(&frames(&found.receiver, 160)).expect("a fit of the fit");
         for (first, second) in found.channels.iter().zip(&again.channels) {
-            let apart: Vec<f64> = first.chirp_lsb.iter().zip(&second.chirp_lsb).map(|(a, b)| a - b).collect();
+            let differences: Vec<f64> = first.chirp_lsb.iter().zip(&second.chirp_lsb).map(|(a, b)| a - b).collect();
             // Offsets drift, so their differences have wide limits.
-            let mean = apart.iter().sum::<f64>() / apart.len() as f64;
+            let mean = differences.iter().sum::<f64>() / differences.len() as f64;
             assert!(mean.abs() < 10.0, "{mean} LSB");
-            assert!(apart.iter().all(|d| (d - mean).abs() < 4.0), "{apart:?}");
+            assert!(differences.iter().all(|d| (d - mean).abs() < 4.0), "{differences:?}");
         }
         // The part of a mean chirp that is called leakage is ambiguous, but the amplitude of its jitter is not.
         let jitters = [&found, &again].map(|fit| fit.receiver.clutter.leakage_jitter);
         assert!(jitters[0] > 0.002 && (0.5..2.0).contains(&(jitters[1] / jitters[0])), "{jitters:?}");
         let dc = found.receiver.drift.dc_jitter_lsb;
         assert!((0.5..1.1).contains(&dc), "{dc}");
-        assert_eq!(found.receiver.first_fault(), None);
+        assert_eq!(found.receiver.first_invalid(), None);
     }
 
-    /// Channels without leakage have only noise, whose changes relative to itself were taken for jitter and drift of 1.
+    /// Regression test: in channels without leakage, noise was taken for a jitter and a drift of 1.
     #[test]
-    fn channels_without_leakage_tell_nothing_of_its_changes() {
+    fn without_leakage_its_jitter_and_drift_stay_those_of_the_base() {
         let mut receiver = Receiver::typical();
         (receiver.drift.dc_jitter_lsb, receiver.drift.dc_lsb_per_s) = (0.0, 0.0);
         receiver.clutter.leakage_jitter = 0.004;
@@ -448,7 +466,7 @@ mod tests {
     }
 
     #[test]
-    fn medians_of_equal_weights_are_medians() {
+    fn weighted_medians_with_equal_weights_are_medians() {
         for values in [vec![3.0], vec![2.0, 1.0], vec![5.0, 1.0, 3.0], vec![4.0, 2.0, 8.0, 6.0]] {
             let weighted = values.iter().map(|&value| (value, 1.0)).collect();
             assert_eq!(weighted_median(weighted), Some(median(values)));
@@ -457,9 +475,8 @@ mod tests {
         assert_eq!(weighted_median(Vec::new()), None);
     }
 
-    /// A large difference of offsets between two recordings is neither jitter nor drift.
     #[test]
-    fn what_differs_between_recordings_is_no_change_within_one() {
+    fn a_difference_of_offsets_between_recordings_is_neither_jitter_nor_drift() {
         let mut second = Receiver::typical();
         second.rx.iter_mut().for_each(|rx| rx.dc_code += 200.0);
         let recordings = [frames(&Receiver::typical(), 60), frames(&second, 60)];
@@ -477,21 +494,21 @@ mod tests {
 
         /// Most chirps of a long recording are not kept. The result is the same except for random errors.
         #[test]
-        fn a_part_of_a_long_recordings_chirps_is_enough() {
+        fn keeping_a_fraction_of_the_chirps_gives_the_same_fit() {
             let all = frames(&Receiver::typical(), 96);
-            let fits = [all.len(), 40 * MOST_CHIRPS].map(|told| {
-                let mut calibration = Calibration::new(&waveform(), told).expect("a calibration");
+            let fits = [all.len(), 40 * MOST_CHIRPS].map(|announced| {
+                let mut calibration = Calibration::new(&waveform(), announced).expect("a calibration");
                 all.iter().try_for_each(|frame| calibration.push(frame)).expect("frames");
                 calibration.fit(&Receiver::typical(), "fitted", "a test").expect("a fit")
             });
-            for (whole, part) in fits[0].channels.iter().zip(&fits[1].channels) {
-                let apart = whole.chirp_lsb.iter().zip(&part.chirp_lsb).map(|(a, b)| (a - b).abs());
-                assert!(apart.fold(0.0, f64::max) < 3.0);
+            for (all, kept) in fits[0].channels.iter().zip(&fits[1].channels) {
+                let differences = all.chirp_lsb.iter().zip(&kept.chirp_lsb).map(|(a, b)| (a - b).abs());
+                assert!(differences.fold(0.0, f64::max) < 3.0);
             }
         }
 
         #[test]
-        fn what_cannot_be_fitted_is_refused() {
+        fn short_silent_and_misshapen_recordings_are_refused() {
             let all = frames(&Receiver::typical(), 17);
             assert!(matches!(fit(&all[..15]), Err(CalibrationError::TooShort { got: 15 })));
             let mut silent = all.clone();
@@ -504,7 +521,7 @@ mod tests {
 
         /// Codes that saturate in some frames, as with a hand before the antenna, do not change the result.
         #[test]
-        fn some_frames_that_are_clipped_do_not_matter() {
+        fn clipped_frames_hardly_change_the_noise_density() {
             let clean = frames(&Receiver::typical(), 80);
             let mut spoiled = clean.clone();
             for frame in spoiled.iter_mut().step_by(5) {

@@ -348,6 +348,17 @@ impl Default for OffsetDrift {
     }
 }
 
+/// A constant that is not valid.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct InvalidConstant {
+    /// Key of the constant.
+    pub key: &'static str,
+    /// Value that was given.
+    pub value: String,
+    /// Description of the allowed values.
+    pub expected: String,
+}
+
 impl Receiver {
     /// Receiver with typical values of the datasheet.
     pub fn typical() -> Self {
@@ -372,8 +383,8 @@ impl Receiver {
         }
     }
 
-    /// Returns each constant's key, value, least and greatest value.
-    fn ranged(&self) -> [(&'static str, f64, f64, f64); 36] {
+    /// Returns the key, value, least and greatest allowed value of each constant.
+    fn constants_with_ranges(&self) -> [(&'static str, f64, f64, f64); 36] {
         let (antenna, noise, clutter, drift) = (&self.antenna, &self.noise, &self.clutter, &self.drift);
         [
             ("transmit_power_dbm", self.transmit_power_dbm, -60.0, 60.0),
@@ -415,49 +426,50 @@ impl Receiver {
         ]
     }
 
-    /// Returns the first constant that is not valid, as (key, value, expected value).
-    pub fn first_fault(&self) -> Option<(&'static str, String, String)> {
-        let fault = |key, value: String, expected: &str| Some((key, value, expected.to_owned()));
+    /// Returns the first constant that is not valid.
+    pub fn first_invalid(&self) -> Option<InvalidConstant> {
+        let invalid =
+            |key, value: String, expected: &str| Some(InvalidConstant { key, value, expected: expected.to_owned() });
         if self.format != RECEIVER_FORMAT {
-            return fault("format", self.format.to_string(), "format = 1, the only version that this program reads");
+            return invalid("format", self.format.to_string(), "format = 1, the only version that this program reads");
         }
-        for (key, value, min, max) in self.ranged() {
+        for (key, value, min, max) in self.constants_with_ranges() {
             if !(value >= min && value <= max) {
-                return fault(key, value.to_string(), &format!("a physical value, {min} to {max}"));
+                return invalid(key, value.to_string(), &format!("a physical value, {min} to {max}"));
             }
         }
         if let Some(PhaseNoise { level_dbc_per_hz, offset_hz }) = self.phase_noise {
             if !(-300.0..=-20.0).contains(&level_dbc_per_hz) {
-                return fault("level_dbc_per_hz", level_dbc_per_hz.to_string(), "-300 to -20 dBc/Hz");
+                return invalid("level_dbc_per_hz", level_dbc_per_hz.to_string(), "-300 to -20 dBc/Hz");
             }
             if !(1.0..=1e9).contains(&offset_hz) {
-                return fault("offset_hz", offset_hz.to_string(), "1 to 1e9 Hz");
+                return invalid("offset_hz", offset_hz.to_string(), "1 to 1e9 Hz");
             }
         }
         if self.rx.is_empty() || self.rx.len() > 3 {
-            return fault("rx", self.rx.len().to_string(), "one to three [[rx]] tables");
+            return invalid("rx", self.rx.len().to_string(), "one to three [[rx]] tables");
         }
         for rx in &self.rx {
             if !(rx.dc_code >= 0.0 && rx.dc_code <= 4095.0) {
-                return fault("dc_code", rx.dc_code.to_string(), "a code from 0 to 4095");
+                return invalid("dc_code", rx.dc_code.to_string(), "a code from 0 to 4095");
             }
             if !(rx.gain_db.abs() <= 60.0 && rx.noise_db.abs() <= 60.0) {
-                return fault("gain_db", format!("{} / {}", rx.gain_db, rx.noise_db), "at most 60 dB either way");
+                return invalid("gain_db", format!("{} / {}", rx.gain_db, rx.noise_db), "at most 60 dB either way");
             }
             for l in &rx.leakage {
                 if !(l.delay_s >= 0.0 && l.delay_s < 1e-6 && l.amplitude_lsb.is_finite() && l.phase_rad.is_finite()) {
-                    return fault("leakage", format!("{l:?}"), "delay 0..1e-6 s, finite amplitude and phase");
+                    return invalid("leakage", format!("{l:?}"), "delay 0..1e-6 s, finite amplitude and phase");
                 }
             }
             for t in &rx.transient {
                 if !(t.amplitude_lsb.is_finite() && t.time_constant_s > 0.0 && t.time_constant_s.is_finite()) {
-                    return fault("transient", format!("{t:?}"), "finite amplitude, positive time constant");
+                    return invalid("transient", format!("{t:?}"), "finite amplitude, positive time constant");
                 }
             }
         }
         for psd in self.rx.iter().map(|rx| &rx.psd_lsb2).chain([&self.noise.psd_lsb2]).flatten() {
             if psd.len() < 5 || psd.iter().any(|v| !(*v >= 0.0 && *v < 1e9)) {
-                return fault("psd_lsb2", format!("{} values", psd.len()), "N/2 + 1 finite densities of at least 0");
+                return invalid("psd_lsb2", format!("{} values", psd.len()), "N/2 + 1 finite densities of at least 0");
             }
         }
         None

@@ -9,6 +9,6 @@ pub mod phase_noise;
 pub mod spurs;
 
 pub use file::{
-    Antenna, ClutterDrift, Leakage, Noise, OffsetDrift, PhaseNoise, RECEIVER_FORMAT, Receiver, RxChannel, SpurPhase,
-    Transient,
+    Antenna, ClutterDrift, InvalidConstant, Leakage, Noise, OffsetDrift, PhaseNoise, RECEIVER_FORMAT, Receiver,
+    RxChannel, SpurPhase, Transient,
 };

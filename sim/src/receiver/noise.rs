@@ -27,27 +27,27 @@ pub fn density_lsb2(receiver: &Receiver, waveform: &Waveform) -> Vec<f64> {
         return measured.clone();
     }
     let filters = Filters::new(receiver, waveform);
-    let thermal = thermal_lsb2(receiver, waveform);
+    let thermal_lsb2 = thermal_lsb2(receiver, waveform);
     let bin_hz = waveform.sample_rate_hz / samples as f64;
     (0..=samples / 2)
         .map(|bin| {
             // 1/f has no value at zero, so the lowest bin takes the value at a quarter bin.
-            let f = (bin as f64 * bin_hz).max(0.25 * bin_hz);
-            let amplifier = (noise.amplifier_flicker_corner_hz / f).powf(noise.flicker_exponent);
-            let ahead = |f: f64, flicker: f64| {
-                (noise.baseband_white_lsb.powi(2) + thermal * (filters.high_pass_power(f) + flicker))
-                    * filters.anti_alias_power(f)
+            let frequency_hz = (bin as f64 * bin_hz).max(0.25 * bin_hz);
+            let amplifier_flicker = (noise.amplifier_flicker_corner_hz / frequency_hz).powf(noise.flicker_exponent);
+            let before_filter = |frequency_hz: f64, flicker: f64| {
+                (noise.baseband_white_lsb.powi(2) + thermal_lsb2 * (filters.high_pass_power(frequency_hz) + flicker))
+                    * filters.anti_alias_power(frequency_hz)
             };
             let folded: f64 = (1..=2)
                 .map(|zone| {
-                    let base = f64::from(zone) * waveform.sample_rate_hz;
-                    ahead(base - f, 0.0) + ahead(base + f, 0.0)
+                    let zone_hz = f64::from(zone) * waveform.sample_rate_hz;
+                    before_filter(zone_hz - frequency_hz, 0.0) + before_filter(zone_hz + frequency_hz, 0.0)
                 })
                 .sum();
             noise.adc_white_lsb.powi(2)
-                + ahead(f, amplifier)
+                + before_filter(frequency_hz, amplifier_flicker)
                 + folded
-                + noise.flicker_lsb2_at_100khz * (1e5 / f).powf(noise.flicker_exponent)
+                + noise.flicker_lsb2_at_100khz * (1e5 / frequency_hz).powf(noise.flicker_exponent)
         })
         .collect()
 }
@@ -131,9 +131,9 @@ impl NoiseShaper {
         scratch.chirp.resize(self.samples, 0.0);
         scratch.fft.resize(self.inverse.get_scratch_len(), Complex::default());
         // The lengths are consistent by construction, so this cannot fail.
-        let done =
+        let is_transformed =
             self.inverse.process_with_scratch(&mut scratch.spectrum, &mut scratch.chirp, &mut scratch.fft).is_ok();
-        if done {
+        if is_transformed {
             for (x, n) in out.iter_mut().zip(&scratch.chirp) {
                 *x += scale * n;
             }
@@ -149,7 +149,7 @@ mod tests {
 
     /// Moments of the standard normal distribution, and the share beyond three standard deviations.
     #[test]
-    fn normals_are_normal() {
+    fn normals_have_the_moments_of_the_normal_distribution() {
         const COUNT: usize = 400_000;
         let mut rng = generator(4, Purpose::Noise, [0, 0]);
         let bits: Vec<u64> = (0..COUNT).map(|_| rng.next_u64()).collect();
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn the_least_and_the_largest_bits_give_numbers() {
+    fn extreme_bits_give_finite_numbers() {
         let mut out = [Complex::default(); 4];
         let bits = [0, u64::MAX, u64::from(u32::MAX), u64::from(u32::MAX) << 32];
         normals(KernelLevel::detect(), &bits, &[1.0; 4], &mut out);
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn every_level_gives_the_same_bits() {
+    fn every_instruction_set_gives_the_same_bits() {
         let mut rng = generator(4, Purpose::Noise, [0, 1]);
         let bits: Vec<u64> = (0..1000).map(|_| rng.next_u64()).collect();
         assert_same_at_every_level(|level| {

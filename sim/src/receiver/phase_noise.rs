@@ -1,11 +1,13 @@
 //! Phase noise of the transmitter, as far as it does not cancel.
 //!
-//! Mixer and echo have the same oscillator, with a delay between them. The phase that remains in a beat is `phi(t) -
-//! phi(t - tau)`. For delays of a room it is `tau phi'` (to 0.9 % at 21.7 m and 500 kHz). The exact rate is that of
-//! half a delay earlier, which matters only between echoes far apart and at large offsets. A beat `Re a exp(j theta)`
-//! receives the additional signal `phi'(t) Re j tau a exp(j theta)`. So a second grid of the same tones, each times `j`
-//! and its delay, gives the noise of all echoes at once. It includes every cancellation between them. On one side of a
-//! beat there is `(2 pi f tau)^2` of the oscillator's noise: -47.6 dB at 1 m and 100 kHz, -33.6 dB at 5 m.
+//! Mixer and echo have the same oscillator, with a delay `tau` between them. The phase that remains in a beat is
+//! `phi(t) - phi(t - tau)`. For delays of a room it is `tau phi'` (to 0.9 % at 21.7 m and 500 kHz). The exact rate is
+//! that of half a delay earlier, which matters only between echoes far apart and at large offsets.
+//!
+//! A beat `Re a exp(j theta)` receives the additional signal `phi'(t) Re j tau a exp(j theta)`. A second grid of the same
+//! tones, each times `j` and its delay, therefore gives the noise of all echoes at once. It includes every cancellation
+//! between them. On one side of a beat there is `(2 pi f tau)^2` of the oscillator's noise: -47.6 dB at 1 m and 100 kHz,
+//! -33.6 dB at 5 m.
 //!
 //! For an oscillator whose noise falls with the square of the offset, `phi'` is white. The model neglects that the IF
 //! filters act differently on the sidebands and on the beat.
@@ -33,9 +35,9 @@ impl PhaseRates {
     /// Adds the noise of the next samples. `by_delay` is the factor of `phi'`: the sum of tones times `j` and their
     /// delays, LSB s.
     pub fn add(&self, rng: &mut Xoshiro256PlusPlus, by_delay: &[f32], out: &mut [f32]) {
-        for (x, beside) in out.iter_mut().zip(by_delay) {
+        for (x, factor) in out.iter_mut().zip(by_delay) {
             let rate: f64 = StandardNormal.sample(rng);
-            *x += (self.sigma_rad_per_s * rate) as f32 * beside;
+            *x += (self.sigma_rad_per_s * rate) as f32 * factor;
         }
     }
 }
@@ -115,7 +117,7 @@ mod tests {
 
     /// The signals agree if the phase changes little within a delay. The powers agree everywhere in the band.
     #[test]
-    fn one_more_grid_is_the_noise_of_the_echoes_themselves() {
+    fn the_grid_of_tones_times_their_delays_gives_the_noise_of_all_echoes() {
         let [exact, _, missed] = powers(1e5);
         // The largest error is pi f tau, 4.2 %, for the farthest echo at the highest frequency.
         assert!(missed / exact < 0.03f64.powi(2), "{:.1} dB", 10.0 * (missed / exact).log10());
@@ -136,16 +138,19 @@ mod tests {
             const CHIRPS: u64 = 3000;
             for index in 0..CHIRPS {
                 // Phase that remains in a beat, independently of its frequency.
-                let mut left = vec![0f32; chirp.len()];
-                rates.add(&mut generator(1, Purpose::PhaseNoise, [index, 0]), &chirp, &mut left);
-                let turn = -TAU * offset_hz / RATE_HZ;
-                let sum: Complex64 =
-                    left.iter().enumerate().map(|(n, x)| Complex64::from_polar(f64::from(*x), turn * n as f64)).sum();
+                let mut remaining = vec![0f32; chirp.len()];
+                rates.add(&mut generator(1, Purpose::PhaseNoise, [index, 0]), &chirp, &mut remaining);
+                let step_rad = -TAU * offset_hz / RATE_HZ;
+                let sum: Complex64 = remaining
+                    .iter()
+                    .enumerate()
+                    .map(|(n, x)| Complex64::from_polar(f64::from(*x), step_rad * n as f64))
+                    .sum();
                 density += sum.norm_sqr() / (chirp.len() as f64 * RATE_HZ) / CHIRPS as f64;
             }
-            let own_db = -80.0 - 20.0 * (offset_hz / 1e5).log10();
-            let left_db = 10.0 * density.log10() - own_db;
-            assert!((left_db - cancelled_db).abs() < 0.3, "{range_m} m, {offset_hz} Hz: {left_db} dB");
+            let oscillator_db = -80.0 - 20.0 * (offset_hz / 1e5).log10();
+            let remaining_db = 10.0 * density.log10() - oscillator_db;
+            assert!((remaining_db - cancelled_db).abs() < 0.3, "{range_m} m, {offset_hz} Hz: {remaining_db} dB");
         }
     }
 }

@@ -36,23 +36,23 @@ impl Spurs {
     /// levels and phases.
     pub fn draw(noise: &Noise, sample_rate_hz: f64, seed: u64, rx: usize) -> Self {
         let rx = rx as u64;
-        let mut of_chip = generator(seed, Purpose::Spur, [0, 0]);
-        let mut own = generator(seed, Purpose::Spur, [0, 1 + rx]);
+        let mut chip_rng = generator(seed, Purpose::Spur, [0, 0]);
+        let mut channel_rng = generator(seed, Purpose::Spur, [0, 1 + rx]);
         let mut spurs = Vec::with_capacity(noise.spurs);
-        for number in 0..noise.spurs {
-            let cycles_per_sample = draw(&mut of_chip, BAND);
-            let drawn = match of_chip.random_range(0..3u32) {
+        for index in 0..noise.spurs {
+            let cycles_per_sample = draw(&mut chip_rng, BAND);
+            let drawn_phase = match chip_rng.random_range(0..3u32) {
                 0 => SpurPhase::Locked,
                 1 => SpurPhase::Free,
                 _ => SpurPhase::Random,
             };
-            let below_db = SPREAD_DB * own.random::<f64>();
-            let below_db = if number == 0 { 0.0 } else { below_db };
+            let below_db = SPREAD_DB * channel_rng.random::<f64>();
+            let below_db = if index == 0 { 0.0 } else { below_db };
             spurs.push(Spur {
                 amplitude_lsb: noise.spur_lsb * 10f64.powf(-0.05 * below_db),
                 cycles_per_sample,
-                phase_cycles: own.random::<f64>(),
-                phase: noise.spur_phase.unwrap_or(drawn),
+                phase_cycles: channel_rng.random::<f64>(),
+                phase: noise.spur_phase.unwrap_or(drawn_phase),
             });
         }
         Spurs { spurs, sample_rate_hz, seed, rx }
@@ -66,7 +66,7 @@ impl Spurs {
     /// Adds the tones to a chirp. `first_s` is the time of its first sample in the scene.
     pub fn add(&self, first_s: f64, phases: &mut Xoshiro256PlusPlus, out: &mut [f32]) {
         for spur in &self.spurs {
-            let begin = match spur.phase {
+            let start_cycles = match spur.phase {
                 SpurPhase::Locked => spur.phase_cycles,
                 SpurPhase::Free => {
                     (spur.phase_cycles + spur.cycles_per_sample * self.sample_rate_hz * first_s).rem_euclid(1.0)
@@ -74,8 +74,8 @@ impl Spurs {
                 SpurPhase::Random => phases.random::<f64>(),
             };
             for (n, x) in out.iter_mut().enumerate() {
-                let turn = TAU * (begin + spur.cycles_per_sample * n as f64);
-                *x += (spur.amplitude_lsb * turn.cos()) as f32;
+                let angle_rad = TAU * (start_cycles + spur.cycles_per_sample * n as f64);
+                *x += (spur.amplitude_lsb * angle_rad.cos()) as f32;
             }
         }
     }
@@ -106,23 +106,23 @@ mod tests {
     }
 
     #[test]
-    fn locked_spurs_repeat_and_others_do_not() {
+    fn locked_spurs_are_the_same_in_every_chirp_and_others_are_not() {
         let locked = chirps(SpurPhase::Locked, 0);
         assert!(locked.iter().all(|chirp| *chirp == locked[0]));
         // Half of the square of the strongest tone, plus the power of tones that are up to 20 dB weaker.
         assert!((1.5..7.0).contains(&power(&locked[0])), "{}", power(&locked[0]));
         for phase in [SpurPhase::Free, SpurPhase::Random] {
-            let moving = chirps(phase, 0);
+            let unlocked = chirps(phase, 0);
             let mean: Vec<f32> =
-                (0..SAMPLES).map(|n| moving.iter().map(|chirp| chirp[n]).sum::<f32>() / 64.0).collect();
-            assert!(power(&mean) < 0.3 * power(&moving[3]), "{phase:?}: {}", power(&mean));
-            assert_eq!(moving, chirps(phase, 0));
+                (0..SAMPLES).map(|n| unlocked.iter().map(|chirp| chirp[n]).sum::<f32>() / 64.0).collect();
+            assert!(power(&mean) < 0.3 * power(&unlocked[3]), "{phase:?}: {}", power(&mean));
+            assert_eq!(unlocked, chirps(phase, 0));
         }
         assert_ne!(locked, chirps(SpurPhase::Locked, 1));
     }
 
     #[test]
-    fn no_spurs_add_nothing() {
+    fn without_spurs_a_chirp_is_unchanged() {
         let spurs = Spurs::draw(&Noise::default(), RATE_HZ, 5, 0);
         let mut out = vec![3f32; SAMPLES];
         spurs.add(0.1, &mut spurs.phases(0), &mut out);

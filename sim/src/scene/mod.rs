@@ -24,7 +24,7 @@ use crate::em::image::{BoxRoom, Element, Wall};
 use crate::em::pattern::Pattern;
 use crate::file_error::FileError;
 use crate::people::motion::Steps;
-use crate::receiver::Receiver;
+use crate::receiver::{InvalidConstant, Receiver};
 use crate::scene_file::draw::{Draw, drawn, longest_list};
 use crate::scene_file::{BodyFile, SceneFile};
 use room::RoomMeshes;
@@ -463,9 +463,9 @@ pub fn load_receiver(path: &Path) -> Result<Receiver, SceneError> {
 }
 
 fn check_receiver(receiver: &Receiver, path: &Path, text: &str) -> Result<(), SceneError> {
-    match receiver.first_fault() {
+    match receiver.first_invalid() {
         None => Ok(()),
-        Some((key, value, expected)) => Err(SceneError::Value {
+        Some(InvalidConstant { key, value, expected }) => Err(SceneError::Value {
             path: path.to_owned(),
             line: line_of_value(text, key, &value),
             key: key.to_owned(),

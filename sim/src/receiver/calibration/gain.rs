@@ -44,30 +44,30 @@ pub struct GainFit {
 
 /// Fits the gain to static echoes that are far enough above noise in both.
 pub fn fit_gain(bins: &[Bin]) -> GainFit {
-    let far = bins.iter().filter(|bin| bin.range_m > LEAST_RANGE_M);
-    let bears = |bin: &&Bin| {
-        let least = LEAST_OVER_NOISE * bin.noise;
-        bin.measured >= least && bin.simulated >= least && bin.measured >= LEAST_OVER_NOISE * bin.moving
+    let far_bins = bins.iter().filter(|bin| bin.range_m > LEAST_RANGE_M);
+    let is_usable = |bin: &&Bin| {
+        let least_power = LEAST_OVER_NOISE * bin.noise;
+        bin.measured >= least_power && bin.simulated >= least_power && bin.measured >= LEAST_OVER_NOISE * bin.moving
     };
-    let mut points: Vec<(f64, f64)> = (far.clone().filter(bears))
+    let mut weighted_gains_db: Vec<(f64, f64)> = (far_bins.clone().filter(is_usable))
         .map(|bin| {
             // Noise adds to interference: 8.7 dB over the root of twice the power ratio, for each of the two.
             let noise_db2 = 37.7 * bin.noise * (1.0 / bin.measured + 1.0 / bin.simulated);
             (10.0 * (bin.measured / bin.simulated).log10(), 1.0 / (BIN_SIGMA_DB.powi(2) + noise_db2))
         })
         .collect();
-    let (bins, of) = (points.len(), far.count());
+    let (bins, of) = (weighted_gains_db.len(), far_bins.count());
     if bins < LEAST_BINS {
         return GainFit { bins, of, ..GainFit::default() };
     }
-    points.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let half = 0.5 * points.iter().map(|(_, weight)| weight).sum::<f64>();
-    let mut below = 0.0;
-    let middle = points.iter().find(|(_, weight)| {
-        below += weight;
-        below >= half
+    weighted_gains_db.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let half_of_sum = 0.5 * weighted_gains_db.iter().map(|(_, weight)| weight).sum::<f64>();
+    let mut weight_sum = 0.0;
+    let median = weighted_gains_db.iter().find(|(_, weight)| {
+        weight_sum += weight;
+        weight_sum >= half_of_sum
     });
-    GainFit { gain_db: middle.map(|(db, _)| *db), error_db: Some(BIN_SIGMA_DB / (bins as f64).sqrt()), bins, of }
+    GainFit { gain_db: median.map(|(db, _)| *db), error_db: Some(BIN_SIGMA_DB / (bins as f64).sqrt()), bins, of }
 }
 
 #[cfg(test)]
@@ -82,14 +82,14 @@ mod tests {
     fn bins(count: usize, gain_db: f64) -> Vec<Bin> {
         let mut rng = generator(11, Purpose::Furniture, [0, 0]);
         let bin = |i: usize| {
-            let mut scattered = || {
+            let mut interference = || {
                 let (a, b): (f64, f64) = (StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
                 0.5 * (a * a + b * b)
             };
-            let simulated = 1e-6 * scattered();
+            let simulated = 1e-6 * interference();
             let mut bin = Bin {
                 range_m: 0.6 + 0.1 * i as f64,
-                measured: 1e-6 * scattered() * 10f64.powf(0.1 * gain_db),
+                measured: 1e-6 * interference() * 10f64.powf(0.1 * gain_db),
                 moving: 1e-10,
                 simulated,
                 noise: 1e-9,
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gain_is_found_among_what_moves_and_leaks() {
+    fn the_gain_is_found_among_bins_with_moving_echoes_and_leakage() {
         for gain_db in [-5.0, 0.0, 8.0] {
             let fit = fit_gain(&bins(300, gain_db));
             let error_db = fit.error_db.expect("enough bins");
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_bins_bear_nothing() {
+    fn too_few_bins_give_no_gain() {
         let fit = fit_gain(&bins(12, 3.0));
         assert_eq!((fit.gain_db, fit.error_db), (None, None));
         assert!(fit.bins < LEAST_BINS, "{fit:?}");

@@ -11,11 +11,11 @@ const FAST_S: [f64; 3] = [1e-6, 2e-6, 4e-6];
 const SLOW_S: [f64; 4] = [6e-6, 8e-6, 12e-6, 20e-6];
 
 /// Regularisation weight of every component's level: errors of a few LSB against levels of a few hundred.
-const MODERATION: f64 = 0.0125;
+const REGULARISATION: f64 = 0.0125;
 
 /// A fitted mean chirp.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Shape {
+pub(super) struct ChirpModel {
     pub(super) constant_lsb: f64,
     pub(super) transient: Vec<Transient>,
     pub(super) leakage: Vec<Leakage>,
@@ -23,7 +23,7 @@ pub(super) struct Shape {
     pub(super) residual_lsb: f64,
 }
 
-impl Shape {
+impl ChirpModel {
     /// Sum of the tones in every sample, LSB.
     pub(super) fn leakage_lsb(&self, samples: usize, waveform: &Waveform) -> Vec<f64> {
         let at = |i: usize| {
@@ -35,16 +35,16 @@ impl Shape {
 }
 
 /// Fits a chirp with the pair of time constants that has the least error.
-pub(super) fn fit_shape(chirp_lsb: &[f64], waveform: &Waveform) -> Shape {
-    let n = chirp_lsb.len() as f64;
+pub(super) fn fit_chirp_model(chirp_lsb: &[f64], waveform: &Waveform) -> ChirpModel {
+    let sample_count = chirp_lsb.len() as f64;
     let sample_s = 1.0 / waveform.sample_rate_hz;
-    let mut best = Shape { residual_lsb: f64::INFINITY, ..Shape::default() };
+    let mut best = ChirpModel { residual_lsb: f64::INFINITY, ..ChirpModel::default() };
     for (fast_s, slow_s) in FAST_S.iter().flat_map(|&fast| SLOW_S.iter().map(move |&slow| (fast, slow))) {
         let row = |i: usize| {
-            let at = i as f64;
-            let mut row = vec![1.0, (-at * sample_s / fast_s).exp(), (-at * sample_s / slow_s).exp()];
+            let sample = i as f64;
+            let mut row = vec![1.0, (-sample * sample_s / fast_s).exp(), (-sample * sample_s / slow_s).exp()];
             for cycles in CYCLES {
-                let (sine, cosine) = (std::f64::consts::TAU * cycles * at / n).sin_cos();
+                let (sine, cosine) = (std::f64::consts::TAU * cycles * sample / sample_count).sin_cos();
                 row.extend([cosine, -sine]);
             }
             row
@@ -52,27 +52,28 @@ pub(super) fn fit_shape(chirp_lsb: &[f64], waveform: &Waveform) -> Shape {
         let rows: Vec<Vec<f64>> = (0..chirp_lsb.len()).map(row).collect();
         // Slow tones and settling exponentials are nearly dependent. Regularisation selects a solution with moderate
         // components.
-        let (mut all, mut values) = (rows.clone(), chirp_lsb.to_vec());
+        let (mut regularised_rows, mut values) = (rows.clone(), chirp_lsb.to_vec());
         for k in 1..rows.first().map_or(0, Vec::len) {
             let mut row = vec![0.0; rows[0].len()];
-            row[k] = MODERATION;
-            all.push(row);
+            row[k] = REGULARISATION;
+            regularised_rows.push(row);
             values.push(0.0);
         }
-        let Some(x) = least_squares(&all, &values) else { continue };
-        let miss = |(row, y): (&Vec<f64>, &f64)| (row.iter().zip(&x).map(|(a, b)| a * b).sum::<f64>() - y).powi(2);
-        let residual_lsb = (rows.iter().zip(chirp_lsb).map(miss).sum::<f64>() / n).sqrt();
+        let Some(coefficients) = least_squares(&regularised_rows, &values) else { continue };
+        let squared_error =
+            |(row, y): (&Vec<f64>, &f64)| (row.iter().zip(&coefficients).map(|(a, b)| a * b).sum::<f64>() - y).powi(2);
+        let residual_lsb = (rows.iter().zip(chirp_lsb).map(squared_error).sum::<f64>() / sample_count).sqrt();
         if residual_lsb < best.residual_lsb {
             let tone = |(k, cycles): (usize, f64)| {
-                let (re, im) = (x[3 + 2 * k], x[4 + 2 * k]);
+                let (re, im) = (coefficients[3 + 2 * k], coefficients[4 + 2 * k]);
                 // `slope delay` cycles a second.
-                let delay_s = cycles / (n * sample_s * waveform.slope_hz_per_s);
+                let delay_s = cycles / (sample_count * sample_s * waveform.slope_hz_per_s);
                 Leakage { delay_s, amplitude_lsb: re.hypot(im), phase_rad: im.atan2(re) }
             };
             let settling = |amplitude_lsb, time_constant_s| Transient { amplitude_lsb, time_constant_s };
-            best = Shape {
-                constant_lsb: x[0],
-                transient: vec![settling(x[1], fast_s), settling(x[2], slow_s)],
+            best = ChirpModel {
+                constant_lsb: coefficients[0],
+                transient: vec![settling(coefficients[1], fast_s), settling(coefficients[2], slow_s)],
                 leakage: CYCLES.into_iter().enumerate().map(tone).collect(),
                 residual_lsb,
             };
@@ -96,13 +97,13 @@ fn least_squares(rows: &[Vec<f64>], values: &[f64]) -> Option<Vec<f64>> {
         let alpha = if a[k][k] > 0.0 { -norm } else { norm };
         let mut v: Vec<f64> = a[k..].iter().map(|row| row[k]).collect();
         v[0] -= alpha;
-        let square = v.iter().map(|x| x * x).sum::<f64>();
+        let norm_squared = v.iter().map(|x| x * x).sum::<f64>();
         for column in k..columns {
-            let part = 2.0 * a[k..].iter().zip(&v).map(|(row, v)| row[column] * v).sum::<f64>() / square;
-            a[k..].iter_mut().zip(&v).for_each(|(row, v)| row[column] -= part * v);
+            let projection = 2.0 * a[k..].iter().zip(&v).map(|(row, v)| row[column] * v).sum::<f64>() / norm_squared;
+            a[k..].iter_mut().zip(&v).for_each(|(row, v)| row[column] -= projection * v);
         }
-        let part = 2.0 * b[k..].iter().zip(&v).map(|(b, v)| b * v).sum::<f64>() / square;
-        b[k..].iter_mut().zip(&v).for_each(|(b, v)| *b -= part * v);
+        let projection = 2.0 * b[k..].iter().zip(&v).map(|(b, v)| b * v).sum::<f64>() / norm_squared;
+        b[k..].iter_mut().zip(&v).for_each(|(b, v)| *b -= projection * v);
     }
     let mut x = vec![0.0; columns];
     for k in (0..columns).rev() {
