@@ -402,7 +402,7 @@ mod tests {
     }
 
     fn frames(receiver: &Receiver, count: u64) -> Vec<Frame> {
-        let scene = Scene::nothing(&waveform()).expect("nothing").with_receiver(receiver.clone());
+        let scene = Scene::empty_space(&waveform()).expect("nothing").with_receiver(receiver.clone());
         let simulator = Simulator::new(&scene, SimulateOptions::default()).expect("a simulator");
         (0..count).map(|index| simulator.frame(index)).collect()
     }

@@ -14,7 +14,7 @@ use crate::people::motion::Steps;
 use crate::scene_file::{ActorFile, SceneFile};
 
 /// Walking speed for which foot sliding is reported, m/s.
-const USUAL_M_PER_S: f64 = 1.2;
+const USUAL_SPEED_M_PER_S: f64 = 1.2;
 
 /// Returns the source of the person's steps for each `[[people.actor]]`.
 pub(super) fn load(scene: &SceneFile, path: &Path, text: &str) -> Result<Vec<Steps>, SceneError> {
@@ -25,18 +25,18 @@ fn load_one(actor: &ActorFile, path: &Path, text: &str) -> Result<Steps, SceneEr
     let Some(name) = &actor.file else { return Ok(Steps::Gait) };
     let folder = path.parent().unwrap_or(Path::new(""));
     let file = folder.join(name);
-    let fault = |source: FileError| file_error(path, text, name, source);
+    let scene_error = |source: FileError| file_error(path, text, name, source);
     let bytes = named_by_spec(folder, Path::new(name))
         .and_then(|file| read(&file, MESH_LIMIT_BYTES))
-        .map_err(|e| fault(FileError::unreadable(&e)))?;
+        .map_err(|e| scene_error(FileError::unreadable(&e)))?;
     if name.to_lowercase().ends_with(".bvh") {
-        let text = utf8(&bytes, "BVH files are plain text: export the clip again").map_err(fault)?;
-        let clip = BodyClip::parse(text, actor.up.unwrap_or(UpAxis::Y), actor.cycle_s).map_err(fault)?;
+        let text = utf8(&bytes, "BVH files are plain text: export the clip again").map_err(scene_error)?;
+        let clip = BodyClip::parse(text, actor.up.unwrap_or(UpAxis::Y), actor.cycle_s).map_err(scene_error)?;
         tracing::info!(
             file = %file.display(),
             cycle_s = ?clip.span_s,
-            foot_sliding = ?clip.foot_sliding(USUAL_M_PER_S),
-            "captured steps; sliding is at {USUAL_M_PER_S} m/s and goes with the speed"
+            foot_sliding = ?clip.foot_sliding(USUAL_SPEED_M_PER_S),
+            "captured steps; sliding is at {USUAL_SPEED_M_PER_S} m/s and goes with the speed"
         );
         return Ok(Steps::Clip(Arc::new(clip)));
     }
@@ -47,15 +47,15 @@ fn load_one(actor: &ActorFile, path: &Path, text: &str) -> Result<Steps, SceneEr
         up: actor.up,
         cycle_s: actor.cycle_s,
     };
-    let loaded = Actor::parse(&bytes, &file, &options).map_err(fault)?;
+    let loaded = Actor::parse(&bytes, &file, &options).map_err(scene_error)?;
     tracing::info!(
         file = %file.display(),
         triangles = loaded.skin.rest().triangles.len(),
         open_edges = loaded.open_edges,
         height_m = loaded.height_m,
         cycle_m = loaded.cycle_m,
-        foot_sliding = ?loaded.foot_sliding(USUAL_M_PER_S),
-        "actor; sliding is at {USUAL_M_PER_S} m/s and goes with the speed"
+        foot_sliding = ?loaded.foot_sliding(USUAL_SPEED_M_PER_S),
+        "actor; sliding is at {USUAL_SPEED_M_PER_S} m/s and goes with the speed"
     );
     Ok(Steps::Actor(Arc::new(loaded)))
 }

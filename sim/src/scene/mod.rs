@@ -42,7 +42,7 @@ pub enum SceneError {
         source: std::io::Error,
     },
     /// A file is not valid TOML, or has a wrong key or type.
-    #[error("{}: {message}", place(.path, *.line))]
+    #[error("{}: {message}", path_and_line(.path, *.line))]
     Parse {
         /// Path of the file.
         path: PathBuf,
@@ -52,7 +52,7 @@ pub enum SceneError {
         message: String,
     },
     /// A value is not allowed.
-    #[error("{}: {key} is {value}, expected {expected}", place(.path, *.line))]
+    #[error("{}: {key} is {value}, expected {expected}", path_and_line(.path, *.line))]
     Value {
         /// Path of the file.
         path: PathBuf,
@@ -139,11 +139,11 @@ pub struct Scene {
     waveform: Waveform,
     receiver: Receiver,
     /// Receiver that replaces the file's receiver.
-    given: Option<Receiver>,
+    receiver_override: Option<Receiver>,
     /// Model of people's bodies that replaces the file's model.
-    body: Option<BodyFile>,
+    body_override: Option<BodyFile>,
     /// Text of the file, if its `[random]` table has keys.
-    text: Option<Arc<str>>,
+    random_text: Option<Arc<str>>,
     outlines: Arc<[Outline]>,
     meshes: Arc<RoomMeshes>,
     walls: [Wall; 6],
@@ -182,7 +182,7 @@ impl Scene {
     ///
     /// # Errors
     /// [`SceneError`] if no scene can have the waveform.
-    pub fn nothing(waveform: &Waveform) -> Result<Self, SceneError> {
+    pub fn empty_space(waveform: &Waveform) -> Result<Self, SceneError> {
         let request = toml::to_string(&waveform.request).unwrap_or_default();
         let open = room::WALLS.map(|(name, ..)| format!("{name} = {{ material = \"open\" }}\n"));
         let text = format!(
@@ -198,14 +198,14 @@ impl Scene {
     /// # Errors
     /// Those of [`Scene::load`], except for reading the scene's own file.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
-        /// Largest number of values of a list that are tried: each takes as long as reading the scene. The first and the
-        /// last are tried with the ends of the ranges.
+        /// Largest number of values of a list that are tried. Each takes as long as reading the scene. The first and the
+        /// last value are tried with the ends of the ranges.
         const MOST_TRIED: usize = 100;
         let mut scene = Self::parse_fixed(text, path)?;
         if !scene.file.random.is_empty() {
-            scene.text = Some(text.into());
-            let between = longest_list(&scene.file.random).saturating_sub(1);
-            let listed = (1..between.min(MOST_TRIED)).map(Draw::Listed);
+            scene.random_text = Some(text.into());
+            let last = longest_list(&scene.file.random).saturating_sub(1);
+            let listed = (1..last.min(MOST_TRIED)).map(Draw::Listed);
             for draw in [Draw::Least, Draw::Greatest].into_iter().chain(listed) {
                 scene.drawn_at(draw)?;
             }
@@ -221,27 +221,28 @@ impl Scene {
         self.drawn_at(Draw::Seed(seed))
     }
 
+    /// Draws the scene with the values that `draw` chooses.
     fn drawn_at(&self, draw: Draw) -> Result<Self, SceneError> {
-        let Some(text) = &self.text else { return Ok(self.clone()) };
+        let Some(text) = &self.random_text else { return Ok(self.clone()) };
         let path = &self.path;
         let mut table: toml::Table = toml::from_str(text).map_err(|e| parse_error(path, text, &e))?;
         if let Some(toml::Value::String(relative)) = table.get("receiver")
             && self.file.random.keys().any(|key| key.starts_with("receiver."))
         {
-            let of_receiver = named(path, relative)?;
-            let receiver = read(&of_receiver)?;
-            let receiver = toml::from_str(&receiver).map_err(|e| parse_error(&of_receiver, &receiver, &e))?;
+            let receiver_path = referenced_path(path, relative)?;
+            let receiver = read(&receiver_path)?;
+            let receiver = toml::from_str(&receiver).map_err(|e| parse_error(&receiver_path, &receiver, &e))?;
             table.insert("receiver".to_owned(), toml::Value::Table(receiver));
         }
-        let table = drawn(&table, &self.file.random, draw).map_err(|fault| SceneError::Random {
+        let table = drawn(&table, &self.file.random, draw).map_err(|error| SceneError::Random {
             path: path.clone(),
-            line: line_of_key(text, &fault.key),
-            key: fault.key,
-            found: fault.found,
-            expected: fault.expected.to_owned(),
+            line: line_of_key(text, &error.key),
+            key: error.key,
+            found: error.found,
+            expected: error.expected.to_owned(),
         })?;
-        let text_of_draw = table.to_string();
-        let parse = || Self::parse_fixed(&text_of_draw, path);
+        let drawn_text = table.to_string();
+        let parse = || Self::parse_fixed(&drawn_text, path);
         // Warnings were given when the file was read, for the ends of all ranges and for listed values. They are not
         // repeated for each seed.
         let parsed = match draw {
@@ -259,24 +260,25 @@ impl Scene {
             reason: reason.to_string(),
         })?;
         let scene = scene.with_receivers(self.waveform.request.rx_antennas);
-        let scene = match self.body {
+        let scene = match self.body_override {
             Some(body) => scene.with_body(body),
             None => scene,
         };
-        Ok(match &self.given {
+        Ok(match &self.receiver_override {
             Some(receiver) => scene.with_receiver(receiver.clone()),
             None => scene,
         })
     }
 
+    /// Parses a scene with the values that its text states, without drawing those of `[random]`.
     fn parse_fixed(text: &str, path: &Path) -> Result<Self, SceneError> {
         let mut file: SceneFile = parse_toml(text).map_err(|e| parse_error(path, text, &e))?;
         let receiver = match &file.receiver {
             None => Receiver::typical(),
-            Some(toml::Value::String(relative)) => load_receiver(&named(path, relative)?)?,
+            Some(toml::Value::String(relative)) => load_receiver(&referenced_path(path, relative)?)?,
             Some(inline) => {
                 let receiver: Receiver = inline.clone().try_into().map_err(|e: toml::de::Error| {
-                    let message = format!("receiver: {}", in_words(e.message()));
+                    let message = format!("receiver: {}", without_type_names(e.message()));
                     SceneError::Parse { path: path.to_owned(), line: Some(line_of_key(text, "receiver")), message }
                 })?;
                 check_receiver(&receiver, path, text)?;
@@ -287,15 +289,15 @@ impl Scene {
             let line = line_of_key(text, "[waveform]");
             SceneError::Waveform { path: path.to_owned(), line, source }
         })?;
-        let fault = |fault: check::Fault| fault.at(path, text);
-        check::check_materials(&file).map_err(fault)?;
-        check::check_radar_outside_furniture(&file).map_err(fault)?;
-        plan::fill(&mut file).map_err(fault)?;
+        let scene_error = |invalid: check::InvalidValue| invalid.into_scene_error(path, text);
+        check::check_materials(&file).map_err(scene_error)?;
+        check::check_radar_outside_furniture(&file).map_err(scene_error)?;
+        plan::check_and_fill(&mut file).map_err(scene_error)?;
         let (mut outlines, meshes) = room::read_meshes(&mut file, path, text, waveform.centre_frequency_hz())?;
         room::fill_cross_sections(&mut file, waveform.centre_frequency_hz());
-        check::check(&file).map_err(fault)?;
-        plan::check_places(&file).map_err(fault)?;
-        let walls = room::walls(&file, &waveform).map_err(fault)?;
+        check::check(&file).map_err(scene_error)?;
+        plan::check_places(&file).map_err(scene_error)?;
+        let walls = room::walls(&file, &waveform).map_err(scene_error)?;
         room::warn_of_bands_within(&file, &meshes, &waveform);
         surfaces::sources::warn_of_small_faces(&file, &meshes, path);
         let steps = actors::load(&file, path, text)?;
@@ -309,9 +311,9 @@ impl Scene {
             path,
             waveform,
             receiver,
-            given: None,
-            body: None,
-            text: None,
+            receiver_override: None,
+            body_override: None,
+            random_text: None,
             outlines,
             meshes,
             walls,
@@ -367,7 +369,7 @@ impl Scene {
 
     /// Replaces the receiver.
     pub fn with_receiver(mut self, receiver: Receiver) -> Self {
-        self.given = Some(receiver.clone());
+        self.receiver_override = Some(receiver.clone());
         self.receiver = receiver;
         self
     }
@@ -385,7 +387,7 @@ impl Scene {
     pub fn with_body(mut self, body: BodyFile) -> Self {
         if self.file.people.desk.is_none() {
             self.file.people.body = body;
-            self.body = Some(body);
+            self.body_override = Some(body);
         }
         self
     }
@@ -479,19 +481,21 @@ fn read(path: &Path) -> Result<String, SceneError> {
     read_text(path, TEXT_LIMIT_BYTES).map_err(|source| SceneError::Read { path: path.to_owned(), source })
 }
 
+/// Error of a file that a scene names.
 fn file_error(scene: &Path, text: &str, name: &str, source: FileError) -> SceneError {
     let file = scene.parent().unwrap_or(Path::new("")).join(name);
     SceneError::File { path: scene.to_owned(), line: line_of_key(text, name), file, source: Box::new(source) }
 }
 
-/// Path of a TOML file that a scene file names.
-fn named(scene: &Path, name: &str) -> Result<PathBuf, SceneError> {
+/// Returns the path of a TOML file that a scene file names.
+fn referenced_path(scene: &Path, name: &str) -> Result<PathBuf, SceneError> {
     let folder = scene.parent().unwrap_or(Path::new(""));
     named_by_spec(folder, Path::new(name)).map_err(|source| SceneError::Read { path: folder.join(name), source })
 }
 
+/// Error of TOML that cannot be parsed, with its line.
 fn parse_error(path: &Path, text: &str, error: &toml::de::Error) -> SceneError {
-    let message = in_words(error.message());
+    let message = without_type_names(error.message());
     let line = match error.span() {
         Some(span) => Some(line_of(text, span.start)),
         // A surplus value has no place, and the message ends with the path of its key.
@@ -507,12 +511,13 @@ fn parse_error(path: &Path, text: &str, error: &toml::de::Error) -> SceneError {
     SceneError::Parse { path: path.to_owned(), line, message }
 }
 
+/// Line number of a byte, from 1.
 fn line_of(text: &str, offset: usize) -> usize {
     1 + text.bytes().take(offset).filter(|&b| b == b'\n').count()
 }
 
-/// Message of the parser with words in place of types of the program.
-fn in_words(message: &str) -> String {
+/// Replaces names of Rust types in a message of the parser by plain words.
+fn without_type_names(message: &str) -> String {
     let Some((found, expected)) = message.rsplit_once("expected ") else { return message.to_owned() };
     let words = match expected.split(' ').next().unwrap_or_default() {
         "struct" => "a table",
@@ -526,7 +531,7 @@ fn in_words(message: &str) -> String {
 }
 
 /// Path of a file with the number of a line, if that is known.
-fn place(path: &Path, line: Option<usize>) -> String {
+fn path_and_line(path: &Path, line: Option<usize>) -> String {
     line.map_or_else(|| path.display().to_string(), |line| format!("{}:{line}", path.display()))
 }
 
@@ -535,23 +540,24 @@ fn line_of_key(text: &str, key: &str) -> usize {
     lines_of_key(text, key).next().map_or(1, |(line, _)| line)
 }
 
-/// Line on which a key has a value: the only one with the key, or the only one of several that has the value, too. `None`
-/// if none or more of several have it: another one may be right. 1 if the key is written nowhere.
+/// Line on which a key has a value. If several lines have the key, it is the only one of them that also has the value, or
+/// `None` if there is not exactly one. 1 if the key is written nowhere.
 fn line_of_value(text: &str, key: &str, value: &str) -> Option<usize> {
     // Numbers may be written in several ways, as 2 and 2.0.
     let numbers = |text: &str| -> Vec<f64> {
         let words = text.split(|c: char| !(c.is_ascii_alphanumeric() || "+-._".contains(c)));
         words.filter_map(|word| word.replace('_', "").parse().ok()).collect()
     };
-    let wanted = numbers(value);
-    let has_value =
-        |rest: &str| if wanted.is_empty() { rest.contains(value) } else { numbers(rest).starts_with(&wanted) };
+    let value_numbers = numbers(value);
+    let has_value = |rest: &str| {
+        if value_numbers.is_empty() { rest.contains(value) } else { numbers(rest).starts_with(&value_numbers) }
+    };
     match lines_of_key(text, key).collect::<Vec<_>>().as_slice() {
         [] => Some(1),
         [(line, _)] => Some(*line),
         several => {
-            let mut same = several.iter().filter(|(_, rest)| has_value(rest)).map(|(line, _)| *line);
-            same.next().filter(|_| same.next().is_none())
+            let mut matching = several.iter().filter(|(_, rest)| has_value(rest)).map(|(line, _)| *line);
+            matching.next().filter(|_| matching.next().is_none())
         }
     }
 }

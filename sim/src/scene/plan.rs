@@ -3,8 +3,8 @@
 use glam::{DVec2, DVec3};
 
 use super::Outline;
-use super::check::{Fault, check_material, fault, within};
-use super::draft::{Draft, ROOM, solid};
+use super::check::{InvalidValue, check_material, check_range, invalid};
+use super::draft::{Draft, ROOM, closed_wall};
 use crate::geometry::polygon::{self, distance_to_line};
 use crate::geometry::{Mesh, PlanarPolygon, planes};
 use crate::scene_file::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, SceneFile, SurfaceFile};
@@ -14,15 +14,15 @@ const SAME_M: f64 = 1e-6;
 /// Least length of walls and openings, m.
 const LEAST_LENGTH_M: f64 = 0.05;
 /// Least distance of the radar from walls, m.
-const RADAR_OFF_M: f64 = 0.01;
+const LEAST_RADAR_DISTANCE_M: f64 = 0.01;
 /// Upper limit of corners, openings and partitions of a plan.
-const MOST: f64 = 200.0;
+const MOST_PARTS: f64 = 200.0;
 
 /// Checks the plan, if any, and fills in the size of the box around it and its walls.
-pub(super) fn fill(file: &mut SceneFile) -> Result<(), Fault> {
+pub(super) fn check_and_fill(file: &mut SceneFile) -> Result<(), InvalidValue> {
     let Some(plan) = &file.room.plan else { return Ok(()) };
     if file.room.size_m != [0.0; 3] {
-        return fault("size_m", file.room.size_m, "none beside [room.plan]: the size is that of the box around it");
+        return invalid("size_m", file.room.size_m, "none beside [room.plan]: the size is that of the box around it");
     }
     check_outline(plan)?;
     check_walls(file, plan)?;
@@ -40,39 +40,44 @@ pub(super) fn fill(file: &mut SceneFile) -> Result<(), Fault> {
 }
 
 /// Checks that radar, furniture, seats, beds and doors lie within the plan, if any.
-pub(super) fn check_places(file: &SceneFile) -> Result<(), Fault> {
+pub(super) fn check_places(file: &SceneFile) -> Result<(), InvalidValue> {
     let Some(plan) = &file.room.plan else { return Ok(()) };
     let Some(floor) = floor(plan) else { return Ok(()) };
-    let off_walls_m = |[x, y]: [f64; 2]| floor.clearance(DVec3::new(x, y, 0.0)).distance_m;
-    let is_within = |place: [f64; 2]| off_walls_m(place) >= -SAME_M;
+    let wall_clearance_m = |[x, y]: [f64; 2]| floor.clearance(DVec3::new(x, y, 0.0)).distance_m;
+    let is_within = |position: [f64; 2]| wall_clearance_m(position) >= -SAME_M;
     let [x, y, _] = file.radar.position_m;
-    let of_partition = |p: &PartitionFile| distance_to_line(DVec2::new(x, y), ends(p));
-    let off_m = plan.partition.iter().map(of_partition).fold(off_walls_m([x, y]), f64::min);
-    if off_m < RADAR_OFF_M {
+    let partition_distance_m = |partition: &PartitionFile| distance_to_line(DVec2::new(x, y), ends(partition));
+    let clearance_m = plan.partition.iter().map(partition_distance_m).fold(wall_clearance_m([x, y]), f64::min);
+    if clearance_m < LEAST_RADAR_DISTANCE_M {
         let expected = "a place within [room.plan], 1 cm or more from its walls and partitions";
-        return fault("position_m", file.radar.position_m, expected);
+        return invalid("position_m", file.radar.position_m, expected);
     }
-    for f in &file.furniture {
-        let ([x, y, _], [dx, dy, _]) = (f.position_m, f.size_m);
+    for furniture in &file.furniture {
+        let ([x, y, _], [dx, dy, _]) = (furniture.position_m, furniture.size_m);
         if ![[x, y], [x + dx, y], [x, y + dy], [x + dx, y + dy]].into_iter().all(is_within) {
-            return fault("furniture", (&f.name, f.position_m, f.size_m), "a box within the walls of [room.plan]");
+            return invalid(
+                "furniture",
+                (&furniture.name, furniture.position_m, furniture.size_m),
+                "a box within the walls of [room.plan]",
+            );
         }
     }
-    for (key, place) in
-        file.seat.iter().map(|s| ("seat", s.position_m)).chain(file.bed.iter().map(|b| ("bed", b.position_m)))
+    for (key, position) in
+        file.seat.iter().map(|seat| ("seat", seat.position_m)).chain(file.bed.iter().map(|bed| ("bed", bed.position_m)))
     {
-        if !is_within(place) {
-            return fault(key, place, "a place within the walls of [room.plan]");
+        if !is_within(position) {
+            return invalid(key, position, "a place within the walls of [room.plan]");
         }
     }
     for door in &file.door {
-        if off_walls_m(door.position_m).abs() > SAME_M {
-            return fault("door", door.position_m, "a place on a wall of [room.plan]");
+        if wall_clearance_m(door.position_m).abs() > SAME_M {
+            return invalid("door", door.position_m, "a place on a wall of [room.plan]");
         }
     }
     Ok(())
 }
 
+/// Returns the corners of the outline, m.
 pub(super) fn corners(plan: &PlanFile) -> Vec<DVec2> {
     plan.corners_m.iter().map(|&corner| DVec2::from_array(corner)).collect()
 }
@@ -82,6 +87,7 @@ pub(super) fn walls(plan: &PlanFile) -> Vec<[DVec2; 2]> {
     polygon::sides(&corners(plan)).collect()
 }
 
+/// Returns the ends of a partition, m.
 pub(super) fn ends(partition: &PartitionFile) -> [DVec2; 2] {
     [DVec2::from_array(partition.from_m), DVec2::from_array(partition.to_m)]
 }
@@ -100,8 +106,8 @@ pub struct Opening<'a> {
 impl<'a> Opening<'a> {
     /// Places an opening on a line, with its leaf as [`leaf`] turns it.
     fn new([from, to]: [DVec2; 2], file: &'a OpeningFile, left: f64) -> Self {
-        let along = (to - from).normalize_or_zero();
-        let ends = [file.from_m, file.to_m].map(|place_m| from + along * place_m);
+        let direction = (to - from).normalize_or_zero();
+        let ends = [file.from_m, file.to_m].map(|distance_m| from + direction * distance_m);
         let leaf = file.door.as_ref().map(|door| leaf(door, ends, left));
         Opening { ends, leaf, file }
     }
@@ -141,155 +147,167 @@ fn floor(plan: &PlanFile) -> Option<PlanarPolygon> {
 }
 
 /// Whether two lines cross each other between their ends.
-fn cross([a, b]: [DVec2; 2], [c, d]: [DVec2; 2]) -> bool {
+fn lines_cross([a, b]: [DVec2; 2], [c, d]: [DVec2; 2]) -> bool {
     let side = |p: DVec2, q: DVec2, r: DVec2| (q - p).normalize_or_zero().perp_dot(r - p);
-    let parts = |p: f64, q: f64| p.min(q) < -SAME_M && p.max(q) > SAME_M;
-    parts(side(a, b, c), side(a, b, d)) && parts(side(c, d, a), side(c, d, b))
+    let are_on_both_sides = |p: f64, q: f64| p.min(q) < -SAME_M && p.max(q) > SAME_M;
+    are_on_both_sides(side(a, b, c), side(a, b, d)) && are_on_both_sides(side(c, d, a), side(c, d, b))
 }
 
-fn check_outline(plan: &PlanFile) -> Result<(), Fault> {
-    within("corners_m", plan.corners_m.len() as f64, 3.0, MOST, "corners")?;
-    for at in plan.corners_m.iter().flatten() {
-        within("corners_m", *at, 0.0, 100.0, "m")?;
+fn check_outline(plan: &PlanFile) -> Result<(), InvalidValue> {
+    check_range("corners_m", plan.corners_m.len() as f64, 3.0, MOST_PARTS, "corners")?;
+    for coordinate_m in plan.corners_m.iter().flatten() {
+        check_range("corners_m", *coordinate_m, 0.0, 100.0, "m")?;
     }
     if let (Some(first), Some(last), 4..) = (plan.corners_m.first(), plan.corners_m.last(), plan.corners_m.len())
         && first == last
     {
-        return fault("corners_m", *last, "a last corner other than the first: the line closes by itself");
+        return invalid("corners_m", *last, "a last corner other than the first: the line closes by itself");
     }
     let low = corners(plan).into_iter().fold(DVec2::INFINITY, DVec2::min);
     if low.abs().max_element() > 1e-9 {
-        return fault("corners_m", low.to_array(), "0 as the least x and as the least y");
+        return invalid("corners_m", low.to_array(), "0 as the least x and as the least y");
     }
-    within("height_m", plan.height_m, 0.5, 100.0, "m")?;
+    check_range("height_m", plan.height_m, 0.5, 100.0, "m")?;
     let walls = walls(plan);
     for (i, &wall) in walls.iter().enumerate() {
         if wall[0].distance(wall[1]) < LEAST_LENGTH_M {
-            return fault("corners_m", wall.map(|end| end.to_array()), "corners 5 cm or more from the next");
+            return invalid("corners_m", wall.map(|end| end.to_array()), "corners 5 cm or more from the next");
         }
         for (j, &other) in walls.iter().enumerate().skip(i + 1) {
-            let follows = j == i + 1;
-            let precedes = i == 0 && j + 1 == walls.len();
-            let is_hit = match (follows, precedes) {
+            let is_next = j == i + 1;
+            let is_closing = i == 0 && j + 1 == walls.len();
+            let do_meet = match (is_next, is_closing) {
                 // The sides share a corner. They must not fold back onto each other.
                 (true, _) => distance_to_line(other[1], wall) < SAME_M || distance_to_line(wall[0], other) < SAME_M,
                 (_, true) => distance_to_line(other[0], wall) < SAME_M || distance_to_line(wall[1], other) < SAME_M,
                 _ => {
-                    cross(wall, other)
+                    lines_cross(wall, other)
                         || other.iter().any(|&end| distance_to_line(end, wall) < SAME_M)
                         || wall.iter().any(|&end| distance_to_line(end, other) < SAME_M)
                 }
             };
-            if is_hit {
+            if do_meet {
                 let expected = format!("a line around the room that does not meet itself, as walls {i} and {j} do");
-                return fault("corners_m", [wall, other].map(|ends| ends.map(|end| end.to_array())), expected);
+                return invalid("corners_m", [wall, other].map(|ends| ends.map(|end| end.to_array())), expected);
             }
         }
     }
     Ok(())
 }
 
-fn check_walls(file: &SceneFile, plan: &PlanFile) -> Result<(), Fault> {
+fn check_walls(file: &SceneFile, plan: &PlanFile) -> Result<(), InvalidValue> {
     let count = plan.corners_m.len();
     check_material(file, "walls", &plan.walls.material)?;
-    within("thickness_m", plan.walls.thickness_m, 0.0, 10.0, "m")?;
-    for (number, wall) in plan.wall.iter().enumerate() {
-        let is_again = plan.wall.iter().take(number).any(|other| other.index == wall.index);
-        if wall.index >= count || is_again {
-            return fault("index", wall.index, format!("an index below the number of walls, {count}, once"));
+    check_range("thickness_m", plan.walls.thickness_m, 0.0, 10.0, "m")?;
+    for (index, wall) in plan.wall.iter().enumerate() {
+        let is_repeated = plan.wall.iter().take(index).any(|other| other.index == wall.index);
+        if wall.index >= count || is_repeated {
+            return invalid("index", wall.index, format!("an index below the number of walls, {count}, once"));
         }
         check_material(file, "material", &wall.material)?;
-        within("thickness_m", wall.thickness_m, 0.0, 10.0, "m")?;
+        check_range("thickness_m", wall.thickness_m, 0.0, 10.0, "m")?;
     }
-    within("opening", plan.opening.len() as f64, 0.0, MOST, "tables")?;
-    within("partition", plan.partition.len() as f64, 0.0, MOST, "tables")?;
+    check_range("opening", plan.opening.len() as f64, 0.0, MOST_PARTS, "tables")?;
+    check_range("partition", plan.partition.len() as f64, 0.0, MOST_PARTS, "tables")?;
     let openings = || plan.opening.iter().enumerate();
-    if let Some((number, opening)) = openings().find(|(_, opening)| opening.wall.is_none_or(|wall| wall >= count)) {
+    if let Some((index, opening)) = openings().find(|(_, opening)| opening.wall.is_none_or(|wall| wall >= count)) {
         let found = opening.wall.map_or_else(|| "without wall".to_owned(), |wall| format!("with wall = {wall}"));
-        let expected = format!("wall = an index below the number of walls, {count} (opening {number})");
-        return fault("opening", format_args!("{found}"), expected);
+        let expected = format!("wall = an index below the number of walls, {count} (opening {index})");
+        return invalid("opening", format_args!("{found}"), expected);
     }
     for (index, [from, to]) in walls(plan).into_iter().enumerate() {
-        let own: Vec<(usize, &OpeningFile)> = openings().filter(|(_, opening)| opening.wall == Some(index)).collect();
-        check_openings(file, &own, &format!("wall {index}"), [from.distance(to), plan.height_m])?;
+        let openings_of_wall: Vec<(usize, &OpeningFile)> =
+            openings().filter(|(_, opening)| opening.wall == Some(index)).collect();
+        check_openings(file, &openings_of_wall, &format!("wall {index}"), [from.distance(to), plan.height_m])?;
     }
     Ok(())
 }
 
-fn check_partition(file: &SceneFile, plan: &PlanFile, number: usize, partition: &PartitionFile) -> Result<(), Fault> {
+fn check_partition(
+    file: &SceneFile,
+    plan: &PlanFile,
+    number: usize,
+    partition: &PartitionFile,
+) -> Result<(), InvalidValue> {
     let line = ends(partition);
-    let place = (partition.from_m, partition.to_m);
-    for at in partition.from_m.iter().chain(&partition.to_m) {
-        within("partition", *at, 0.0, 100.0, "m")?;
+    let line_in_file = (partition.from_m, partition.to_m);
+    for coordinate_m in partition.from_m.iter().chain(&partition.to_m) {
+        check_range("partition", *coordinate_m, 0.0, 100.0, "m")?;
     }
     let length_m = line[0].distance(line[1]);
     if length_m < LEAST_LENGTH_M {
-        return fault("partition", place, "from_m and to_m 5 cm or more from each other");
+        return invalid("partition", line_in_file, "from_m and to_m 5 cm or more from each other");
     }
     let floor = floor(plan);
-    let is_within = |place: DVec2| {
-        let clearance = floor.as_ref().map(|floor| floor.clearance(place.extend(0.0)));
+    let is_within = |position: DVec2| {
+        let clearance = floor.as_ref().map(|floor| floor.clearance(position.extend(0.0)));
         clearance.is_some_and(|clearance| clearance.distance_m >= -SAME_M)
     };
-    let leads_within = [line[0], line[0].lerp(line[1], 0.5), line[1]].into_iter().all(is_within);
-    if !leads_within || walls(plan).into_iter().any(|wall| cross(wall, line)) {
-        return fault("partition", place, "a line within the walls of [room.plan]");
+    let is_line_within = [line[0], line[0].lerp(line[1], 0.5), line[1]].into_iter().all(is_within);
+    if !is_line_within || walls(plan).into_iter().any(|wall| lines_cross(wall, line)) {
+        return invalid("partition", line_in_file, "a line within the walls of [room.plan]");
     }
     let height_m = partition.height_m.unwrap_or(plan.height_m);
-    within("height_m", height_m, LEAST_LENGTH_M, plan.height_m, "m (the room's)")?;
+    check_range("height_m", height_m, LEAST_LENGTH_M, plan.height_m, "m (the room's)")?;
     check_material(file, "material", &partition.material)?;
-    within("thickness_m", partition.thickness_m, 0.0, 10.0, "m")?;
-    within("opening", partition.opening.len() as f64, 0.0, MOST, "tables")?;
+    check_range("thickness_m", partition.thickness_m, 0.0, 10.0, "m")?;
+    check_range("opening", partition.opening.len() as f64, 0.0, MOST_PARTS, "tables")?;
     if let Some(wall) = partition.opening.iter().find_map(|opening| opening.wall) {
-        return fault("opening", format_args!("with wall = {wall}"), "no wall in a partition's own opening");
+        return invalid("opening", format_args!("with wall = {wall}"), "no wall in a partition's own opening");
     }
-    let own: Vec<(usize, &OpeningFile)> = partition.opening.iter().enumerate().collect();
-    check_openings(file, &own, &format!("partition {number}"), [length_m, height_m])
+    let openings: Vec<(usize, &OpeningFile)> = partition.opening.iter().enumerate().collect();
+    check_openings(file, &openings, &format!("partition {number}"), [length_m, height_m])
 }
 
 /// Checks the openings of a wall with the given name, length and height. Each opening has its number in the file.
-fn check_openings(file: &SceneFile, all: &[(usize, &OpeningFile)], wall: &str, size_m: [f64; 2]) -> Result<(), Fault> {
-    for (before, (number, opening)) in all.iter().enumerate() {
-        let before = all.iter().take(before).map(|(_, other)| *other);
-        check_opening(file, opening, before, size_m).map_err(|fault| fault.of(&format!("opening {number}, {wall}")))?;
+fn check_openings(
+    file: &SceneFile,
+    openings: &[(usize, &OpeningFile)],
+    wall: &str,
+    size_m: [f64; 2],
+) -> Result<(), InvalidValue> {
+    for (position, (number, opening)) in openings.iter().enumerate() {
+        let previous = openings.iter().take(position).map(|(_, other)| *other);
+        check_opening(file, opening, previous, size_m)
+            .map_err(|invalid| invalid.in_part(&format!("opening {number}, {wall}")))?;
     }
     Ok(())
 }
 
-/// Checks an opening in a wall with the given length and height, and with the openings `before` in it.
+/// Checks an opening in a wall with the given length and height, and with the `previous` openings in it.
 fn check_opening<'a>(
     file: &SceneFile,
     opening: &OpeningFile,
-    mut before: impl Iterator<Item = &'a OpeningFile>,
+    mut previous: impl Iterator<Item = &'a OpeningFile>,
     [length_m, height_m]: [f64; 2],
-) -> Result<(), Fault> {
+) -> Result<(), InvalidValue> {
     let [from, to, sill, head] = rectangle(opening);
     let spans = [([from, to], length_m, "from_m and to_m"), ([sill, head], height_m, "sill_m and head_m")];
     for ([low, high], most_m, keys) in spans {
         if !(low >= 0.0 && high - low >= LEAST_LENGTH_M && high <= most_m + SAME_M) {
             let expected = format!("{keys}, 5 cm apart or more, within 0 to {most_m} m");
-            return fault("opening", [low, high], expected);
+            return invalid("opening", [low, high], expected);
         }
     }
-    let meets = |other: &&OpeningFile| {
+    let overlaps = |other: &&OpeningFile| {
         let [other_from, other_to, other_sill, other_head] = rectangle(other);
         from < other_to - SAME_M && other_from < to - SAME_M && sill < other_head - SAME_M && other_sill < head - SAME_M
     };
-    if let Some(other) = before.find(meets) {
+    if let Some(other) = previous.find(overlaps) {
         let expected = format!("an opening beside the one from {} to {} m", other.from_m, other.to_m);
-        return fault("opening", [from, to], expected);
+        return invalid("opening", [from, to], expected);
     }
     if opening.material.is_some() && opening.door.is_some() {
-        return fault("opening", "a pane and a door", "material or door");
+        return invalid("opening", "a pane and a door", "material or door");
     }
     if opening.thickness_m.is_some() && opening.material.is_none() {
-        return fault("thickness_m", "given", "none without a pane's material: a door has its own");
+        return invalid("thickness_m", "given", "none without a pane's material: a door has its own");
     }
-    within("thickness_m", opening.pane_thickness_m(), 0.0, 10.0, "m")?;
+    check_range("thickness_m", opening.pane_thickness_m(), 0.0, 10.0, "m")?;
     opening.material.iter().try_for_each(|material| check_material(file, "material", material))?;
     if let Some(door) = &opening.door {
-        within("open_deg", door.open_deg, -170.0, 170.0, "degrees")?;
-        within("thickness_m", door.thickness_m, 0.0, 10.0, "m")?;
+        check_range("open_deg", door.open_deg, -170.0, 170.0, "degrees")?;
+        check_range("thickness_m", door.thickness_m, 0.0, 10.0, "m")?;
         check_material(file, "material", &door.material)?;
     }
     Ok(())
@@ -301,14 +319,14 @@ fn rectangle(opening: &OpeningFile) -> [f64; 4] {
 }
 
 /// An upright rectangle on a line.
-struct Upright {
+struct UprightRectangle {
     ends: [DVec3; 2],
     height_m: f64,
 }
 
-impl Upright {
+impl UprightRectangle {
     fn new([from, to]: [DVec2; 2], height_m: f64) -> Self {
-        Upright { ends: [from.extend(0.0), to.extend(0.0)], height_m }
+        UprightRectangle { ends: [from.extend(0.0), to.extend(0.0)], height_m }
     }
 
     fn length_m(&self) -> f64 {
@@ -320,35 +338,37 @@ impl Upright {
     }
 
     /// Returns a part of the rectangle, which faces to the left of its direction.
-    fn part(&self, [from, to, sill, head]: [f64; 4]) -> Option<PlanarPolygon> {
+    fn cut_out(&self, [from, to, sill, head]: [f64; 4]) -> Option<PlanarPolygon> {
         let corners = [self.at(from, sill), self.at(from, head), self.at(to, head), self.at(to, sill)];
         PlanarPolygon::from_corners(&corners)
     }
 
     /// Returns the polygons that remain of the rectangle around openings. They face to the left.
-    fn pierced(&self, openings: &[&OpeningFile]) -> Vec<PlanarPolygon> {
-        let lines = |most: f64, of: &dyn Fn(&[f64; 4]) -> [f64; 2]| {
-            let cuts = openings.iter().flat_map(|opening| of(&rectangle(opening)));
-            let mut lines: Vec<f64> = [0.0, most].into_iter().chain(cuts.map(|cut| cut.clamp(0.0, most))).collect();
+    fn without_openings(&self, openings: &[&OpeningFile]) -> Vec<PlanarPolygon> {
+        let grid_lines = |size_m: f64, edges: &dyn Fn(&[f64; 4]) -> [f64; 2]| {
+            let cuts = openings.iter().flat_map(|opening| edges(&rectangle(opening)));
+            let mut lines: Vec<f64> = [0.0, size_m].into_iter().chain(cuts.map(|cut| cut.clamp(0.0, size_m))).collect();
             lines.sort_by(f64::total_cmp);
             lines.dedup_by(|later, earlier| *later - *earlier <= SAME_M);
             lines
         };
-        let across = lines(self.length_m(), &|r| [r[0], r[1]]);
-        let up = lines(self.height_m, &|r| [r[2], r[3]]);
-        let vertices = up.iter().flat_map(|&up_m| across.iter().map(move |&along_m| self.at(along_m, up_m))).collect();
+        let columns = grid_lines(self.length_m(), &|[from, to, _, _]| [*from, *to]);
+        let rows = grid_lines(self.height_m, &|[_, _, sill, head]| [*sill, *head]);
+        let vertices =
+            rows.iter().flat_map(|&up_m| columns.iter().map(move |&along_m| self.at(along_m, up_m))).collect();
         let mut mesh = Mesh { vertices, triangles: Vec::new() };
-        for (row, height) in up.windows(2).enumerate() {
-            for (column, width) in across.windows(2).enumerate() {
+        for (row, height) in rows.windows(2).enumerate() {
+            for (column, width) in columns.windows(2).enumerate() {
                 let (along_m, up_m) = (0.5 * (width[0] + width[1]), 0.5 * (height[0] + height[1]));
                 let is_open = openings.iter().any(|opening| {
                     let [from, to, sill, head] = rectangle(opening);
                     (from..to).contains(&along_m) && (sill..head).contains(&up_m)
                 });
                 if !is_open {
-                    let a = (row * across.len() + column) as u32;
-                    let (b, d) = (a + 1, a + across.len() as u32);
-                    mesh.triangles.extend([[a, d, d + 1], [a, d + 1, b]]);
+                    let low_left = (row * columns.len() + column) as u32;
+                    let high_left = low_left + columns.len() as u32;
+                    mesh.triangles
+                        .extend([[low_left, high_left, high_left + 1], [low_left, high_left + 1, low_left + 1]]);
                 }
             }
         }
@@ -359,10 +379,22 @@ impl Upright {
     fn leaf(&self, opening: &OpeningFile, door: &DoorLeafFile, left: f64) -> (Option<PlanarPolygon>, bool) {
         let [from, to, sill, head] = rectangle(opening);
         let ends = [from, to].map(|along_m| self.at(along_m, sill).truncate());
-        let [hinge, end] = leaf(door, ends, left).map(|place| place.extend(sill));
+        let [hinge, end] = leaf(door, ends, left).map(|position| position.extend(sill));
         let corners = [hinge, hinge.with_z(head), end.with_z(head), end];
         (PlanarPolygon::from_corners(&corners), door.open_deg.abs() < 1e-6)
     }
+}
+
+/// A wall or partition in the making.
+struct Wall<'a> {
+    rectangle: UprightRectangle,
+    openings: Vec<&'a OpeningFile>,
+    /// Material and thickness in m.
+    surface: (&'a str, f64),
+    name: String,
+    group: usize,
+    /// Whether it faces to the left of its direction, else to the right.
+    faces_left: bool,
 }
 
 /// Builder of faces with their groups, and of outlines.
@@ -375,35 +407,41 @@ struct Builder<'a> {
 }
 
 impl Builder<'_> {
-    fn group(&mut self) -> usize {
+    fn new_group(&mut self) -> usize {
         self.groups += 1;
         self.groups
     }
 
-    /// Adds faces, unless their material is open.
-    fn add(&mut self, polygons: impl IntoIterator<Item = PlanarPolygon>, of: (&str, f64), name: &str, group: usize) {
-        let surface = SurfaceFile { material: of.0.to_owned(), thickness_m: of.1 };
-        let Some(wall) = solid(self.file, &surface, self.frequency_hz) else { return };
+    /// Adds faces of a material with its thickness in m, unless the material is open.
+    fn add(
+        &mut self,
+        polygons: impl IntoIterator<Item = PlanarPolygon>,
+        (material, thickness_m): (&str, f64),
+        name: &str,
+        group: usize,
+    ) {
+        let surface = SurfaceFile { material: material.to_owned(), thickness_m };
+        let Some(wall) = closed_wall(self.file, &surface, self.frequency_hz) else { return };
         for polygon in polygons {
             self.outlines.push(Outline { material: surface.material.clone(), edges: polygon.edges().collect() });
             self.drafts.push(Draft { polygon, wall, name: name.to_owned(), group });
         }
     }
 
-    /// Adds a wall or partition with its panes and doors. It faces to the left of its direction, or to the right.
-    fn upright(&mut self, upright: &Upright, openings: &[&OpeningFile], of: (&str, f64), place: (&str, usize, bool)) {
-        let (name, group, is_left) = place;
-        let facing = |polygon: PlanarPolygon| if is_left { polygon } else { polygon.flipped() };
-        self.add(upright.pierced(openings).into_iter().map(facing), of, name, group);
+    /// Adds a wall or partition with its panes and doors.
+    fn add_wall(&mut self, wall: &Wall) {
+        let Wall { rectangle: wall_rectangle, openings, surface, name, group, faces_left } = wall;
+        let facing = |polygon: PlanarPolygon| if *faces_left { polygon } else { polygon.flipped() };
+        self.add(wall_rectangle.without_openings(openings).into_iter().map(facing), *surface, name, *group);
         for opening in openings {
             if let Some(material) = &opening.material {
-                let pane = upright.part(rectangle(opening)).map(facing);
-                self.add(pane, (material, opening.pane_thickness_m()), &format!("pane in {name}"), group);
+                let pane = wall_rectangle.cut_out(rectangle(opening)).map(facing);
+                self.add(pane, (material, opening.pane_thickness_m()), &format!("pane in {name}"), *group);
             }
             if let Some(door) = &opening.door {
-                let (leaf, is_shut) = upright.leaf(opening, door, if is_left { 1.0 } else { -1.0 });
+                let (leaf, is_shut) = wall_rectangle.leaf(opening, door, if *faces_left { 1.0 } else { -1.0 });
                 // An open leaf does not enclose a volume with the wall.
-                let group = if is_shut { group } else { self.group() };
+                let group = if is_shut { *group } else { self.new_group() };
                 self.add(leaf, (&door.material, door.thickness_m), &format!("door in {name}"), group);
             }
         }
@@ -415,21 +453,29 @@ pub(super) fn faces(file: &SceneFile, plan: &PlanFile, frequency_hz: f64) -> (Ve
     let mut builder = Builder { file, frequency_hz, drafts: Vec::new(), outlines: Vec::new(), groups: ROOM };
     let twice_area_m2 = polygon::doubled_area(&corners(plan));
     for (index, ends) in walls(plan).into_iter().enumerate() {
-        let openings: Vec<&OpeningFile> = plan.opening.iter().filter(|opening| opening.wall == Some(index)).collect();
-        let name = format!("wall {index}");
-        let upright = Upright::new(ends, plan.height_m);
-        builder.upright(&upright, &openings, plan.wall_surface(index), (&name, ROOM, twice_area_m2 > 0.0));
+        builder.add_wall(&Wall {
+            rectangle: UprightRectangle::new(ends, plan.height_m),
+            openings: plan.opening.iter().filter(|opening| opening.wall == Some(index)).collect(),
+            surface: plan.wall_surface(index),
+            name: format!("wall {index}"),
+            group: ROOM,
+            faces_left: twice_area_m2 > 0.0,
+        });
     }
     let (floor, room) = (floor(plan), &file.room);
-    let of = (room.ceiling.material.as_str(), room.ceiling.thickness_m);
-    builder.add(floor.as_ref().map(|floor| raised(floor, plan.height_m).flipped()), of, "ceiling", ROOM);
+    let ceiling = floor.as_ref().map(|floor| raised(floor, plan.height_m).flipped());
+    builder.add(ceiling, (&room.ceiling.material, room.ceiling.thickness_m), "ceiling", ROOM);
     builder.add(floor, (&room.floor.material, room.floor.thickness_m), "floor", ROOM);
     for (number, partition) in plan.partition.iter().enumerate() {
-        let upright = Upright::new(ends(partition), partition.height_m.unwrap_or(plan.height_m));
-        let openings: Vec<&OpeningFile> = partition.opening.iter().collect();
-        let group = builder.group();
-        let of = (partition.material.as_str(), partition.thickness_m);
-        builder.upright(&upright, &openings, of, (&format!("partition {number}"), group, true));
+        let group = builder.new_group();
+        builder.add_wall(&Wall {
+            rectangle: UprightRectangle::new(ends(partition), partition.height_m.unwrap_or(plan.height_m)),
+            openings: partition.opening.iter().collect(),
+            surface: (&partition.material, partition.thickness_m),
+            name: format!("partition {number}"),
+            group,
+            faces_left: true,
+        });
     }
     (builder.drafts, builder.outlines)
 }

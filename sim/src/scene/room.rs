@@ -16,7 +16,7 @@ use glam::DVec3;
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
 use radome_files::named_by_spec;
 
-use super::check::{Fault, fault, surfaces};
+use super::check::{InvalidValue, invalid, room_surfaces};
 use super::{SceneError, file_error};
 use crate::em::image::Wall;
 use crate::file_error::FileError;
@@ -34,9 +34,9 @@ pub(super) const WELD_M: f64 = 1e-4;
 /// Distance within which planes form one wall, m.
 const SAME_WALL_M: f64 = 0.01;
 /// Least cosine of the angle between a wall's normal and an axis: 2 degrees.
-const ALONG: f64 = 0.9994;
+const LEAST_AXIS_COSINE: f64 = 0.9994;
 /// Least area of a wall, as a part of its side of the meshes' bounding box.
-const LEAST_WALL: f64 = 0.3;
+const LEAST_WALL_FRACTION: f64 = 0.3;
 /// Largest thickness of a solid wall, m.
 const THICKEST_M: f64 = 0.6;
 /// Least and largest size of a room, m.
@@ -59,11 +59,11 @@ pub(super) const WALLS: [(&str, usize, bool); 6] = [
 ];
 
 /// Reflection and transmission of the six surfaces. Warns of materials whose constants are for another band.
-pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], Fault> {
+pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], InvalidValue> {
     let mut walls = [Wall::Open; 6];
-    for ((key, surface), wall) in surfaces(&file.room).into_iter().zip(&mut walls) {
+    for ((key, surface), wall) in room_surfaces(&file.room).into_iter().zip(&mut walls) {
         *wall = slab(file, surface, waveform.centre_frequency_hz())
-            .map_or_else(|| fault(key, &surface.material, "a material"), Ok)?;
+            .map_or_else(|| invalid(key, &surface.material, "a material"), Ok)?;
         warn_of_band(file, &surface.material, waveform);
     }
     Ok(walls)
@@ -73,7 +73,7 @@ pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], 
 fn warn_of_band(file: &SceneFile, material: &str, waveform: &Waveform) {
     let [low, high] = match (Material::named(material), file.materials.get(material)) {
         (Some(material), _) => material.band_ghz(),
-        (None, own) => own.and_then(|m| m.band_ghz).unwrap_or([0.0, f64::INFINITY]),
+        (None, own_material) => own_material.and_then(|m| m.band_ghz).unwrap_or([0.0, f64::INFINITY]),
     };
     let ghz = waveform.centre_frequency_hz() * 1e-9;
     if !(low..=high).contains(&ghz) && is_first_warning(&["band", material]) {
@@ -86,11 +86,11 @@ fn warn_of_band(file: &SceneFile, material: &str, waveform: &Waveform) {
 /// Warns of materials outside their band in furniture, floor plans and parts of files, except in the box around the
 /// room.
 pub(super) fn warn_of_bands_within(file: &SceneFile, meshes: &RoomMeshes, waveform: &Waveform) {
-    let own = file.furniture.iter().take(meshes.own_furniture);
-    let furniture = own.filter_map(|f| f.material.as_deref());
+    let own_furniture = file.furniture.iter().take(meshes.own_furniture);
+    let furniture = own_furniture.filter_map(|f| f.material.as_deref());
     let plan = file.room.plan.iter().flat_map(|plan| plan.materials());
     let parts = meshes.pieces.iter().map(|piece| piece.surface.material.as_str());
-    let is_wall = |material: &str| surfaces(&file.room).iter().any(|(_, surface)| surface.material == material);
+    let is_wall = |material: &str| room_surfaces(&file.room).iter().any(|(_, surface)| surface.material == material);
     for material in furniture.chain(plan).chain(parts).filter(|material| !is_wall(material)) {
         warn_of_band(file, material, waveform);
     }
@@ -111,26 +111,26 @@ pub(super) fn slab(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -
 }
 
 /// Fraction of a wave's power that a wall of a material reflects at normal incidence; 0 for an open one.
-fn reflected(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> f64 {
+fn reflected_power(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> f64 {
     let wavenumber_per_m = std::f64::consts::TAU * frequency_hz / SPEED_OF_LIGHT_M_PER_S;
     slab(file, surface, frequency_hz).map_or(0.0, |wall| wall.reflection(wavenumber_per_m, 1.0).te.norm_sqr())
 }
 
 /// Mean radar cross-section of a convex body with this surface area in random orientation, dBsm.
-fn cross_section_dbsm(area_m2: f64, reflected: f64) -> f64 {
-    10.0 * (0.25 * area_m2 * reflected).max(1e-10).log10()
+fn cross_section_dbsm(area_m2: f64, reflected_power: f64) -> f64 {
+    10.0 * (0.25 * area_m2 * reflected_power).max(1e-10).log10()
 }
 
 /// Computes the radar cross-section of furniture for which the scene states only the material.
 pub(super) fn fill_cross_sections(file: &mut SceneFile, frequency_hz: f64) {
-    let of = |f: &FurnitureFile| {
+    let by_material = |f: &FurnitureFile| {
         let surface = SurfaceFile { material: f.material.clone()?, thickness_m: f.thickness_m };
         let [x, y, z] = f.size_m;
-        Some(cross_section_dbsm(2.0 * (x * y + y * z + z * x), reflected(file, &surface, frequency_hz)))
+        Some(cross_section_dbsm(2.0 * (x * y + y * z + z * x), reflected_power(file, &surface, frequency_hz)))
     };
-    let all: Vec<Option<f64>> = file.furniture.iter().map(of).collect();
-    for (furniture, by_material) in file.furniture.iter_mut().zip(all) {
-        furniture.cross_section_dbsm = furniture.cross_section_dbsm.or(by_material);
+    let all: Vec<Option<f64>> = file.furniture.iter().map(by_material).collect();
+    for (furniture, cross_section_dbsm) in file.furniture.iter_mut().zip(all) {
+        furniture.cross_section_dbsm = furniture.cross_section_dbsm.or(cross_section_dbsm);
     }
 }
 
@@ -147,9 +147,12 @@ pub struct Outline {
 pub(super) const CREASE_RAD: f64 = 0.35;
 
 fn outline(piece: &Piece, corner: DVec3) -> Outline {
-    let place = |v: u32| piece.mesh.vertices.get(v as usize).map_or(DVec3::ZERO, |v| *v - corner);
+    let position = |v: u32| piece.mesh.vertices.get(v as usize).map_or(DVec3::ZERO, |v| *v - corner);
     let creases = edges(&piece.mesh).into_iter().filter(|edge| edge.is_crease(CREASE_RAD));
-    Outline { material: piece.surface.material.clone(), edges: creases.map(|edge| edge.vertices.map(place)).collect() }
+    Outline {
+        material: piece.surface.material.clone(),
+        edges: creases.map(|edge| edge.vertices.map(position)).collect(),
+    }
 }
 
 /// A part of a mesh file with its material.
@@ -175,9 +178,10 @@ pub(super) struct RoomMeshes {
 #[derive(Default)]
 struct Face {
     area_m2: f64,
-    offset_m2: f64,
-    /// Area by piece.
-    of: BTreeMap<usize, f64>,
+    /// Sum of the planes' offsets, each times its area, m * m^2.
+    weighted_offset: f64,
+    /// Area of each piece's part of the face.
+    area_by_piece_m2: BTreeMap<usize, f64>,
 }
 
 /// Reads the meshes, if any, and fills in the room's size, surfaces and furniture. Returns the outlines and the meshes.
@@ -190,12 +194,12 @@ pub(super) fn read_meshes(
     let own_furniture = file.furniture.len();
     let mut pieces = Vec::new();
     for mesh in &file.room.mesh {
-        pieces.extend(read(mesh, path, text)?);
+        pieces.extend(read_pieces(mesh, path, text)?);
     }
     let Some(first) = file.room.mesh.first() else {
         return Ok((Vec::new(), RoomMeshes { own_furniture, ..RoomMeshes::default() }));
     };
-    let of_room = |source: FileError| file_error(path, text, &first.file, source);
+    let mesh_error = |source: FileError| file_error(path, text, &first.file, source);
     let [low, high] = bounds(pieces.iter().flat_map(|p| &p.mesh.vertices));
     if !(0..3).all(|i| (SIZES_M[0]..=2.0 * SIZES_M[1]).contains(&(high - low)[i])) {
         let size = high - low;
@@ -203,13 +207,13 @@ pub(super) fn read_meshes(
             format!("all meshes together are {:.4} x {:.4} x {:.4} m, expected {SIZES_M:?} m", size.x, size.y, size.z);
         let hint =
             "say which unit the file is in: unit = \"mm\", \"cm\" or \"m\"; of glTF, which is in metres, remove it";
-        return Err(of_room(FileError::new("size", problem, hint)));
+        return Err(mesh_error(FileError::new("size", problem, hint)));
     }
-    let (found, made) = six_walls(file, &pieces, [low, high]).map_err(of_room)?;
-    let [corner, end] = [0, 1].map(|e| DVec3::new(found[e], found[2 + e], found[4 + e]));
+    let (positions_m, surfaces) = six_walls(file, &pieces, [low, high]).map_err(mesh_error)?;
+    let [corner, end] = [0, 1].map(|e| DVec3::new(positions_m[e], positions_m[2 + e], positions_m[4 + e]));
     let room = &mut file.room;
     room.size_m = (end - corner).to_array();
-    [room.x_low, room.x_high, room.y_low, room.y_high, room.floor, room.ceiling] = made;
+    [room.x_low, room.x_high, room.y_low, room.y_high, room.floor, room.ceiling] = surfaces;
     let furniture = furniture(file, &pieces, corner, end, frequency_hz);
     tracing::info!(size_m = ?file.room.size_m, %corner, furniture = furniture.len(), "a room from meshes; its low corner is the origin");
     file.furniture.extend(furniture);
@@ -224,21 +228,21 @@ fn six_walls(
     [low, high]: [DVec3; 2],
 ) -> Result<([f64; 6], [SurfaceFile; 6]), FileError> {
     let faces = faces(pieces);
-    let mut found: [f64; 6] = [0.0; 6];
-    let mut made: [SurfaceFile; 6] = Default::default();
-    let is_open = surfaces(&file.room).map(|(_, surface)| surface.material == OPEN);
+    let mut positions_m: [f64; 6] = [0.0; 6];
+    let mut surfaces: [SurfaceFile; 6] = Default::default();
+    let is_open = room_surfaces(&file.room).map(|(_, surface)| surface.material == OPEN);
     for (i, &(name, axis, is_high)) in WALLS.iter().enumerate() {
         if is_open[i] {
             // Without a wall, the room ends where the meshes end.
-            found[i] = if is_high { high[axis] } else { low[axis] };
-            made[i].material = OPEN.to_owned();
+            positions_m[i] = if is_high { high[axis] } else { low[axis] };
+            surfaces[i].material = OPEN.to_owned();
             continue;
         }
-        let face = wall(&faces[axis], axis, is_high, [low, high]).map_err(|largest_m2| {
-            let across = (high - low)[(axis + 1) % 3] * (high - low)[(axis + 2) % 3];
+        let face = innermost_wall(&faces[axis], axis, is_high, [low, high]).map_err(|largest_m2| {
+            let side_m2 = (high - low)[(axis + 1) % 3] * (high - low)[(axis + 2) % 3];
             let problem = format!(
-                "{name} is missing: the largest plane there is {largest_m2:.2} m^2, expected at least {:.2} m^2 of {across:.2} m^2",
-                LEAST_WALL * across
+                "{name} is missing: the largest plane there is {largest_m2:.2} m^2, expected at least {:.2} m^2 of {side_m2:.2} m^2",
+                LEAST_WALL_FRACTION * side_m2
             );
             let hint = format!(
                 "rooms have six plane walls along the axes: add the one that is missing, turn the model, check up, or say that \
@@ -246,15 +250,16 @@ fn six_walls(
             );
             FileError::new("walls", problem, hint)
         })?;
-        found[i] = face.offset_m2 / face.area_m2;
-        let most = face.of.iter().max_by(|a, b| a.1.total_cmp(b.1)).and_then(|(&piece, _)| pieces.get(piece));
-        made[i] = most.map(|p| p.surface.clone()).unwrap_or_default();
+        positions_m[i] = face.weighted_offset / face.area_m2;
+        let most =
+            face.area_by_piece_m2.iter().max_by(|a, b| a.1.total_cmp(b.1)).and_then(|(&piece, _)| pieces.get(piece));
+        surfaces[i] = most.map(|p| p.surface.clone()).unwrap_or_default();
     }
-    Ok((found, made))
+    Ok((positions_m, surfaces))
 }
 
 /// Reads a mesh file: its welded parts, each with a material.
-fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, SceneError> {
+fn read_pieces(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, SceneError> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let file = folder.join(&mesh.file);
     let parts = import_parts(mesh, folder, &file).and_then(|parts| {
@@ -293,19 +298,19 @@ fn check_names(mesh: &RoomMeshFile, parts: &[Part]) -> Result<(), FileError> {
 /// Reads the parts of a mesh file, in metres, z up.
 fn import_parts(mesh: &RoomMeshFile, folder: &Path, file: &Path) -> Result<Vec<Part>, FileError> {
     let extension = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let says = ["gltf", "glb"].contains(&extension.as_str());
+    let states_unit_and_axis = ["gltf", "glb"].contains(&extension.as_str());
     let (unit, up) = match (mesh.unit, mesh.up) {
         (Some(unit), Some(up)) => (unit, up),
-        (unit, up) if says => (unit.unwrap_or(LengthUnit::Metre), up.unwrap_or(UpAxis::Y)),
+        (unit, up) if states_unit_and_axis => (unit.unwrap_or(LengthUnit::Metre), up.unwrap_or(UpAxis::Y)),
         (unit, _) => {
-            let what = if unit.is_none() { "unit" } else { "up" };
-            let problem = format!("{what} is not said, and the format does not say it either");
+            let missing_key = if unit.is_none() { "unit" } else { "up" };
+            let problem = format!("{missing_key} is not said, and the format does not say it either");
             let hint = "add unit = \"m\" (or \"cm\", \"mm\", \"in\") and up = \"z\" (or \"y\") to this [[room.mesh]]";
-            return Err(FileError::new(what, problem, hint));
+            return Err(FileError::new(missing_key, problem, hint));
         }
     };
     // `import` refuses other formats by their extension.
-    if says || ["stl", "obj"].contains(&extension.as_str()) {
+    if states_unit_and_axis || ["stl", "obj"].contains(&extension.as_str()) {
         named_by_spec(folder, Path::new(&mesh.file)).map_err(|e| FileError::unreadable(&e))?;
     }
     import(file, unit, up).map_err(|e| match &e {
@@ -355,7 +360,7 @@ fn faces(pieces: &[Piece]) -> [Vec<Face>; 3] {
     let mut all: [Vec<(f64, f64, usize)>; 3] = Default::default();
     for (number, piece) in pieces.iter().enumerate() {
         for plane in planes(&piece.mesh, WELD_M).planes {
-            let Some(axis) = (0..3).find(|&axis| plane.normal[axis].abs() > ALONG) else { continue };
+            let Some(axis) = (0..3).find(|&axis| plane.normal[axis].abs() > LEAST_AXIS_COSINE) else { continue };
             // The offset is along the normal, which may point in the negative direction.
             all[axis].push((plane.offset_m * plane.normal[axis].signum(), plane.area_m2, number));
         }
@@ -368,8 +373,8 @@ fn faces(pieces: &[Piece]) -> [Vec<Face>; 3] {
                 let mut face = Face::default();
                 for &(offset_m, area_m2, piece) in same {
                     face.area_m2 += area_m2;
-                    face.offset_m2 += offset_m * area_m2;
-                    *face.of.entry(piece).or_default() += area_m2;
+                    face.weighted_offset += offset_m * area_m2;
+                    *face.area_by_piece_m2.entry(piece).or_default() += area_m2;
                 }
                 face
             })
@@ -380,35 +385,35 @@ fn faces(pieces: &[Piece]) -> [Vec<Face>; 3] {
 /// Returns the innermost large plane at one end of an axis that may form one wall with the outermost plane. Solid walls
 /// also have an outer plane, and rooms that are not boxes have walls farther in. Without such a plane, returns the
 /// largest area.
-fn wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> Result<&Face, f64> {
+fn innermost_wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> Result<&Face, f64> {
     let middle = 0.5 * (low + high)[axis];
-    let across = (high - low)[(axis + 1) % 3] * (high - low)[(axis + 2) % 3];
-    let at = |f: &&Face| (f.offset_m2 / f.area_m2 > middle) == is_high;
-    let largest = faces.iter().filter(at).map(|f| f.area_m2).fold(0.0, f64::max);
-    let is_wall = |f: &&Face| f.area_m2 >= LEAST_WALL * across && f.area_m2 >= 0.5 * largest;
-    let inner = |f: &&Face| (f.offset_m2 / f.area_m2 - middle).abs();
-    let walls = || faces.iter().filter(at).filter(is_wall);
-    let outermost_m = walls().map(|face| inner(&face)).fold(0.0, f64::max);
-    let is_outer = |f: &&Face| inner(f) >= outermost_m - THICKEST_M;
-    walls().filter(is_outer).min_by(|a, b| inner(a).total_cmp(&inner(b))).ok_or(largest)
+    let side_m2 = (high - low)[(axis + 1) % 3] * (high - low)[(axis + 2) % 3];
+    let is_at_end = |f: &&Face| (f.weighted_offset / f.area_m2 > middle) == is_high;
+    let largest = faces.iter().filter(is_at_end).map(|f| f.area_m2).fold(0.0, f64::max);
+    let is_wall = |f: &&Face| f.area_m2 >= LEAST_WALL_FRACTION * side_m2 && f.area_m2 >= 0.5 * largest;
+    let middle_distance_m = |f: &&Face| (f.weighted_offset / f.area_m2 - middle).abs();
+    let walls = || faces.iter().filter(is_at_end).filter(is_wall);
+    let outermost_m = walls().map(|face| middle_distance_m(&face)).fold(0.0, f64::max);
+    let is_outer = |f: &&Face| middle_distance_m(f) >= outermost_m - THICKEST_M;
+    walls().filter(is_outer).min_by(|a, b| middle_distance_m(a).total_cmp(&middle_distance_m(b))).ok_or(largest)
 }
 
 /// Returns the furniture within the walls.
 fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, frequency_hz: f64) -> Vec<FurnitureFile> {
     let mut all: Vec<(f64, FurnitureFile)> = Vec::new();
     for piece in pieces {
-        let reflected = reflected(file, &piece.surface, frequency_hz);
-        if reflected == 0.0 {
+        let reflected_power = reflected_power(file, &piece.surface, frequency_hz);
+        if reflected_power == 0.0 {
             continue;
         }
-        let in_wall = |t: u32| {
+        let is_in_wall = |t: u32| {
             let corners = piece.mesh.corners(t as usize).unwrap_or_default();
-            let near = |at: f64, i: usize| corners.iter().all(|c| (c[i] - at).abs() < SAME_WALL_M);
+            let near = |wall_m: f64, i: usize| corners.iter().all(|c| (c[i] - wall_m).abs() < SAME_WALL_M);
             (0..3).any(|i| near(corner[i], i) || near(end[i], i))
         };
-        for shell in shells(&piece.mesh, |t| !in_wall(t)) {
-            let places = shell.iter().filter_map(|&t| piece.mesh.corners(t as usize)).flatten().collect::<Vec<_>>();
-            let [low, high] = bounds(&places);
+        for shell in shells(&piece.mesh, |t| !is_in_wall(t)) {
+            let positions = shell.iter().filter_map(|&t| piece.mesh.corners(t as usize)).flatten().collect::<Vec<_>>();
+            let [low, high] = bounds(&positions);
             if !(0..3).all(|i| low[i] > corner[i] - SAME_WALL_M && high[i] < end[i] + SAME_WALL_M) {
                 continue;
             }
@@ -421,10 +426,10 @@ fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, freq
                 size_m: (high - low).max(DVec3::ZERO).to_array(),
                 material: Some(piece.surface.material.clone()),
                 thickness_m: piece.surface.thickness_m,
-                cross_section_dbsm: Some(cross_section_dbsm(area_m2, reflected)),
+                cross_section_dbsm: Some(cross_section_dbsm(area_m2, reflected_power)),
                 points: ((area_m2 * POINTS_PER_M2) as usize).clamp(6, 64),
             };
-            all.push((area_m2 * reflected, furniture));
+            all.push((area_m2 * reflected_power, furniture));
         }
     }
     all.sort_by(|a, b| b.0.total_cmp(&a.0));
@@ -435,10 +440,10 @@ fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, freq
     all.into_iter().map(|(_, furniture)| furniture).collect()
 }
 
-/// Returns the connected sets of the triangles for which `counts` holds. Triangles are connected by vertices.
-fn shells(mesh: &Mesh, counts: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
+/// Returns the connected sets of the triangles for which `is_counted` holds. Triangles are connected by vertices.
+fn shells(mesh: &Mesh, is_counted: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
     let mut sets = Sets::new(mesh.vertices.len());
-    let counted = || (0u32..).zip(&mesh.triangles).filter(|(t, _)| counts(*t));
+    let counted = || (0u32..).zip(&mesh.triangles).filter(|(t, _)| is_counted(*t));
     for (_, triangle) in counted() {
         let [a, b, c] = triangle.map(|v| v as usize);
         sets.join(a, b);

@@ -17,7 +17,7 @@ use super::draft::Draft;
 use crate::em::image::Wall;
 use crate::geometry::{Mesh, PlanarPolygon};
 use crate::scene_file::FurnitureFile;
-use touch::{Index, TOUCH_M, Touch, touches};
+use touch::{PolygonIndex, TOUCH_M, Touch, touches};
 
 /// Least area of a plane that becomes a face, m^2; smaller planes of a mesh remain triangles. For comparison, the first
 /// Fresnel zone in the middle of a path of 2 m at 60 GHz is 0.008 m^2.
@@ -117,26 +117,26 @@ impl Surfaces {
         let triangles = small.iter().flat_map(|part| part.mesh.all_corners());
         let triangles: Vec<PlanarPolygon> =
             triangles.filter_map(|corners| PlanarPolygon::from_corners(&corners)).collect();
-        let index = Index::new(&polygons, &triangles);
+        let index = PolygonIndex::new(&polygons, &triangles);
         let touches = touches(&polygons, &index);
         let covered_by: Vec<Option<usize>> = (0..polygons.len()).map(|face| cover(&polygons, &index, face)).collect();
         let sides = sides::resolve(&mut drafts, &touches, &covered_by, radar);
 
-        let mut made = Surfaces { small, ..Surfaces::default() };
-        let mut number: Vec<Option<usize>> = Vec::with_capacity(drafts.len());
+        let mut surfaces = Surfaces { small, ..Surfaces::default() };
+        let mut face_of_draft: Vec<Option<usize>> = Vec::with_capacity(drafts.len());
         for ((draft, by), sides) in drafts.into_iter().zip(&covered_by).zip(sides) {
-            number.push(by.is_none().then_some(made.faces.len()));
+            face_of_draft.push(by.is_none().then_some(surfaces.faces.len()));
             if by.is_none() {
-                made.faces.push(Face { polygon: draft.polygon, wall: draft.wall, name: draft.name, sides });
+                surfaces.faces.push(Face { polygon: draft.polygon, wall: draft.wall, name: draft.name, sides });
             }
         }
-        made.edges = touches.iter().filter_map(|touch| made.edge(touch, &number)).collect();
-        made
+        surfaces.edges = touches.iter().filter_map(|touch| surfaces.edge(touch, &face_of_draft)).collect();
+        surfaces
     }
 
-    /// Converts a touch between drafts to an edge of the faces. `number` maps drafts to faces.
-    fn edge(&self, touch: &Touch, number: &[Option<usize>]) -> Option<FaceEdge> {
-        let index = number.get(touch.face).copied().flatten()?;
+    /// Converts a touch between drafts to an edge of the faces. `face_of_draft` maps drafts to faces.
+    fn edge(&self, touch: &Touch, face_of_draft: &[Option<usize>]) -> Option<FaceEdge> {
+        let index = face_of_draft.get(touch.face).copied().flatten()?;
         let face = self.faces.get(index)?;
         let edge = face.polygon.clearance(touch.ends[0].lerp(touch.ends[1], 0.5)).edge;
         let [from, to] = face.polygon.edges().nth(edge)?;
@@ -150,7 +150,7 @@ impl Surfaces {
         let mut seam = None;
         for sheet in &touch.sheets {
             let other = match sheet.face {
-                Some(draft) => match number.get(draft).copied().flatten() {
+                Some(draft) => match face_of_draft.get(draft).copied().flatten() {
                     Some(other) => Some(other),
                     None => continue,
                 },
@@ -199,20 +199,20 @@ fn kind(sheets: &[(f64, Option<usize>)], sides: Sides) -> EdgeKind {
     let (Some(&(first, front)), Some(&(last, back))) = (sheets.first(), sheets.last()) else {
         return EdgeKind::Free;
     };
-    let both = [(first, front), (TAU - last, back)];
-    let with_air = match sides {
-        Sides::One => &both[..1],
-        Sides::Two => &both[..],
+    let air_angles = [(first, front), (TAU - last, back)];
+    let angles_with_air = match sides {
+        Sides::One => &air_angles[..1],
+        Sides::Two => &air_angles[..],
     };
-    match with_air.iter().find(|air| air.0 > PI + STRAIGHT_RAD) {
+    match angles_with_air.iter().find(|air| air.0 > PI + STRAIGHT_RAD) {
         Some(&(_, other)) => EdgeKind::Wedge { other },
-        None if with_air.iter().all(|air| air.0 >= PI - STRAIGHT_RAD) => EdgeKind::Flat,
+        None if angles_with_air.iter().all(|air| air.0 >= PI - STRAIGHT_RAD) => EdgeKind::Flat,
         None => EdgeKind::Inner,
     }
 }
 
 /// Returns the face that covers another one. If two faces cover each other, the first one counts as the cover.
-fn cover(polygons: &[PlanarPolygon], index: &Index, face: usize) -> Option<usize> {
+fn cover(polygons: &[PlanarPolygon], index: &PolygonIndex, face: usize) -> Option<usize> {
     let polygon = polygons.get(face)?;
     let [low, high] = polygon.bounds();
     index

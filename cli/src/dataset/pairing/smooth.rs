@@ -472,7 +472,7 @@ mod tests {
 
     fn sensor() -> Sensor {
         let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
-        Sensor::new(&Scene::nothing(&waveform).expect("a scene"), &waveform, 1.75).0
+        Sensor::new(&Scene::empty_space(&waveform).expect("a scene"), &waveform, 1.75).0
     }
 
     /// Echoes of a person on a straight path, exactly as the sensor expects them, except for some from elsewhere.

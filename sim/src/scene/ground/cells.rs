@@ -23,7 +23,7 @@ const ON_SIDE_M: f64 = 0.05;
 
 /// A cell of the ground plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Kind {
+pub(crate) enum CellKind {
     /// No floor, or none that leads to the radar.
     Outside,
     /// A wall.
@@ -32,13 +32,16 @@ pub(crate) enum Kind {
     Inside,
 }
 
+/// Grid over the box around a room.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Cells {
     size_m: DVec2,
+    /// Size of a cell, m.
     cell_m: DVec2,
+    /// Number of columns and rows.
     count: [usize; 2],
     /// Kinds of the cells; x is the fastest index.
-    kinds: Vec<Kind>,
+    kinds: Vec<CellKind>,
 }
 
 impl Cells {
@@ -53,7 +56,7 @@ impl Cells {
             let mut mesh = piece.mesh.clone();
             mesh.vertices.iter_mut().for_each(|vertex| *vertex -= scene.meshes.corner);
             for plane in planes(&mesh, WELD_M).planes {
-                cells.add(&mesh, &plane, &mut has_floor);
+                cells.add_plane(&mesh, &plane, &mut has_floor);
             }
         }
         if !has_floor.contains(&true) {
@@ -61,37 +64,38 @@ impl Cells {
         }
         let azimuth_rad = scene.file.radar.azimuth_deg.to_radians();
         cells.flood(scene.radar_position().truncate(), DVec2::from_angle(azimuth_rad), &has_floor);
-        let is_inside = |kind: &Kind| *kind == Kind::Inside;
+        let is_inside = |kind: &CellKind| *kind == CellKind::Inside;
         (cells.kinds.iter().any(is_inside) && !cells.kinds.iter().all(is_inside)).then_some(cells)
     }
 
     /// Makes cells that are all outside the room.
     fn new(size_m: DVec2, count: [usize; 2]) -> Self {
         let cell_m = size_m / DVec2::new(count[0] as f64, count[1] as f64);
-        Cells { size_m, cell_m, count, kinds: vec![Kind::Outside; count[0] * count[1]] }
+        Cells { size_m, cell_m, count, kinds: vec![CellKind::Outside; count[0] * count[1]] }
     }
 
-    fn cell(&self, at: DVec2) -> Option<usize> {
-        let [i, j] = (at / self.cell_m).floor().to_array();
+    /// Index of the cell at a position; `None` outside the grid.
+    fn cell_index(&self, position: DVec2) -> Option<usize> {
+        let [i, j] = (position / self.cell_m).floor().to_array();
         let is_within = i >= 0.0 && j >= 0.0 && i < self.count[0] as f64 && j < self.count[1] as f64;
         is_within.then(|| i as usize + self.count[0] * j as usize)
     }
 
     /// Kind of the cell at a position.
-    pub fn kind(&self, at: DVec2) -> Kind {
-        self.cell(at).map_or(Kind::Outside, |cell| self.kinds[cell])
+    pub fn kind(&self, position: DVec2) -> CellKind {
+        self.cell_index(position).map_or(CellKind::Outside, |cell| self.kinds[cell])
     }
 
     /// Adds a plane of a mesh if it is a wall or a floor.
-    fn add(&mut self, mesh: &Mesh, plane: &Plane, has_floor: &mut [bool]) {
+    fn add_plane(&mut self, mesh: &Mesh, plane: &Plane, has_floor: &mut [bool]) {
         let corners = || plane.triangles.iter().filter_map(|&triangle| mesh.corners(triangle as usize));
         let heights = || corners().flatten().map(|corner| corner.z);
         let low_m = heights().fold(f64::INFINITY, f64::min);
         let high_m = heights().fold(f64::NEG_INFINITY, f64::max);
-        let rise = plane.normal.z.abs();
-        if rise > LEVEL && high_m < FOOT_M {
+        let upward = plane.normal.z.abs();
+        if upward > LEVEL && high_m < FOOT_M {
             corners().for_each(|triangle| self.add_floor(triangle, has_floor));
-        } else if rise < UPRIGHT && low_m < FOOT_M && high_m > HEAD_M {
+        } else if upward < UPRIGHT && low_m < FOOT_M && high_m > HEAD_M {
             let along = DVec3::Z.cross(plane.normal).normalize_or_zero();
             for triangle in corners() {
                 let span = if self.is_on_side(&triangle) { None } else { span_m(&triangle, along) };
@@ -104,10 +108,12 @@ impl Cells {
 
     /// Whether a triangle is part of a side of the box around the room.
     fn is_on_side(&self, triangle: &[DVec3; 3]) -> bool {
-        let lies_at = |axis: usize, at: f64| triangle.iter().all(|corner| (corner[axis] - at).abs() < ON_SIDE_M);
+        let lies_at =
+            |axis: usize, side_m: f64| triangle.iter().all(|corner| (corner[axis] - side_m).abs() < ON_SIDE_M);
         (0..2).any(|axis| lies_at(axis, 0.0) || lies_at(axis, self.size_m[axis]))
     }
 
+    /// Marks the cells whose centres lie in a triangle.
     fn add_floor(&self, triangle: [DVec3; 3], has_floor: &mut [bool]) {
         let [a, b, c] = triangle.map(DVec3::truncate);
         let clamped =
@@ -115,8 +121,8 @@ impl Cells {
         let (low, high) = (a.min(b).min(c), a.max(b).max(c));
         for j in clamped(low.y, 1)..=clamped(high.y, 1) {
             for i in clamped(low.x, 0)..=clamped(high.x, 0) {
-                let middle = DVec2::new(i as f64 + 0.5, j as f64 + 0.5) * self.cell_m;
-                let sides = [(a, b), (b, c), (c, a)].map(|(from, to)| (to - from).perp_dot(middle - from));
+                let centre = DVec2::new(i as f64 + 0.5, j as f64 + 0.5) * self.cell_m;
+                let sides = [(a, b), (b, c), (c, a)].map(|(from, to)| (to - from).perp_dot(centre - from));
                 let is_within = sides.iter().all(|side| *side >= 0.0) || sides.iter().all(|side| *side <= 0.0);
                 has_floor[i + self.count[0] * j] |= is_within;
             }
@@ -124,39 +130,40 @@ impl Cells {
     }
 
     /// Marks the cells under a part of an upright plane, from one position along it to another.
-    fn add_wall(&mut self, on_plane: DVec3, along: DVec3, [from, to]: [f64; 2]) {
+    fn add_wall(&mut self, point_on_plane: DVec3, along: DVec3, [from, to]: [f64; 2]) {
         let steps = ((to - from) / (0.25 * self.cell_m.min_element())).ceil().max(1.0) as usize;
         for step in 0..=steps {
-            let place = from + (to - from) * step as f64 / steps as f64;
-            let at = (on_plane + along * (place - on_plane.dot(along))).truncate();
-            if let Some(cell) = self.cell(at) {
-                self.kinds[cell] = Kind::Wall;
+            let along_m = from + (to - from) * step as f64 / steps as f64;
+            let position = (point_on_plane + along * (along_m - point_on_plane.dot(along))).truncate();
+            if let Some(cell) = self.cell_index(position) {
+                self.kinds[cell] = CellKind::Wall;
             }
         }
     }
 
     /// Marks the floor that leads to the radar. The search begins at the first floor cell ahead of the radar.
     fn flood(&mut self, radar: DVec2, ahead: DVec2, has_floor: &[bool]) {
-        let is_free = |kinds: &[Kind], cell: usize| kinds[cell] == Kind::Outside && has_floor[cell];
+        let is_free_floor = |kinds: &[CellKind], cell: usize| kinds[cell] == CellKind::Outside && has_floor[cell];
         let step_m = 0.5 * self.cell_m.min_element();
         let steps = (self.size_m.length() / step_m).ceil() as usize;
-        let places = (0..=steps).map(|step| radar + ahead * (step_m * step as f64));
-        let first = places.filter_map(|at| self.cell(at)).find(|&cell| is_free(&self.kinds, cell));
-        let mut open: VecDeque<usize> = first.into_iter().collect();
-        while let Some(cell) = open.pop_front() {
-            if !is_free(&self.kinds, cell) {
+        let positions = (0..=steps).map(|step| radar + ahead * (step_m * step as f64));
+        let first =
+            positions.filter_map(|position| self.cell_index(position)).find(|&cell| is_free_floor(&self.kinds, cell));
+        let mut queue: VecDeque<usize> = first.into_iter().collect();
+        while let Some(cell) = queue.pop_front() {
+            if !is_free_floor(&self.kinds, cell) {
                 continue;
             }
-            self.kinds[cell] = Kind::Inside;
+            self.kinds[cell] = CellKind::Inside;
             let [columns, rows] = self.count;
             let (i, j) = (cell % columns, cell / columns);
-            let beside = [
+            let neighbours = [
                 (i > 0).then(|| cell - 1),
                 (i + 1 < columns).then(|| cell + 1),
                 (j > 0).then(|| cell - columns),
                 (j + 1 < rows).then(|| cell + columns),
             ];
-            open.extend(beside.into_iter().flatten().filter(|&next| is_free(&self.kinds, next)));
+            queue.extend(neighbours.into_iter().flatten().filter(|&next| is_free_floor(&self.kinds, next)));
         }
     }
 
@@ -164,31 +171,32 @@ impl Cells {
     pub fn boxes(&self) -> Vec<Block> {
         let mut boxes: Vec<Block> = Vec::new();
         // Runs of the previous row, with the row in which they began.
-        let mut open: Vec<([usize; 2], usize)> = Vec::new();
+        let mut open_runs: Vec<([usize; 2], usize)> = Vec::new();
         for (j, row) in self.kinds.chunks(self.count[0]).enumerate() {
             let runs = runs(row);
-            let (kept, ended): (Vec<_>, Vec<_>) = open.into_iter().partition(|(run, _)| runs.contains(run));
-            boxes.extend(ended.into_iter().map(|(run, first)| self.boxed(run, [first, j])));
-            let new = runs.iter().filter(|run| !kept.iter().any(|(other, _)| other == *run)).map(|&run| (run, j));
-            let new: Vec<_> = new.collect();
-            open = kept;
-            open.extend(new);
+            let (continued, ended): (Vec<_>, Vec<_>) = open_runs.into_iter().partition(|(run, _)| runs.contains(run));
+            boxes.extend(ended.into_iter().map(|(run, first)| self.block(run, [first, j])));
+            let new_runs =
+                runs.iter().filter(|run| !continued.iter().any(|(other, _)| other == *run)).map(|&run| (run, j));
+            let new_runs: Vec<_> = new_runs.collect();
+            open_runs = continued;
+            open_runs.extend(new_runs);
         }
-        boxes.extend(open.into_iter().map(|(run, first)| self.boxed(run, [first, self.count[1]])));
+        boxes.extend(open_runs.into_iter().map(|(run, first)| self.block(run, [first, self.count[1]])));
         boxes
     }
 
     /// Returns the box of a range of columns and rows. The second number of a range is one past its last index.
-    fn boxed(&self, [left, right]: [usize; 2], [first, end]: [usize; 2]) -> Block {
-        let at = |i: usize, j: usize| (DVec2::new(i as f64, j as f64) * self.cell_m).to_array();
-        [at(left, first), at(right, end)]
+    fn block(&self, [left, right]: [usize; 2], [first, end]: [usize; 2]) -> Block {
+        let corner = |i: usize, j: usize| (DVec2::new(i as f64, j as f64) * self.cell_m).to_array();
+        [corner(left, first), corner(right, end)]
     }
 }
 
 /// Runs of columns without floor in a row: first column, and one past the last.
-fn runs(row: &[Kind]) -> Vec<[usize; 2]> {
+fn runs(row: &[CellKind]) -> Vec<[usize; 2]> {
     let mut runs: Vec<[usize; 2]> = Vec::new();
-    for (column, _) in row.iter().enumerate().filter(|(_, kind)| **kind != Kind::Inside) {
+    for (column, _) in row.iter().enumerate().filter(|(_, kind)| **kind != CellKind::Inside) {
         match runs.last_mut() {
             Some([_, end]) if *end == column => *end = column + 1,
             _ => runs.push([column, column + 1]),
@@ -201,10 +209,10 @@ fn runs(row: &[Kind]) -> Vec<[usize; 2]> {
 fn span_m([a, b, c]: &[DVec3; 3], along: DVec3) -> Option<[f64; 2]> {
     let mut span = [f64::INFINITY, f64::NEG_INFINITY];
     for (from, to) in [(a, b), (b, c), (c, a)] {
-        let rise = to.z - from.z;
+        let rise_m = to.z - from.z;
         let (mut begin, mut end) = (0.0f64, 1.0f64);
-        if rise.abs() > 1e-9 {
-            let [first, second] = [SILL_M, HEAD_M].map(|height_m| (height_m - from.z) / rise);
+        if rise_m.abs() > 1e-9 {
+            let [first, second] = [SILL_M, HEAD_M].map(|height_m| (height_m - from.z) / rise_m);
             (begin, end) = (begin.max(first.min(second)), end.min(first.max(second)));
         } else if !(SILL_M..=HEAD_M).contains(&from.z) {
             continue;
@@ -212,9 +220,9 @@ fn span_m([a, b, c]: &[DVec3; 3], along: DVec3) -> Option<[f64; 2]> {
         if begin > end {
             continue;
         }
-        for part in [begin, end] {
-            let at = from.lerp(*to, part).dot(along);
-            span = [span[0].min(at), span[1].max(at)];
+        for fraction in [begin, end] {
+            let position = from.lerp(*to, fraction).dot(along);
+            span = [span[0].min(position), span[1].max(position)];
         }
     }
     (span[0] <= span[1]).then_some(span)
@@ -226,24 +234,24 @@ mod tests {
 
     /// A triangle of a wall counts at the height of people, not above their heads.
     #[test]
-    fn walls_are_in_the_way_at_walking_height() {
-        let at = |x: f64, z: f64| DVec3::new(x, 2.0, z);
+    fn a_wall_counts_only_at_the_height_of_people() {
+        let position = |x: f64, z: f64| DVec3::new(x, 2.0, z);
         let span = |triangle: [DVec3; 3]| span_m(&triangle, DVec3::X);
-        let [_, to] = span([at(1.0, 0.0), at(3.0, 0.0), at(3.0, 2.5)]).expect("a part");
+        let [_, to] = span([position(1.0, 0.0), position(3.0, 0.0), position(3.0, 2.5)]).expect("a part");
         assert!((to - 3.0).abs() < 1e-12, "{to}");
         // Triangle above a door of 2 m.
-        assert_eq!(span([at(1.0, 2.0), at(3.0, 2.0), at(3.0, 2.5)]), None);
-        let [from, to] = span([at(0.0, 1.0), at(4.0, 5.0), at(0.0, 5.0)]).expect("a part");
+        assert_eq!(span([position(1.0, 2.0), position(3.0, 2.0), position(3.0, 2.5)]), None);
+        let [from, to] = span([position(0.0, 1.0), position(4.0, 5.0), position(0.0, 5.0)]).expect("a part");
         assert!(from.abs() < 1e-12 && (to - 0.9).abs() < 1e-12, "{from} {to}");
     }
 
     /// Equal runs in consecutive rows form one box.
     #[test]
-    fn boxes_cover_what_is_no_floor() {
+    fn boxes_cover_all_cells_without_floor() {
         let mut cells = Cells::new(DVec2::new(0.6, 0.4), [6, 4]);
-        cells.kinds.fill(Kind::Inside);
+        cells.kinds.fill(CellKind::Inside);
         for (i, j) in [(3, 1), (4, 1), (3, 2), (4, 2), (0, 3), (5, 3)] {
-            cells.kinds[i + 6 * j] = if i == 3 { Kind::Wall } else { Kind::Outside };
+            cells.kinds[i + 6 * j] = if i == 3 { CellKind::Wall } else { CellKind::Outside };
         }
         let mut boxes = cells.boxes();
         boxes.sort_by(|a, b| a[0][0].total_cmp(&b[0][0]));
@@ -252,7 +260,7 @@ mod tests {
         for (found, expected) in boxes.iter().flatten().flatten().zip(expected.iter().flatten().flatten()) {
             assert!((found - expected).abs() < 1e-12, "{boxes:?}");
         }
-        assert_eq!(cells.kind(DVec2::new(0.35, 0.15)), Kind::Wall);
-        assert_eq!(cells.kind(DVec2::new(-0.05, 0.15)), Kind::Outside);
+        assert_eq!(cells.kind(DVec2::new(0.35, 0.15)), CellKind::Wall);
+        assert_eq!(cells.kind(DVec2::new(-0.05, 0.15)), CellKind::Outside);
     }
 }

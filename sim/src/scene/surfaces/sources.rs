@@ -9,16 +9,16 @@ use crate::em::image::Wall;
 use crate::first_warning::is_first_warning;
 use crate::geometry::{Mesh, PlanarPolygon, edges, oriented, planes};
 use crate::material::Material;
-use crate::scene::draft::{Draft, ROOM, solid};
+use crate::scene::draft::{Draft, ROOM, closed_wall};
 use crate::scene::plan;
 use crate::scene::room::{CREASE_RAD, Piece, RoomMeshes, WALLS, WELD_M};
 use crate::scene_file::{SceneFile, SolverFile, SurfaceFile};
 
 /// Thickness up to which furniture is a sheet, m.
 const SHEET_M: f64 = 1e-6;
-/// Least area of a metal face whose missing mirror echo is told of, m^2. At 60 GHz a mirror of this area has -3 dBsm,
+/// Least area of a metal face whose missing mirror echo is reported, m^2. At 60 GHz a mirror of this area has -3 dBsm,
 /// about as much as a person.
-const LEAST_TOLD_M2: f64 = 0.001;
+const LEAST_REPORTED_M2: f64 = 0.001;
 
 pub(in crate::scene) fn surfaces(
     file: &SceneFile,
@@ -34,7 +34,7 @@ pub(in crate::scene) fn surfaces(
         drafts = room_box(DVec3::from_array(file.room.size_m), walls);
     } else {
         for piece in &meshes.pieces {
-            if let Some(wall) = solid(file, &piece.surface, frequency_hz) {
+            if let Some(wall) = closed_wall(file, &piece.surface, frequency_hz) {
                 add_piece(piece, meshes.corner, wall, &mut drafts, &mut small);
             }
         }
@@ -69,12 +69,12 @@ fn box_side([low, high]: [DVec3; 2], axis: usize, is_high: bool) -> Option<Plana
 }
 
 /// Returns the sides of the scene file's own furniture that has a material. Each piece is a group.
-fn furniture(file: &SceneFile, count: usize, first_group: usize, frequency_hz: f64) -> Vec<Draft> {
+fn furniture(file: &SceneFile, own_count: usize, first_group: usize, frequency_hz: f64) -> Vec<Draft> {
     let mut drafts = Vec::new();
-    for (furniture, group) in file.furniture.iter().take(count).zip(first_group..) {
+    for (furniture, group) in file.furniture.iter().take(own_count).zip(first_group..) {
         let Some(material) = furniture.material.clone() else { continue };
         let surface = SurfaceFile { material, thickness_m: furniture.thickness_m };
-        let Some(wall) = solid(file, &surface, frequency_hz) else { continue };
+        let Some(wall) = closed_wall(file, &surface, frequency_hz) else { continue };
         let low = DVec3::from_array(furniture.position_m);
         let size_m = DVec3::from_array(furniture.size_m);
         for (name, axis, is_high) in WALLS {
@@ -120,20 +120,20 @@ pub(in crate::scene) fn warn_of_small_faces(file: &SceneFile, meshes: &RoomMeshe
     }
 }
 
-/// Areas of the plane faces of a mesh from [`LEAST_TOLD_M2`] up to [`LEAST_FACE_M2`], m^2, without the facets of curved
-/// surfaces.
+/// Areas of the plane faces of a mesh from [`LEAST_REPORTED_M2`] up to [`LEAST_FACE_M2`], m^2, without the facets of
+/// curved surfaces.
 fn small_plane_faces_m2(mesh: &Mesh) -> Vec<f64> {
     let planes = planes(mesh, WELD_M);
-    let of = |triangle: u32| planes.of_triangle[triangle as usize] as usize;
+    let plane_of = |triangle: u32| planes.of_triangle[triangle as usize] as usize;
     let mut is_plane: Vec<bool> =
-        planes.planes.iter().map(|plane| (LEAST_TOLD_M2..LEAST_FACE_M2).contains(&plane.area_m2)).collect();
+        planes.planes.iter().map(|plane| (LEAST_REPORTED_M2..LEAST_FACE_M2).contains(&plane.area_m2)).collect();
     for edge in edges(mesh) {
         if let Some(right) = edge.right
-            && of(edge.left) != of(right)
+            && plane_of(edge.left) != plane_of(right)
             && !edge.is_crease(CREASE_RAD)
         {
-            is_plane[of(edge.left)] = false;
-            is_plane[of(right)] = false;
+            is_plane[plane_of(edge.left)] = false;
+            is_plane[plane_of(right)] = false;
         }
     }
     planes.planes.iter().zip(is_plane).filter(|(_, is_plane)| *is_plane).map(|(plane, _)| plane.area_m2).collect()
@@ -167,8 +167,8 @@ mod tests {
     /// mirrors.
     #[test]
     fn small_faces_are_those_of_boxes_and_not_of_curves() {
-        let scaled = |mut mesh: Mesh, by: f64| {
-            mesh.vertices.iter_mut().for_each(|vertex| *vertex *= by);
+        let scaled = |mut mesh: Mesh, factor: f64| {
+            mesh.vertices.iter_mut().for_each(|vertex| *vertex *= factor);
             small_plane_faces_m2(&mesh)
         };
         let of_cube = scaled(Mesh::cube(), 0.05);

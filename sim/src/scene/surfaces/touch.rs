@@ -34,7 +34,8 @@ pub(super) struct Sheet {
     pub ends_opposed: Option<bool>,
 }
 
-pub(super) struct Placed<'a> {
+/// A polygon with its bounding box.
+pub(super) struct BoundedPolygon<'a> {
     pub polygon: &'a PlanarPolygon,
     /// Index of the face; `None` for a small triangle.
     pub face: Option<usize>,
@@ -42,26 +43,27 @@ pub(super) struct Placed<'a> {
     high: DVec3,
 }
 
-pub(super) struct Index<'a> {
-    wide: Vec<Placed<'a>>,
+/// Polygons that are found by their position.
+pub(super) struct PolygonIndex<'a> {
+    wide: Vec<BoundedPolygon<'a>>,
     /// Polygons up to [`NARROW_M`] wide, sorted by their lowest x.
-    narrow: Vec<Placed<'a>>,
+    narrow: Vec<BoundedPolygon<'a>>,
 }
 
-impl<'a> Index<'a> {
+impl<'a> PolygonIndex<'a> {
     pub fn new(faces: &'a [PlanarPolygon], small: &'a [PlanarPolygon]) -> Self {
         let of_faces = faces.iter().enumerate().map(|(face, polygon)| (Some(face), polygon));
         let all = of_faces.chain(small.iter().map(|polygon| (None, polygon))).map(|(face, polygon)| {
             let [low, high] = polygon.bounds();
-            Placed { polygon, face, low, high }
+            BoundedPolygon { polygon, face, low, high }
         });
         let (mut narrow, wide): (Vec<_>, Vec<_>) = all.partition(|p| p.high.x - p.low.x <= NARROW_M);
         narrow.sort_by(|p, q| p.low.x.total_cmp(&q.low.x));
-        Index { wide, narrow }
+        PolygonIndex { wide, narrow }
     }
 
     /// Returns polygons whose bounding boxes touch a box.
-    pub fn near(&self, low: DVec3, high: DVec3) -> impl Iterator<Item = &Placed<'a>> {
+    pub fn near(&self, low: DVec3, high: DVec3) -> impl Iterator<Item = &BoundedPolygon<'a>> {
         let (low, high) = (low - TOUCH_M, high + TOUCH_M);
         let first = self.narrow.partition_point(|p| p.low.x < low.x - NARROW_M);
         let narrow = self.narrow.iter().skip(first).take_while(move |p| p.low.x <= high.x);
@@ -70,25 +72,25 @@ impl<'a> Index<'a> {
 }
 
 /// Returns all edges of all faces, cut where the set of touching surfaces changes.
-pub(super) fn touches(faces: &[PlanarPolygon], index: &Index) -> Vec<Touch> {
+pub(super) fn touches(faces: &[PlanarPolygon], index: &PolygonIndex) -> Vec<Touch> {
     let mut all = Vec::new();
     for (face, polygon) in faces.iter().enumerate() {
         for [a, b] in polygon.edges() {
-            let (length_m, along) = (a.distance(b), (b - a).normalize_or_zero());
-            let near: Vec<&Placed> = index
+            let (length_m, direction) = (a.distance(b), (b - a).normalize_or_zero());
+            let near: Vec<&BoundedPolygon> = index
                 .near(a.min(b), a.max(b))
                 .filter(|p| p.face != Some(face))
                 .filter(|p| [a, b].iter().all(|&end| p.polygon.height_m(end).abs() <= TOUCH_M))
                 .collect();
             let mut cuts = vec![0.0, length_m];
-            near.iter().for_each(|p| add_cuts(p.polygon, a, along, length_m, &mut cuts));
+            near.iter().for_each(|p| add_cuts(p.polygon, a, direction, length_m, &mut cuts));
             cuts.sort_by(f64::total_cmp);
             cuts.dedup_by(|later, earlier| *later - *earlier <= TOUCH_M);
             for part in cuts.windows(2) {
-                let ends = [a + along * part[0], a + along * part[1]];
+                let ends = [a + direction * part[0], a + direction * part[1]];
                 let middle = ends[0].lerp(ends[1], 0.5);
-                let sheets = near.iter().flat_map(|p| sheets(p, middle, along)).collect();
-                all.push(Touch { face, ends, inwards: polygon.normal.cross(along), sheets });
+                let sheets = near.iter().flat_map(|p| sheets(p, middle, direction)).collect();
+                all.push(Touch { face, ends, inwards: polygon.normal.cross(direction), sheets });
             }
         }
     }
@@ -97,15 +99,15 @@ pub(super) fn touches(faces: &[PlanarPolygon], index: &Index) -> Vec<Touch> {
 
 /// Adds the positions along an edge at which a polygon begins, ends or has a corner, m. The polygon's plane contains
 /// the edge.
-fn add_cuts(polygon: &PlanarPolygon, from: DVec3, along: DVec3, length_m: f64, cuts: &mut Vec<f64>) {
-    let across = polygon.normal.cross(along);
-    let place = |p: DVec3| ((p - from).dot(along), (p - from).dot(across));
+fn add_cuts(polygon: &PlanarPolygon, from: DVec3, direction: DVec3, length_m: f64, cuts: &mut Vec<f64>) {
+    let across = polygon.normal.cross(direction);
+    let coordinates = |p: DVec3| ((p - from).dot(direction), (p - from).dot(across));
     for [p, q] in polygon.edges() {
-        let ((at, off), (next_at, next_off)) = (place(p), place(q));
-        let cut = if off.abs() <= TOUCH_M {
-            at
-        } else if next_off.abs() > TOUCH_M && (off > 0.0) != (next_off > 0.0) {
-            at + (next_at - at) * off / (off - next_off)
+        let ((along_m, across_m), (next_along_m, next_across_m)) = (coordinates(p), coordinates(q));
+        let cut = if across_m.abs() <= TOUCH_M {
+            along_m
+        } else if next_across_m.abs() > TOUCH_M && (across_m > 0.0) != (next_across_m > 0.0) {
+            along_m + (next_along_m - along_m) * across_m / (across_m - next_across_m)
         } else {
             continue;
         };
@@ -116,15 +118,15 @@ fn add_cuts(polygon: &PlanarPolygon, from: DVec3, along: DVec3, length_m: f64, c
 }
 
 /// Returns the sheets of a polygon at a point of an edge. The polygon's plane contains the edge.
-fn sheets(of: &Placed, point: DVec3, along: DVec3) -> Vec<Sheet> {
-    let (polygon, face) = (of.polygon, of.face);
+fn sheets(bounded: &BoundedPolygon, point: DVec3, direction: DVec3) -> Vec<Sheet> {
+    let (polygon, face) = (bounded.polygon, bounded.face);
     let clearance = polygon.clearance(point);
     if clearance.distance_m > TOUCH_M {
-        let across = polygon.normal.cross(along).normalize_or_zero();
+        let across = polygon.normal.cross(direction).normalize_or_zero();
         return [across, -across].map(|towards| Sheet { face, towards, ends_opposed: None }).to_vec();
     }
-    let own = polygon.edges().nth(clearance.edge).map_or(DVec3::ZERO, |[a, b]| (b - a).normalize_or_zero());
-    let parallel = own.dot(along);
+    let own_direction = polygon.edges().nth(clearance.edge).map_or(DVec3::ZERO, |[a, b]| (b - a).normalize_or_zero());
+    let parallel = own_direction.dot(direction);
     if clearance.distance_m < -TOUCH_M || parallel.abs() < 0.9 {
         return Vec::new();
     }

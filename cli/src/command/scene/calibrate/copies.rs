@@ -48,7 +48,7 @@ impl Copies {
                 }
                 scene
             }
-            None => Scene::nothing(waveform)?,
+            None => Scene::empty_space(waveform)?,
         };
         let frames = (WINDOW_S / waveform.frame_interval_s()).round().max(LEAST_FRAMES as f64) as u64;
         Ok(Copies {
