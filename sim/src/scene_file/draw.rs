@@ -43,7 +43,7 @@ fn values(_: &mut SchemaGenerator) -> Schema {
 
 /// A key that cannot be drawn: which, what was found and what would do.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct DrawFault {
+pub(crate) struct DrawError {
     pub(crate) key: String,
     pub(crate) found: String,
     pub(crate) expected: &'static str,
@@ -74,25 +74,28 @@ pub(crate) fn longest_list(random: &BTreeMap<String, RandomFile>) -> usize {
 }
 
 /// Keys that must be the same for all seeds, since frames of all of them go together.
-const FIXED: [&str; 4] = ["format", "name", "waveform", "random"];
+const SAME_FOR_ALL_SEEDS: [&str; 4] = ["format", "name", "waveform", "random"];
 
 /// A scene's table with every key of `random` drawn.
-pub(crate) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: Draw) -> Result<Table, DrawFault> {
+pub(crate) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: Draw) -> Result<Table, DrawError> {
     let mut scene = scene.clone();
     scene.remove("random");
     for (key, from) in random {
-        let fault = |found: String, expected| Err(DrawFault { key: key.clone(), found, expected });
-        if FIXED.iter().any(|fixed| key.split('.').next() == Some(fixed)) {
+        let draw_error = |found: String, expected| Err(DrawError { key: key.clone(), found, expected });
+        if SAME_FOR_ALL_SEEDS.iter().any(|first_key| key.split('.').next() == Some(first_key)) {
             let expected = "a key under room, materials, radar, receiver, furniture, seat, bed, door or people";
-            return fault(key.clone(), expected);
+            return draw_error(key.clone(), expected);
         }
         let seed = if let Draw::Seed(seed) = draw { seed } else { 0 };
-        let mut source = Source { draw, rng: generator(seed, Purpose::Scene, [hash(key), 0]) };
+        let mut source = ValueSource { draw, rng: generator(seed, Purpose::Scene, [hash(key), 0]) };
         let value = match (&from.between, &from.of) {
             (Some([low, high]), None) => match source.between(low, high) {
                 Some(value) => value,
                 None => {
-                    return fault(format!("[{low}, {high}]"), "two numbers, or two lists of as many, low before high");
+                    return draw_error(
+                        format!("[{low}, {high}]"),
+                        "two numbers, or two lists of as many, low before high",
+                    );
                 }
             },
             (None, Some(values)) if !values.is_empty() => match draw {
@@ -105,11 +108,11 @@ pub(crate) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: 
                     (None, Some(_)) => "of = []",
                     (Some(_), _) => "both",
                 };
-                return fault(found.to_owned(), "either `between = [low, high]` or `of = [...]`");
+                return draw_error(found.to_owned(), "either `between = [low, high]` or `of = [...]`");
             }
         };
-        if place(&mut scene, key).map(|place| *place = value).is_none() {
-            return fault(
+        if value_at_path(&mut scene, key).map(|place| *place = value).is_none() {
+            return draw_error(
                 key.clone(),
                 "the path of a key, such as room.size_m or furniture.0.position_m, in a table that the file has",
             );
@@ -119,35 +122,36 @@ pub(crate) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: 
 }
 
 /// Value to which a dotted path leads; its last key may be new.
-fn place<'a>(scene: &'a mut Table, path: &str) -> Option<&'a mut Value> {
+fn value_at_path<'a>(scene: &'a mut Table, path: &str) -> Option<&'a mut Value> {
     let mut keys: Vec<&str> = path.split('.').collect();
     let last = keys.pop()?;
     let Some((&first, rest)) = keys.split_first() else {
         return scene.get_mut(last);
     };
-    let mut at = scene.get_mut(first)?;
+    let mut parent = scene.get_mut(first)?;
     for key in rest {
-        at = match at {
+        parent = match parent {
             Value::Array(items) => items.get_mut(key.parse::<usize>().ok()?)?,
             Value::Table(table) => table.get_mut(*key)?,
             _ => return None,
         };
     }
-    match at {
+    match parent {
         Value::Array(items) => items.get_mut(last.parse::<usize>().ok()?),
         Value::Table(table) => Some(table.entry(last).or_insert(Value::Boolean(false))),
         _ => None,
     }
 }
 
-struct Source {
+/// Source of the values of one key.
+struct ValueSource {
     draw: Draw,
     rng: Xoshiro256PlusPlus,
 }
 
-impl Source {
+impl ValueSource {
     /// A number of 0..1.
-    fn part(&mut self) -> f64 {
+    fn fraction(&mut self) -> f64 {
         match self.draw {
             Draw::Seed(_) => self.rng.random(),
             Draw::Least | Draw::Listed(_) => 0.0,
@@ -156,7 +160,7 @@ impl Source {
     }
 
     fn index(&mut self, count: usize) -> usize {
-        ((self.part() * count as f64) as usize).min(count - 1)
+        ((self.fraction() * count as f64) as usize).min(count - 1)
     }
 
     fn between(&mut self, low: &Value, high: &Value) -> Option<Value> {
@@ -169,14 +173,14 @@ impl Source {
                 low.iter().zip(high).map(|(low, high)| self.between(low, high)).collect::<Option<_>>().map(Value::Array)
             }
             _ => {
-                let (low, high) = (number(low)?, number(high)?);
-                (low <= high).then(|| Value::Float(low + (high - low) * self.part()))
+                let (low, high) = (finite_number(low)?, finite_number(high)?);
+                (low <= high).then(|| Value::Float(low + (high - low) * self.fraction()))
             }
         }
     }
 }
 
-fn number(value: &Value) -> Option<f64> {
+fn finite_number(value: &Value) -> Option<f64> {
     match value {
         Value::Float(number) => Some(*number).filter(|number| number.is_finite()),
         Value::Integer(number) => Some(*number as f64),
@@ -225,7 +229,7 @@ step = [{ walk_to_m = [2.0, 2.0] }]
     }
 
     #[test]
-    fn seeds_draw_within_the_range_and_the_same_every_time() {
+    fn a_seed_draws_the_same_values_within_the_ranges_every_time() {
         let all = scene(
             r#"
 "room.size_m" = { between = [[3.0, 3.0, 2.4], [8.0, 8.0, 3.0]] }
@@ -254,7 +258,7 @@ step = [{ walk_to_m = [2.0, 2.0] }]
         assert_eq!(one.drawn(7).expect("one").file().room.size_m, all.drawn(7).expect("all").file().room.size_m);
     }
 
-    /// Every file of a list was read each time that the scene was.
+    /// Regression test: each reading of a scene read every file of a list.
     #[test]
     fn files_in_the_middle_of_a_list_are_not_read_in_advance() {
         let random = r#""receiver" = { of = ["none.toml", "absent.toml", "lost.toml"] }
@@ -273,7 +277,7 @@ step = [{ walk_to_m = [2.0, 2.0] }]
         use super::*;
 
         #[test]
-        fn what_cannot_be_drawn_is_refused_by_name() {
+        fn an_invalid_draw_is_an_error_that_names_the_key_or_value() {
             let cases = [
                 (r#""room.sise_m.0" = { between = [3.0, 8.0] }"#, "room.sise_m.0"),
                 (r#""room.size_m" = { between = [[3.0, 3.0], [8.0, 8.0, 3.0]] }"#, "lists of as many"),

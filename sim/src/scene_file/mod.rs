@@ -86,10 +86,10 @@ pub struct RoomFile {
     pub solver: Option<SolverFile>,
     /// Reflections at walls that a path may have in all. Default 3, at most 6. In rooms of more than 200 faces that rays are
     /// sent through, two are taken at most.
-    #[serde(default = "whole::<3>")]
+    #[serde(default = "count::<3>")]
     pub max_reflections: u32,
     /// Reflections that a path by way of a person or of furniture may have in all. Default 2, at most 3.
-    #[serde(default = "whole::<2>")]
+    #[serde(default = "count::<2>")]
     pub max_body_reflections: u32,
     /// Whether people behind walls are seen through them: the upright ones of a box, on the straight way; all faces that rays are
     /// sent through. Plasterboard takes some 11 dB of their echoes, both ways, concrete all of them. Default false: who is behind
@@ -103,11 +103,11 @@ pub struct RoomFile {
     pub diffuse_share: f64,
     /// Number of points that represent the scattering surfaces. Some points per range bin and direction suffice for echoes that are
     /// like noise; long rooms need more. Default 32, at most 1024.
-    #[serde(default = "whole::<32>")]
+    #[serde(default = "count::<32>")]
     pub diffuse_points: u32,
     /// Largest number of walls on a path over such a point between antenna and person. Each wall leaves what it reflects and what
     /// it scatters: the better the walls reflect, the more a room returns, and the longer. Default 1, at most 16.
-    #[serde(default = "whole::<1>")]
+    #[serde(default = "count::<1>")]
     pub diffuse_bounces: u32,
     /// Groups of small reflectors that sway. None if absent.
     #[serde(default)]
@@ -167,7 +167,7 @@ pub struct SurfaceFile {
     /// Material: one of the table's ([`crate::material::Material`]) or of the scene's own.
     pub material: String,
     /// Thickness, m. Default 0.1.
-    #[serde(default = "tenth")]
+    #[serde(default = "thickness")]
     pub thickness_m: f64,
 }
 
@@ -247,7 +247,7 @@ pub struct RoomMeshFile {
     #[serde(default)]
     pub materials: BTreeMap<String, String>,
     /// Thickness of what it stands for, m. Default 0.1.
-    #[serde(default = "tenth")]
+    #[serde(default = "thickness")]
     pub thickness_m: f64,
 }
 
@@ -302,13 +302,13 @@ pub struct FurnitureFile {
     /// it reflects where `cross_section_dbsm` does not. Neither, if absent.
     pub material: Option<String>,
     /// Thickness of its boards, m. Default 0.02.
-    #[serde(default = "fiftieth")]
+    #[serde(default = "board_thickness")]
     pub thickness_m: f64,
     /// Radar cross-section of all points together, dBsm. Default what its material gives: the mean of a convex body turned at
     /// random, a quarter of its area times what it reflects; -10 without one.
     pub cross_section_dbsm: Option<f64>,
     /// Points. Default 6, at most 64.
-    #[serde(default = "six")]
+    #[serde(default = "furniture_points")]
     pub points: usize,
 }
 
@@ -345,7 +345,7 @@ pub struct BedFile {
     /// Direction of the feet, from +x towards +y, degrees.
     pub heading_deg: f64,
     /// Height of the mattress, m. Default 0.5.
-    #[serde(default = "half")]
+    #[serde(default = "mattress_height")]
     pub height_m: f64,
     /// From the hips' place to the edge at which one gets in and out, m: to the left of where feet point, to the right if
     /// negative. Default 0.45.
@@ -370,19 +370,19 @@ fn path_or_receiver(generator: &mut SchemaGenerator) -> Schema {
     json_schema!({ "anyOf": [{ "type": "string" }, receiver] })
 }
 
-fn whole<const N: u32>() -> u32 {
+fn count<const N: u32>() -> u32 {
     N
 }
-fn six() -> usize {
+fn furniture_points() -> usize {
     6
 }
-fn tenth() -> f64 {
+fn thickness() -> f64 {
     0.1
 }
-fn fiftieth() -> f64 {
+fn board_thickness() -> f64 {
     0.02
 }
-fn half() -> f64 {
+fn mattress_height() -> f64 {
     0.5
 }
 fn seat_height() -> f64 {

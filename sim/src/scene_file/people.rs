@@ -51,10 +51,10 @@ pub struct PeopleFile {
     /// to it. If absent, ways are straight but around the walls and door leaves of floor plans and files.
     pub keep_off_m: Option<f64>,
     /// Stride over the average one of such a body at such a speed. Drawn for each person. Default [1, 1].
-    #[serde(default = "ones")]
+    #[serde(default = "factors_of_one")]
     pub stride: [f64; 2],
     /// Swing of the arms over the average one. Drawn for each person. Default [1, 1].
-    #[serde(default = "ones")]
+    #[serde(default = "factors_of_one")]
     pub arm_swing: [f64; 2],
     /// Model of the shadows on static echoes: "edge" or "strip". Default "edge".
     #[serde(default)]
@@ -367,6 +367,6 @@ impl Default for DeskFile {
     }
 }
 
-fn ones() -> [f64; 2] {
+fn factors_of_one() -> [f64; 2] {
     [1.0, 1.0]
 }

@@ -69,7 +69,7 @@ pub struct PlanWallFile {
     /// Material: one of the table's or of the scene's own; "open" for no wall.
     pub material: String,
     /// Thickness, m. Default 0.1.
-    #[serde(default = "super::tenth")]
+    #[serde(default = "super::thickness")]
     pub thickness_m: f64,
 }
 
@@ -86,7 +86,7 @@ pub struct PartitionFile {
     /// Material: one of the table's or of the scene's own.
     pub material: String,
     /// Thickness, m. Default 0.1. It counts for what passes through; in the plan the partition is a line.
-    #[serde(default = "super::tenth")]
+    #[serde(default = "super::thickness")]
     pub thickness_m: f64,
     /// Openings in it, without `wall`.
     #[serde(default)]
