@@ -11,7 +11,8 @@ use crate::math::wrapped;
 
 /// Half the time over which a corner of the route is rounded, s.
 const CORNER_S: f64 = 0.35;
-/// Half the time for sitting down or standing up, s.
+/// Half the time for sitting down or standing up, s. Shorter times of sitting are lengthened to four of it, in which a
+/// person goes down and stands up at once.
 const SIT_S: f64 = 0.8;
 /// Half the time for lying down or rising, s.
 const LIE_S: f64 = 1.6;
@@ -128,6 +129,11 @@ impl MotionBuilder {
         self.time_s
     }
 
+    /// Heading reached so far, rad.
+    pub fn heading_rad(&self) -> f64 {
+        self.heading_rad
+    }
+
     /// Position reached so far, m.
     pub fn place(&self) -> [f64; 2] {
         self.position_m
@@ -231,7 +237,7 @@ impl MotionBuilder {
         let mut this = if self.turn_rate_rad_per_s.is_some() { self.face(heading_rad) } else { self };
         this.turn(this.time_s, heading_rad, CORNER_S);
         this.motion.seats.push((this.time_s, seat_height_m));
-        let duration_s = duration_s.max(2.5 * SIT_S);
+        let duration_s = duration_s.max(4.0 * SIT_S);
         this.motion.sit_fraction.change_level(this.time_s + SIT_S, 1.0);
         this.motion.sit_fraction.change_level(this.time_s + duration_s - SIT_S, -1.0);
         this.time_s += duration_s;
@@ -247,7 +253,7 @@ impl MotionBuilder {
 
     /// Goes down for a duration, which includes going down and standing up. The feet stay in place.
     fn crouch(mut self, crouch: Crouch, duration_s: f64) -> Self {
-        let duration_s = duration_s.max(2.5 * SIT_S);
+        let duration_s = duration_s.max(4.0 * SIT_S);
         // The last walk has ended, and the feet stand.
         let begin_s = self.time_s + CORNER_S;
         self.motion.descents.push((begin_s, Descent { crouch, lying: None }));
