@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::weld::has_area;
 use super::{Mesh, Surface, edges};
-use crate::math::Sets;
+use crate::math::DisjointSets;
 
 impl Surface {
     /// Makes a surface from a mesh, smooth across every side whose triangles meet at less than the crease angle.
@@ -51,7 +51,7 @@ impl Surface {
 /// no triangle behind it.
 fn smooth_corners(mesh: &Mesh, crease_rad: f64) -> (Vec<u32>, bool) {
     let edges = edges(mesh);
-    let mut smooth = Sets::new(3 * mesh.triangles.len());
+    let mut smooth = DisjointSets::new(3 * mesh.triangles.len());
     // At a tangled edge, no surface continues.
     for edge in edges.iter().filter(|edge| !edge.is_crease(crease_rad)) {
         let Some(right) = edge.right else { continue };
