@@ -9,7 +9,7 @@ use super::flat::{Flat, PLANAR_M};
 use super::groups::groups;
 use crate::em::wall::WallTables;
 use crate::geometry::Mesh;
-use crate::rays::{Ray, World};
+use crate::rays::{Ray, RayTracer};
 
 /// Facets whose planes are nearer to each other than this are coplanar, m.
 const COPLANAR_M: f64 = 1e-7;
@@ -40,7 +40,7 @@ pub struct Environment {
     transmission: bool,
     /// Normalised clearance beyond which edges do not affect a path.
     edge_reach: f64,
-    world: World,
+    tracer: RayTracer,
     facet_of_triangle: Vec<FacetId>,
     /// Facets of each plane.
     planes: Vec<Vec<FacetId>>,
@@ -92,7 +92,7 @@ impl Environment {
             groups.push(planes.len() as u32);
             facet_of_triangle.push(FacetId::MAX);
         }
-        let world = World::new(mesh, &groups)?;
+        let tracer = RayTracer::new(mesh, &groups)?;
         let soft_edges = soft_edges(&flats);
         for (number, edge) in (0..).zip(&soft_edges) {
             for &facet in edge.facets() {
@@ -108,7 +108,7 @@ impl Environment {
             edge_index,
             transmission: false,
             edge_reach: MOST_REACH,
-            world,
+            tracer,
             facet_of_triangle,
             planes,
             wavenumber_per_m,
@@ -221,7 +221,7 @@ impl Environment {
     /// First facet that a ray meets, and the point, if the ray meets it from the front. `on` is the facet on which the
     /// ray begins, if any.
     pub fn first_hit(&self, from: DVec3, direction: DVec3, on: Option<FacetId>) -> Option<(FacetId, DVec3)> {
-        let hit = self.world.closest(&self.ray(Ray::new(from, direction), on))?;
+        let hit = self.tracer.closest(&self.ray(Ray::new(from, direction), on))?;
         let met = *self.facet_of_triangle.get(hit.triangle as usize)?;
         let first = self.flat(met)?;
         let along = -first.height(from) / first.normal.dot(direction);
@@ -241,20 +241,20 @@ impl Environment {
 
     /// Distance from a point to the first surface in a direction, m.
     pub fn distance_m(&self, from: DVec3, direction: DVec3) -> Option<f64> {
-        self.world.closest(&Ray::new(from, direction)).map(|hit| hit.distance_m)
+        self.tracer.closest(&Ray::new(from, direction)).map(|hit| hit.distance_m)
     }
 
     /// Obstacles on the straight segment between two points. Each end may lie on a facet, whose plane is then ignored.
     pub(super) fn passing(&self, ends: [DVec3; 2], on: [Option<FacetId>; 2]) -> Passing {
         let ray = self.ray_between(ends, on);
-        let mut passing = Passing { is_blocked: self.world.blocked(&ray), crossed: Vec::new() };
+        let mut passing = Passing { is_blocked: self.tracer.blocked(&ray), crossed: Vec::new() };
         if !(passing.is_blocked && self.transmission) {
             return passing;
         }
         let plane_of = |facet: FacetId| self.flat(facet).map(|flat| flat.plane);
         let on_planes = on.map(|facet| facet.and_then(plane_of));
         let mut is_opaque = false;
-        for hit in self.world.all(&ray) {
+        for hit in self.tracer.all(&ray) {
             let facet = self.facet_of_triangle.get(hit.triangle as usize).copied().unwrap_or(FacetId::MAX);
             let Some(flat) = self.flat(facet) else {
                 is_opaque = true;

@@ -9,7 +9,7 @@ use super::triangulate::triangulate;
 use crate::em::image::{BoxRoom, Wall};
 use crate::em::wall::{WallTable, WallTables};
 use crate::geometry::polygon::{self, distance_to_line, doubled_area, encloses, sides};
-use crate::rays::WorldError;
+use crate::rays::RayTracerError;
 
 /// Largest distance of corners from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
 pub(super) const PLANAR_M: f64 = 1e-6;
@@ -59,7 +59,7 @@ pub enum EnvironmentError {
     },
     /// Rays cannot be traced among the facets.
     #[error(transparent)]
-    World(#[from] WorldError),
+    Rays(#[from] RayTracerError),
 }
 
 impl Facet {
