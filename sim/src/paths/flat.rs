@@ -8,7 +8,7 @@ use thiserror::Error;
 use super::triangulate::triangulate;
 use crate::em::image::{BoxRoom, Wall};
 use crate::em::wall::{WallTable, WallTables};
-use crate::geometry::polygon::{self, distance_to_line, doubled_area, encloses, sides};
+use crate::geometry::polygon::{self, distance_to_segment, doubled_area, encloses, sides};
 use crate::rays::RayTracerError;
 
 /// Largest distance of corners from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
@@ -186,14 +186,14 @@ impl Flat {
         let p = DVec2::new(point.dot(self.axes[0]), point.dot(self.axes[1]));
         let within = encloses(&self.outline, p) && !self.holes.iter().any(|hole| encloses(hole, p));
         let mut all = std::iter::once(&self.outline).chain(&self.holes).flat_map(|outline| sides(outline));
-        within || all.any(|side| distance_to_line(p, side) < SEAM_M)
+        within || all.any(|side| distance_to_segment(p, side) < SEAM_M)
     }
 
     /// Distance of a point of the plane from the nearest side, m.
     pub fn off_sides_m(&self, point: DVec3) -> f64 {
         let p = DVec2::new(point.dot(self.axes[0]), point.dot(self.axes[1]));
         let all = std::iter::once(&self.outline).chain(&self.holes).flat_map(|outline| sides(outline));
-        all.map(|side| distance_to_line(p, side)).fold(f64::INFINITY, f64::min)
+        all.map(|side| distance_to_segment(p, side)).fold(f64::INFINITY, f64::min)
     }
 
     /// Returns whether a point of the plane lies farther than a distance, m, from the bounding sphere.

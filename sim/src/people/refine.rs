@@ -107,15 +107,15 @@ fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileE
 /// Gives triangles vertices of their own at edges of three or more triangles, or of two triangles with different
 /// orientation.
 fn untangle(bound: &mut BoundMesh) {
-    let mut tangled: BTreeSet<(u32, u32)> = BTreeSet::new();
-    for edge in edges(&bound.mesh).iter().filter(|e| e.tangled) {
+    let mut non_manifold: BTreeSet<(u32, u32)> = BTreeSet::new();
+    for edge in edges(&bound.mesh).iter().filter(|e| e.is_non_manifold) {
         let [a, b] = edge.vertices;
-        tangled.insert((a.min(b), a.max(b)));
+        non_manifold.insert((a.min(b), a.max(b)));
     }
     let mut apart = 0;
     for t in 0..bound.mesh.triangles.len() {
         let [a, b, c] = bound.mesh.triangles[t];
-        if ![(a, b), (b, c), (c, a)].iter().any(|&(a, b)| tangled.contains(&(a.min(b), a.max(b)))) {
+        if ![(a, b), (b, c), (c, a)].iter().any(|&(a, b)| non_manifold.contains(&(a.min(b), a.max(b)))) {
             continue;
         }
         apart += 1;
@@ -213,7 +213,7 @@ mod tests {
         soup.triangles.push([0, 1, soup.vertices.len() as u32 - 1]);
         let weights = vec![vec![(0, 1.0)]; soup.vertices.len()];
         let fine = refine(&soup, &weights, &still()).expect("a good mesh");
-        assert!(edges(&fine.mesh).iter().all(|e| !e.tangled));
+        assert!(edges(&fine.mesh).iter().all(|e| !e.is_non_manifold));
         assert!(fine.open_edges > 0, "the fin and its neighbours are loose");
     }
 }

@@ -7,7 +7,7 @@ mod cells;
 use glam::{DVec2, DVec3};
 
 use super::{Scene, plan};
-use crate::geometry::polygon::{distance_to_line, encloses, sides};
+use crate::geometry::polygon::{distance_to_segment, encloses, sides};
 use crate::people::route::Block;
 use crate::scene_file::{FurnitureFile, OpeningFile, PartitionFile, PlanFile};
 use cells::{Cells, Kind};
@@ -72,7 +72,7 @@ pub(crate) fn is_outside(scene: &Scene, place: [f64; 2]) -> bool {
     let is_in_box = (0..2).all(|axis| (0.0..=room.size_m[axis]).contains(&place[axis]));
     let is_in_plan = |plan: &PlanFile| {
         let (corners, at) = (plan::corners(plan), DVec2::from_array(place));
-        encloses(&corners, at) || sides(&corners).any(|side| distance_to_line(at, side) <= SAME_M)
+        encloses(&corners, at) || sides(&corners).any(|side| distance_to_segment(at, side) <= SAME_M)
     };
     if !(is_in_box && room.plan.as_ref().is_none_or(is_in_plan)) {
         return true;

@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use super::Outline;
 use super::check::{Fault, check_material, fault, within};
 use super::draft::{Draft, ROOM, solid};
-use crate::geometry::polygon::{self, distance_to_line};
+use crate::geometry::polygon::{self, distance_to_segment};
 use crate::geometry::{Mesh, PlanarPolygon, planes};
 use crate::scene_file::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, SceneFile, SurfaceFile};
 
@@ -46,7 +46,7 @@ pub(super) fn check_places(file: &SceneFile) -> Result<(), Fault> {
     let off_walls_m = |[x, y]: [f64; 2]| floor.clearance(DVec3::new(x, y, 0.0)).distance_m;
     let is_within = |place: [f64; 2]| off_walls_m(place) >= -SAME_M;
     let [x, y, _] = file.radar.position_m;
-    let of_partition = |p: &PartitionFile| distance_to_line(DVec2::new(x, y), ends(p));
+    let of_partition = |p: &PartitionFile| distance_to_segment(DVec2::new(x, y), ends(p));
     let off_m = plan.partition.iter().map(of_partition).fold(off_walls_m([x, y]), f64::min);
     if off_m < RADAR_OFF_M {
         let expected = "a place within [room.plan], 1 cm or more from its walls and partitions";
@@ -172,12 +172,16 @@ fn check_outline(plan: &PlanFile) -> Result<(), Fault> {
             let precedes = i == 0 && j + 1 == walls.len();
             let is_hit = match (follows, precedes) {
                 // The sides share a corner. They must not fold back onto each other.
-                (true, _) => distance_to_line(other[1], wall) < SAME_M || distance_to_line(wall[0], other) < SAME_M,
-                (_, true) => distance_to_line(other[0], wall) < SAME_M || distance_to_line(wall[1], other) < SAME_M,
+                (true, _) => {
+                    distance_to_segment(other[1], wall) < SAME_M || distance_to_segment(wall[0], other) < SAME_M
+                }
+                (_, true) => {
+                    distance_to_segment(other[0], wall) < SAME_M || distance_to_segment(wall[1], other) < SAME_M
+                }
                 _ => {
                     cross(wall, other)
-                        || other.iter().any(|&end| distance_to_line(end, wall) < SAME_M)
-                        || wall.iter().any(|&end| distance_to_line(end, other) < SAME_M)
+                        || other.iter().any(|&end| distance_to_segment(end, wall) < SAME_M)
+                        || wall.iter().any(|&end| distance_to_segment(end, other) < SAME_M)
                 }
             };
             if is_hit {
