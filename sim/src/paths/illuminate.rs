@@ -24,7 +24,7 @@ use super::environment::{Environment, Passing};
 use super::flat::FacetId;
 use super::folded::{BEFORE_M, Folded};
 use super::leg::{Kept, Leg, Passage, UNSURE_M};
-use crate::em::fresnel::Reflection;
+use crate::em::fresnel::Coefficients;
 use crate::em::image::{Element, Illumination};
 use crate::em::{Phasor3, incidence_frame};
 
@@ -266,7 +266,7 @@ impl ImagePaths {
         };
         let through = |&facet: &FacetId| {
             self.environment.flat(facet).map_or(Complex64::ONE, |flat| {
-                let Reflection { te, tm } = flat.table.transmission(direction.dot(flat.normal).abs().min(1.0));
+                let Coefficients { te, tm } = flat.table.transmission(direction.dot(flat.normal).abs().min(1.0));
                 0.5 * (te + tm)
             })
         };
