@@ -76,7 +76,7 @@ pub fn half_plane(k_rho: f64, angle_rad: f64, incidence_rad: f64, soft: bool) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::paths::edge_field::side_between;
+    use crate::paths::edge_field::side_integral;
 
     fn db(v: Complex64) -> f64 {
         20.0 * v.norm().log10()
@@ -155,7 +155,7 @@ mod tests {
                 let free = Complex64::from_polar(1.0, k_rho * (angle - incidence).cos());
                 let exact = 0.5 * (both[0] + both[1]) / free;
                 let nu = (4.0 * k_rho / PI).sqrt() * (0.5 * past).sin();
-                let edge = side_between(nu.abs(), [f64::NEG_INFINITY, f64::INFINITY]);
+                let edge = side_integral(nu.abs(), [f64::NEG_INFINITY, f64::INFINITY]);
                 let by_outline = if nu > 0.0 { edge } else { 1.0 - edge };
                 for scene in [of_scenes(-nu), by_outline] {
                     assert!((scene - exact).norm() < 0.005, "{behind_m} m, {past} rad: {scene} {exact}");
