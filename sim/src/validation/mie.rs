@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use num_complex::Complex64;
 
-/// Monostatic cross-section, m^2, of a sphere in a plane wave; `permittivity` is `eps' - j eps''`, `None` a perfect
+/// Monostatic cross-section, m^2, of a sphere in a plane wave. `permittivity` is `eps' - j eps''`, or `None` for a perfect
 /// conductor.
 ///
 /// `sigma = lambda^2/(4 pi) |sum (-1)^n (2n + 1)(a_n - b_n)|^2` with the coefficients of Bohren and Huffman,

@@ -33,7 +33,7 @@ use thiserror::Error;
 use crate::em::image::Wall;
 use crate::geometry::Surface;
 use crate::paths::EnvironmentError;
-pub use closed_form::{Known, known};
+pub use closed_form::{ReferenceValue, reference_value};
 use endpoint::Endpoint;
 pub use problem::{Outcome, Problem};
 use radar::Radar;
