@@ -1,7 +1,7 @@
 //! Kernels on rows of sixteen numbers in single precision, or eight in double precision.
 //!
-//! The loops over lanes are plain Rust and are compiled once for each instruction set ([`compiled_for_levels`]). Multiply
-//! and add are never fused, so every level computes the same bits.
+//! The loops over lanes are plain Rust and are compiled once for each instruction set ([`compiled_for_levels`]).
+//! Multiply and add are never fused, so every level computes the same bits.
 
 pub mod vector;
 
@@ -26,8 +26,8 @@ pub type WideRow3 = [WideRow; 3];
 /// Defines a function that is compiled once for each instruction level. Its body is another function, which must be
 /// `#[inline(always)]`. The first argument selects the level, and the processor must support it.
 ///
-/// A [`radome_dsp::KernelLevel`] may name any level, and a check in every call would cost too much. Therefore functions of
-/// this macro are never public, and this crate takes levels from `KernelLevel::detect`.
+/// A [`radome_dsp::KernelLevel`] may name any level, and a check in every call would cost too much. Therefore functions
+/// of this macro are never public, and this crate takes levels from `KernelLevel::detect`.
 macro_rules! compiled_for_levels {
     ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? = $body:path;) => {
         $(#[$doc])*

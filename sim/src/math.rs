@@ -33,8 +33,8 @@ pub fn quintic([y0, v0, w0]: [f64; 3], [y1, v1, w1]: [f64; 3]) -> [f64; 6] {
     [y0, v0, 0.5 * w0, 10.0 * y - 4.0 * v + 0.5 * w, -15.0 * y + 7.0 * v - w, 6.0 * y - 3.0 * v + 0.5 * w]
 }
 
-/// Magnitude of a number whose square neither overflows nor underflows. [`Complex64::norm`] has no such restriction, but
-/// takes several times as long.
+/// Magnitude of a number whose square neither overflows nor underflows. [`Complex64::norm`] has no such restriction,
+/// but takes several times as long.
 pub fn magnitude(z: Complex64) -> f64 {
     z.norm_sqr().sqrt()
 }

@@ -15,8 +15,8 @@ pub struct Arrival {
     pub direction: DVec3,
 }
 
-/// Integrand of physical optics at a point: half of `p . [eta (J - s (s . J)) + M x s]` with `J = n x (H_i + H_r)` and `M
-/// = -n x (E_i + E_r)`.
+/// Integrand of physical optics at a point: half of `p . [eta (J - s (s . J)) + M x s]` with `J = n x (H_i + H_r)` and
+/// `M = -n x (E_i + E_r)`.
 ///
 /// The received field is `-jk/(2 pi)` times the integral over the surface, with spreading and phase. For a conductor in
 /// the monostatic case, the integrand is the cosine of the angle of incidence. `towards` is the unit vector from the

@@ -1,11 +1,11 @@
 //! Vectorised physical optics over curved triangles of a skin between two antennas. Each triangle contributes the
 //! strength of one path.
 //!
-//! The normals at the corners determine the bulge of a triangle (a quadratic patch). Neighbours have the same curved edge
-//! in common, so that the surface has no gaps. The path length over a triangle is the parabola through its values at the
-//! corners and in the middles of the edges. The neglected part is of third order in the triangle's size over its distance:
-//! micrometres. The integral is a sum over the nodes of a rule ([`super::quadrature`]). The phase span selects the rule: a
-//! span of a few radians takes a few nodes, whatever the curvature.
+//! The normals at the corners determine the bulge of a triangle (a quadratic patch). Neighbours have the same curved
+//! edge in common, so that the surface has no gaps. The path length over a triangle is the parabola through its values
+//! at the corners and in the middles of the edges. The neglected part is of third order in the triangle's size over its
+//! distance: micrometres. The integral is a sum over the nodes of a rule ([`super::quadrature`]). The phase span
+//! selects the rule: a span of a few radians takes a few nodes, whatever the curvature.
 //!
 //! All path lengths are relative to the path by the triangle's middle, in a form without cancellation, so that single
 //! precision suffices. A test compares `moments` with an integral in double precision.
@@ -29,8 +29,9 @@ pub struct TriangleRows {
     /// Offset of the surface from the middles of the edges (first to second corner, second to third, third to first),
     /// m.
     pub bulges: [Row3; 3],
-    /// Half of the squared differences of unit normals along the edges. Interpolated normals are shorter than unit length.
-    /// These values, times the weights of both ends, are the relative excess of the strength over linear interpolation.
+    /// Half of the squared differences of unit normals along the edges. Interpolated normals are shorter than unit
+    /// length. These values, times the weights of both ends, are the relative excess of the strength over linear
+    /// interpolation.
     pub normal_changes: [Row; 3],
 }
 
@@ -149,8 +150,8 @@ impl TriangleRows {
         point
     }
 
-    /// Returns the derivatives of a point by the weights of the second and of the third corner. Each has its value at the
-    /// first corner, and its slopes by both weights.
+    /// Returns the derivatives of a point by the weights of the second and of the third corner. Each has its value at
+    /// the first corner, and its slopes by both weights.
     #[inline(always)]
     fn tangents(&self) -> [[Row3; 3]; 2] {
         let (corners, bulges) = (&self.corners, &self.bulges);
@@ -358,8 +359,8 @@ fn half_moments(nodes: &Nodes, half: usize, views: [&ViewRows; 2]) -> [[f32; HAL
         turns[4][l] = 4.0 * ((pq + rp) - (p + qr));
         turns[5][l] = 4.0 * rp - 2.0 * (p + r);
     }
-    // Sums of the field, and of the field times the weights of the second and third corner. The moment of the first corner
-    // is the rest.
+    // Sums of the field, and of the field times the weights of the second and third corner. The moment of the first
+    // corner is the rest.
     let (mut re, mut im) = ([[0f32; HALF]; 3], [[0f32; HALF]; 3]);
     for node in &nodes.all {
         let [b, c] = node.weights;

@@ -34,7 +34,8 @@ pub struct Slab {
 /// Computes the normal component of the wave vector inside, over k.
 fn normal_index(permittivity: Complex64, cosine: f64) -> Complex64 {
     let square = permittivity - (1.0 - cosine * cosine);
-    // The complex root is computed by real ones, which need no angle. The larger part is first, so that nothing cancels.
+    // The complex root is computed by real ones, which need no angle. The larger part is first, so that nothing
+    // cancels.
     let modulus = square.norm_sqr().sqrt();
     if square.re >= 0.0 {
         let re = (0.5 * (modulus + square.re)).sqrt();
@@ -114,7 +115,8 @@ mod tests {
         (if tm { -back } else { back }, through)
     }
 
-    /// Compares reflections and the two-way factor with the matrix over angles, thicknesses and materials of thin walls.
+    /// Compares reflections and the two-way factor with the matrix over angles, thicknesses and materials of thin
+    /// walls.
     #[test]
     fn thin_walls_reflect_and_transmit_as_the_characteristic_matrix_says() {
         let mut worst: f64 = 0.0;

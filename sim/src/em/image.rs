@@ -177,8 +177,8 @@ impl Iterator for Crossings {
     }
 }
 
-/// Multiplies a field by the reflection at a mirror plane of the unfolded room: `G_te te te^T - G_tm tm tm^T`. The field
-/// is transverse, so its part that is not TE is TM.
+/// Multiplies a field by the reflection at a mirror plane of the unfolded room: `G_te te te^T - G_tm tm tm^T`. The
+/// field is transverse, so its part that is not TE is TM.
 #[inline(always)]
 fn reflected(field: Phasor3, direction: DVec3, axis: usize, reflection: Coefficients) -> Phasor3 {
     let across = direction.cross(DVec3::AXES[axis]);
@@ -193,8 +193,8 @@ fn reflected(field: Phasor3, direction: DVec3, axis: usize, reflection: Coeffici
 }
 
 impl BoxRoom {
-    /// Builds a room of a size, m, with its smooth surfaces at low and high x, low and high y, floor, ceiling. Tabulates
-    /// their coefficients at the wave number.
+    /// Builds a room of a size, m, with its smooth surfaces at low and high x, low and high y, floor, ceiling.
+    /// Tabulates their coefficients at the wave number.
     pub fn new(size_m: DVec3, walls: [Wall; 6], wavenumber_per_m: f64, transmission: bool) -> Self {
         Self::with_diffuse_share(size_m, walls, wavenumber_per_m, transmission, 0.0)
     }
@@ -279,7 +279,8 @@ impl BoxRoom {
 
     /// Returns the depth of a point behind upright walls that hide it from an antenna in the room, m. It is negative
     /// behind such a wall. It is infinite in the room, and where the straight path leaves through an open wall or one
-    /// that transmits. A person beside the box is then seen through that wall, even beyond the plane of a neighbouring one.
+    /// that transmits. A person beside the box is then seen through that wall, even beyond the plane of a neighbouring
+    /// one.
     pub(crate) fn depth_within_m(&self, antenna: DVec3, point: DVec3) -> f64 {
         let is_hidden = self.exit(antenna, point).is_some_and(|exit| !self.is_passable(exit.wall));
         if !is_hidden {
@@ -359,8 +360,8 @@ impl BoxRoom {
         std::array::from_fn(|part| low[part].powi(at_low) * high[part].powi(at_high))
     }
 
-    /// Returns whether no image but the antenna itself contributes to the field anywhere in a box with these half-widths,
-    /// because it lies behind upright walls that transmit or are open.
+    /// Returns whether no image but the antenna itself contributes to the field anywhere in a box with these
+    /// half-widths, because it lies behind upright walls that transmit or are open.
     pub(crate) fn is_behind_walls(&self, centre: DVec3, half_widths_m: DVec3) -> bool {
         let beyond_m = |wall: usize| {
             let axis = wall / 2;
@@ -372,8 +373,8 @@ impl BoxRoom {
             && (0..4).all(|wall| is_wholly_before(wall) || is_wholly_behind(wall) && self.is_passable(wall))
     }
 
-    /// Returns the upright wall by which the straight path from a point of the room to an outside point leaves the room;
-    /// `None` for a point in the room.
+    /// Returns the upright wall by which the straight path from a point of the room to an outside point leaves the
+    /// room; `None` for a point in the room.
     fn exit(&self, from: DVec3, to: DVec3) -> Option<Exit> {
         let (from, to, size) = (from.to_array(), to.to_array(), self.size_m.to_array());
         // Nearly all points lie in the room.

@@ -56,8 +56,8 @@ impl Pattern {
         let DVec3 { x, y, z } = direction_radar;
         let (sine, cosine) = spread_rad.sin_cos();
         let horizontal = (x * x + y * y).sqrt();
-        // Azimuths in the cone differ from its own by at most asin(sine / horizontal). Where that does not exist, the cone
-        // contains the pole.
+        // Azimuths in the cone differ from its own by at most asin(sine / horizontal). Where that does not exist, the
+        // cone contains the pole.
         if cosine <= 0.0 || horizontal <= sine {
             return 1.0;
         }

@@ -1,8 +1,8 @@
 //! Quadrature over a triangle: nodes and weights that are exact for polynomials up to a degree.
 //!
-//! The rules are symmetric, with all nodes inside and all weights positive. They are those of H. Xiao and Z. Gimbutas, "A
-//! numerical algorithm for the construction of efficient quadrature rules in two and higher dimensions", Computers and
-//! Mathematics with Applications 59 (2010), 663-676. For a wave with a given phase span across the triangle they
+//! The rules are symmetric, with all nodes inside and all weights positive. They are those of H. Xiao and Z. Gimbutas,
+//! "A numerical algorithm for the construction of efficient quadrature rules in two and higher dimensions", Computers
+//! and Mathematics with Applications 59 (2010), 663-676. For a wave with a given phase span across the triangle they
 //! converge faster than any power of the number of nodes, whatever the curvature. Six nodes suffice for five radians,
 //! 28 for eighteen, to 3e-3 of the area.
 

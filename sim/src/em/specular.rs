@@ -68,8 +68,8 @@ impl Ellipsoid {
         self.centre + self.axes * (unit * self.semi_axes_m)
     }
 
-    /// Converts a source to axes of the ellipsoid, and moves it to the surface if it lies inside. Also returns whether it
-    /// does.
+    /// Converts a source to axes of the ellipsoid, and moves it to the surface if it lies inside. Also returns whether
+    /// it does.
     fn moved_outside(&self, source: DVec3) -> (DVec3, bool) {
         let position = self.axes.transpose() * (source - self.centre);
         let unit = position / self.semi_axes_m;
@@ -95,8 +95,8 @@ impl Ellipsoid {
         if nearest_m > FAR * longest_m {
             return Some(bisector.normalize());
         }
-        // For far sources the normal is the bisector; for touching ones the point is below them. On the unit sphere, the
-        // first point is between these two.
+        // For far sources the normal is the bisector; for touching ones the point is below them. On the unit sphere,
+        // the first point is between these two.
         let by_bisector = (b * bisector).normalize();
         let below = ((tx / b).normalize() + (rx / b).normalize()).normalize_or_zero();
         let weight = (longest_m / nearest_m).clamp(0.0, 1.0).powi(2);
@@ -107,8 +107,8 @@ impl Ellipsoid {
     /// Finds the specular point for a pair of points; `None` where the pair lies on opposite sides (forward scattering,
     /// which has no specular point).
     ///
-    /// `start` is a point of the unit sphere near the solution, if one is known. It is used only where directions from the
-    /// centre do not determine on which side of the ellipsoid the pair lies.
+    /// `start` is a point of the unit sphere near the solution, if one is known. It is used only where directions from
+    /// the centre do not determine on which side of the ellipsoid the pair lies.
     pub fn specular_point(&self, tx: DVec3, rx: DVec3, start: Option<DVec3>) -> Option<SpecularPoint> {
         let ((tx, tx_inside), (rx, rx_inside)) = (self.moved_outside(tx), self.moved_outside(rx));
         let b = self.semi_axes_m;
@@ -144,8 +144,8 @@ impl Ellipsoid {
     /// determinants `sqrt(det J) >= cos (sqrt(K) + (1/R_t + 1/R_r)/2)`, with Gauss's curvature `K = (h^2/(abc))^2` at
     /// the normal's support h. The normal is the fixed point of a map: from a normal to the bisector at the point with
     /// that normal. Where the map is a contraction, two iterations bound the distance of the fixed point from the
-    /// second, and that of the specular point from the point with the first normal. Elsewhere the flattest side gives the
-    /// bound.
+    /// second, and that of the specular point from the point with the first normal. Elsewhere the flattest side gives
+    /// the bound.
     pub fn bound(&self, tx: DVec3, rx: DVec3, apart_m: f64) -> Option<SpecularPointBound> {
         let (to_body, b) = (self.axes.transpose(), self.semi_axes_m);
         let sources = [tx, rx].map(|source| to_body * (source - self.centre));
@@ -161,8 +161,8 @@ impl Ellipsoid {
         }
         let bisector =
             |point: DVec3| (sources[0] - point).normalize_or_zero() + (sources[1] - point).normalize_or_zero();
-        // Sum of the largest angles by which the directions to both sources, from any point of the body, differ from those
-        // at the centre.
+        // Sum of the largest angles by which the directions to both sources, from any point of the body, differ from
+        // those at the centre.
         let direction_change: f64 = distances_m.iter().map(|distance| (reach_m / distance).min(1.0).asin()).sum();
         let middle = bisector(DVec3::ZERO);
         let twice_cosine = middle.length();
@@ -300,8 +300,8 @@ mod tests {
     use crate::people::body::Build;
     use crate::random::{Purpose, generator};
 
-    /// Draws a segment of a body and two sources on any side of it. They are as far apart as two antennas of a radar, or as
-    /// image antennas.
+    /// Draws a segment of a body and two sources on any side of it. They are as far apart as two antennas of a radar,
+    /// or as image antennas.
     fn draw(rng: &mut impl Rng, near_m: f64) -> (Ellipsoid, DVec3, DVec3) {
         let build = Build { height_m: 1.75, girth: 1.0 };
         let body = build.segments(&build.standing());
@@ -321,8 +321,8 @@ mod tests {
         (Ellipsoid { axes, ..segment }, tx, rx)
     }
 
-    /// Minimises a function over the unit sphere by descent from `start`. Steps are halved where none leads downhill, down
-    /// to `least_step`.
+    /// Minimises a function over the unit sphere by descent from `start`. Steps are halved where none leads downhill,
+    /// down to `least_step`.
     fn minimum(function: impl Fn(DVec3) -> f64, start: DVec3, mut step: f64, least_step: f64) -> DVec3 {
         let (mut unit, mut value) = (start, function(start));
         while step > least_step {
@@ -339,8 +339,8 @@ mod tests {
         unit
     }
 
-    /// Finds the specular point by search: the shortest path, then the point that best fulfils the law of reflection. The
-    /// minimum of a length determines the point to only half of the digits.
+    /// Finds the specular point by search: the shortest path, then the point that best fulfils the law of reflection.
+    /// The minimum of a length determines the point to only half of the digits.
     fn by_search(e: &Ellipsoid, tx: DVec3, rx: DVec3) -> DVec3 {
         let length = |unit: DVec3| e.surface(unit).distance(tx) + e.surface(unit).distance(rx);
         let mirror_error = |unit: DVec3| {

@@ -31,7 +31,11 @@ pub(crate) struct SpecularRows {
 
 compiled_for_levels! {
     /// Finds the specular points for pairs of positions of transmitter and receiver in the room.
-    pub(crate) fn specular_points(ellipsoid: &Ellipsoid, sources: &[WideRow3; 2], out: &mut SpecularRows) = specular_points_body;
+    pub(crate) fn specular_points(
+        ellipsoid: &Ellipsoid,
+        sources: &[WideRow3; 2],
+        out: &mut SpecularRows,
+    ) = specular_points_body;
 }
 
 /// Constants of an ellipsoid.

@@ -4,8 +4,8 @@
 //! By the Hermite-Genocchi formula, `I` is minus the divided difference of `exp(j .)` at a, b, c. Its quotient form
 //! suffers from cancellation where phases are close, as do Gordon's edge sums near specular directions. Two forms
 //! together avoid this. For phases within one radian of each other, `I` is computed by a power series about their mean.
-//! Otherwise it is a difference of edge integrals, divided by the largest phase difference, which is then not small. The
-//! result does not depend on the order of the vertices.
+//! Otherwise it is a difference of edge integrals, divided by the largest phase difference, which is then not small.
+//! The result does not depend on the order of the vertices.
 
 use num_complex::Complex64;
 

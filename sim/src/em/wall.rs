@@ -4,7 +4,8 @@
 //! divides the range of the cosine into cells, and each cell into as many equal pieces as accuracy requires. A piece is
 //! a polynomial of degree five through Chebyshev points, within 1e-8 of the slab at all check points. Thin walls take
 //! one piece a cell; walls many wavelengths thick take more. Cells that would take too many are not tabulated, and
-//! coefficients there are computed in closed form. Examples are foils at grazing incidence and thick walls without loss.
+//! coefficients there are computed in closed form. Examples are foils at grazing incidence and thick walls without
+//! loss.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -36,7 +37,8 @@ pub enum Wall {
     Open,
 }
 
-/// Least depth over which a wall takes effect, m. Otherwise the field would step between two chirps when a person passes.
+/// Least depth over which a wall takes effect, m. Otherwise the field would step between two chirps when a person
+/// passes.
 const LEAST_DEPTH_M: f64 = 0.1;
 
 impl Wall {
@@ -84,8 +86,8 @@ impl Wall {
         (field, outgoing)
     }
 
-    /// Returns the distance beyond the wall's inner face over which its effect increases from none to full, m. It is the
-    /// wall's thickness, but at least a length that a body needs several chirps to pass.
+    /// Returns the distance beyond the wall's inner face over which its effect increases from none to full, m. It is
+    /// the wall's thickness, but at least a length that a body needs several chirps to pass.
     pub(super) fn depth_m(&self) -> f64 {
         match *self {
             Wall::Slab { thickness_m, .. } => thickness_m.max(LEAST_DEPTH_M),

@@ -10,9 +10,9 @@ use crate::math::DisjointSets;
 
 impl Surface {
     /// Makes a surface from a mesh, smooth across every edge whose triangles meet at less than the crease angle.
-    /// Vertices at the same position are merged. A vertex normal is the mean of its triangles' normals, weighted by their
-    /// angles at the vertex. Triangles without area are left out. A mesh with an open edge is a sheet and reflects on
-    /// both sides.
+    /// Vertices at the same position are merged. A vertex normal is the mean of its triangles' normals, weighted by
+    /// their angles at the vertex. Triangles without area are left out. A mesh with an open edge is a sheet and
+    /// reflects on both sides.
     pub fn from_mesh(mesh: &Mesh, crease_rad: f64) -> Self {
         let mut first_at: HashMap<[u64; 3], u32> = HashMap::new();
         // Adding zero turns -0 into 0.
@@ -47,8 +47,8 @@ impl Surface {
     }
 }
 
-/// For each corner of each triangle, a number that it shares with the corners across smooth edges. Also whether some edge
-/// has only one triangle.
+/// For each corner of each triangle, a number that it shares with the corners across smooth edges. Also whether some
+/// edge has only one triangle.
 fn smooth_corners(mesh: &Mesh, crease_rad: f64) -> (Vec<u32>, bool) {
     let edges = edges(mesh);
     let mut smooth = DisjointSets::new(3 * mesh.triangles.len());

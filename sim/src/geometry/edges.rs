@@ -13,7 +13,8 @@ pub struct Edge {
     /// non-manifold edge.
     pub right: Option<u32>,
     /// Angle between the two triangles' normals, rad. It is positive where the surface is convex (an outer corner: pi/2
-    /// for a cube) and negative where it is concave (a corner of a room seen from within). It is zero without a right triangle.
+    /// for a cube) and negative where it is concave (a corner of a room seen from within). It is zero without a
+    /// triangle `right`.
     pub turn_rad: f64,
     /// Whether three or more triangles share the edge, or two of opposite orientation.
     pub is_non_manifold: bool,
@@ -58,8 +59,8 @@ pub(super) fn sides(mesh: &Mesh) -> Vec<Side> {
     sides
 }
 
-/// All edges of a mesh, sorted by their lower and then their higher vertex. Every edge of a closed surface has a right
-/// triangle.
+/// All edges of a mesh, sorted by their lower and then their higher vertex. Every edge of a closed surface has a
+/// triangle `right`.
 pub fn edges(mesh: &Mesh) -> Vec<Edge> {
     sides(mesh)
         .chunk_by(Side::has_same_vertices)

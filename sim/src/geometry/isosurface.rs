@@ -1,8 +1,8 @@
 //! Closed mesh of the zero set of a smooth function.
 //!
-//! The method is naive surface nets (Gibson, "Constrained elastic surface nets", MICCAI 1998). Every cell has one vertex
-//! for each sheet of the surface in it, and every grid edge that the surface crosses has one quadrilateral. Vertices are
-//! then relaxed along the surface, which makes triangles even, and projected onto it by Newton's step.
+//! The method is naive surface nets (Gibson, "Constrained elastic surface nets", MICCAI 1998). Every cell has one
+//! vertex for each sheet of the surface in it, and every grid edge that the surface crosses has one quadrilateral.
+//! Vertices are then relaxed along the surface, which makes triangles even, and projected onto it by Newton's step.
 
 use std::collections::BTreeMap;
 

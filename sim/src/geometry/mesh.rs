@@ -93,8 +93,8 @@ impl Mesh {
         (0..self.triangles.len()).filter_map(|t| self.corners(t))
     }
 
-    /// Mesh of other triangles over this mesh's vertices. It has only the vertices that they use, in order of first use.
-    /// Also returns the original index of each vertex.
+    /// Mesh of other triangles over this mesh's vertices. It has only the vertices that they use, in order of first
+    /// use. Also returns the original index of each vertex.
     pub(crate) fn of_triangles(&self, triangles: impl IntoIterator<Item = [u32; 3]>) -> (Mesh, Vec<u32>) {
         let mut new_indices = vec![u32::MAX; self.vertices.len()];
         let (mut mesh, mut original_indices) = (Mesh::default(), Vec::new());

@@ -1,5 +1,5 @@
-//! Surfaces as triangle meshes: merging of vertices ([`weld()`]), detection of defects ([`overlaps()`]), extraction of planes
-//! and edges ([`planes()`], [`edges()`]), and import of files ([`mod@import`]).
+//! Surfaces as triangle meshes: merging of vertices ([`weld()`]), detection of defects ([`overlaps()`]), extraction of
+//! planes and edges ([`planes()`], [`edges()`]), and import of files ([`mod@import`]).
 
 mod creases;
 mod edges;

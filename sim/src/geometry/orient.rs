@@ -3,9 +3,9 @@
 use super::Mesh;
 use super::edges::{Side, sides};
 
-/// Reverses triangles so that neighbours across an edge of exactly two have the same orientation. The triangle
-/// of lowest index in each connected part keeps its own. On surfaces with one side only (a Moebius strip) some edge remains
-/// inconsistent.
+/// Reverses triangles so that neighbours across an edge of exactly two have the same orientation. The triangle of
+/// lowest index in each connected part keeps its own. On surfaces with one side only (a Moebius strip) some edge
+/// remains inconsistent.
 pub fn oriented(mesh: &Mesh) -> Mesh {
     // Neighbours of each triangle, and whether their orientations differ.
     let mut neighbours: Vec<Vec<(usize, bool)>> = vec![Vec::new(); mesh.triangles.len()];

@@ -22,8 +22,8 @@ struct TriangleBox {
     greatest: DVec3,
 }
 
-/// Number of pairs of coplanar triangles that overlap by more than 1 mm^2, at most a thousand. They are found by a sweep
-/// along x over their bounding boxes.
+/// Number of pairs of coplanar triangles that overlap by more than 1 mm^2, at most a thousand. They are found by a
+/// sweep along x over their bounding boxes.
 pub fn overlaps(mesh: &Mesh) -> usize {
     let bounding_box = |t: usize| {
         let [a, b, c] = mesh.corners(t)?;

@@ -7,8 +7,8 @@ use glam::DVec3;
 
 use super::{Mesh, Plane, polygon};
 
-/// Largest distance of a removed corner from the line through its neighbours, m. It is four times the rounding of an f32 at
-/// 4 m, and far below the height of the arcs in outlines of round objects.
+/// Largest distance of a removed corner from the line through its neighbours, m. It is four times the rounding of an
+/// f32 at 4 m, and far below the height of the arcs in outlines of round objects.
 const STRAIGHT_M: f64 = 2e-6;
 
 /// Polygon in a plane, with holes.
@@ -179,8 +179,8 @@ impl PlanarPolygon {
         largest.map_or_else(|| polygon::centroid(&self.outline), |[a, b, c]| (a + b + c) / 3.0)
     }
 
-    /// The two axes that remain when the plane is projected along the axis of the largest component of its normal. Their
-    /// order keeps the winding.
+    /// The two axes that remain when the plane is projected along the axis of the largest component of its normal.
+    /// Their order keeps the winding.
     fn projection_axes(&self) -> [usize; 2] {
         let axis = self.normal.abs().max_position();
         let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -188,7 +188,8 @@ impl PlanarPolygon {
     }
 }
 
-/// Projects corners onto a plane and removes those at which the outline does not turn; empty if fewer than three remain.
+/// Projects corners onto a plane and removes those at which the outline does not turn; empty if fewer than three
+/// remain.
 fn simplified(corners: &[DVec3], normal: DVec3, offset_m: f64) -> Vec<DVec3> {
     let mut corners: Vec<DVec3> = corners.iter().map(|&c| c - normal * (c.dot(normal) - offset_m)).collect();
     let mut count_before = usize::MAX;

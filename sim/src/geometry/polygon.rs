@@ -38,7 +38,8 @@ pub(crate) fn distance_to_segment(point: DVec2, [a, b]: [DVec2; 2]) -> f64 {
     point.distance(a + along * fraction)
 }
 
-/// Returns whether a point lies within a closed outline: whether a ray from it towards +x crosses an odd number of sides.
+/// Returns whether a point lies within a closed outline: whether a ray from it towards +x crosses an odd number of
+/// sides.
 pub(crate) fn encloses(outline: &[DVec2], p: DVec2) -> bool {
     let mut inside = false;
     for [a, b] in sides(outline) {

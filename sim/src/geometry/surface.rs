@@ -96,14 +96,14 @@ pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (
     let d = b - a;
     let chord = d.length_squared();
     let mean = normal_a + normal_b;
-    // Normal of a parabola over the edge: the mean normal, less the slope in the middle as estimated from the slopes at the
-    // ends.
+    // Normal of a parabola over the edge: the mean normal, less the slope in the middle as estimated from the slopes at
+    // the ends.
     let tilt = if chord > 0.0 { d * (1.5 * d.dot(mean) / chord) } else { DVec3::ZERO };
     (0.5 * (a + b) + bulge([a, b], [normal_a, normal_b]), (mean - tilt).normalize_or(normal_a))
 }
 
-/// Divides a triangle whose sides may be cut at their middles. The sides are from the first corner to the second, and so
-/// on. A quadrangle that remains is divided along its shorter diagonal.
+/// Divides a triangle whose sides may be cut at their middles. The sides are from the first corner to the second, and
+/// so on. A quadrangle that remains is divided along its shorter diagonal.
 pub(crate) fn split<T: Copy>(corners: [T; 3], middles: [Option<T>; 3], distance: impl Fn(T, T) -> f64) -> Vec<[T; 3]> {
     // Corners are counted from one at which the first side is cut and, of two cut sides, the last is not.
     let first = match middles.map(|middle| middle.is_some()) {

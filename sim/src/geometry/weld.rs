@@ -22,8 +22,8 @@ pub struct Welded {
 /// Merges vertices within a tolerance, which is positive and finite. Each moves to the first of its group, so no vertex
 /// moves farther than the tolerance.
 ///
-/// Files without indices (STL) and texture seams have separate vertices along an edge. Unless these are merged, rays leak
-/// there and normals are wrong.
+/// Files without indices (STL) and texture seams have separate vertices along an edge. Unless these are merged, rays
+/// leak there and normals are wrong.
 ///
 /// # Errors
 /// [`MeshError`] for a mesh that [`Mesh::check`] refuses.

@@ -24,9 +24,9 @@ pub(super) struct Aperture {
 }
 
 impl Aperture {
-    /// Combines facets that meet in a corner. A path inside passes one aperture, which the edges of all facets bound, so
-    /// that their parts of the field add up (Kirchhoff's approximation). The product of the facets' fields also has the
-    /// products of these parts, which are subtracted.
+    /// Combines facets that meet in a corner. A path inside passes one aperture, which the edges of all facets bound,
+    /// so that their parts of the field add up (Kirchhoff's approximation). The product of the facets' fields also has
+    /// the products of these parts, which are subtracted.
     pub fn joined(self, other: Aperture) -> Aperture {
         let RelativeField { field, is_geometric } = self.relative.and(other.relative);
         let inner_weight = self.inner_weight * other.inner_weight;
@@ -37,8 +37,8 @@ impl Aperture {
 }
 
 impl ImagePaths {
-    /// Reflection of a facet relative to that of its infinite plane; `None` where nothing is left. `reflection_point` is
-    /// that of the path in the plane, and `corners` are the facet's inner corners beside the path.
+    /// Reflection of a facet relative to that of its infinite plane; `None` where nothing is left. `reflection_point`
+    /// is that of the path in the plane, and `corners` are the facet's inner corners beside the path.
     pub(super) fn facet_aperture<'a>(
         &self,
         facet: FacetId,

@@ -1,13 +1,14 @@
 //! Paths that are reflected in an inner corner, once or to and fro.
 //!
-//! Near the corner's edge, a path is reflected as often as the corner's angle allows. Paths that pass the edge on one side
-//! meet both facets in one order, paths on the other side in the opposite order. Where both orders have the same image, as
-//! in a right angle, paths of one order begin where those of the other end. In any other corner they have two images, and
-//! the field of each ends at the edge ([`CornerRun`]).
+//! Near the corner's edge, a path is reflected as often as the corner's angle allows. Paths that pass the edge on one
+//! side meet both facets in one order, paths on the other side in the opposite order. Where both orders have the same
+//! image, as in a right angle, paths of one order begin where those of the other end. In any other corner they have two
+//! images, and the field of each ends at the edge ([`CornerRun`]).
 //!
-//! Unfolded, all reflections of the run leave the edge in its place, so that it is one edge beside a straight line. Mirrors
-//! across the edge, such as the floor below a corner of walls, leave it there, too. Within two degrees of a right angle, the
-//! sum differs from the exact field in a wedge by 0.002 of such an image's field, and within five degrees by 0.03.
+//! Unfolded, all reflections of the run leave the edge in its place, so that it is one edge beside a straight line.
+//! Mirrors across the edge, such as the floor below a corner of walls, leave it there, too. Within two degrees of a
+//! right angle, the sum differs from the exact field in a wedge by 0.002 of such an image's field, and within five
+//! degrees by 0.03.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -34,8 +35,8 @@ const PARALLEL: f64 = 1e-6;
 const ACROSS: f64 = 1e-5;
 
 /// Reflections by the facets of an inner corner within a sequence. There are two kinds: two or more reflections by both
-/// facets in turn, if no sequence of the same image has them in the opposite order; or a single one in a corner wider than
-/// a right angle.
+/// facets in turn, if no sequence of the same image has them in the opposite order; or a single one in a corner wider
+/// than a right angle.
 #[derive(Debug, Clone)]
 pub(super) struct CornerRun {
     /// Index of the first of these reflections in the sequence.
@@ -112,7 +113,8 @@ impl CornerRuns {
 }
 
 impl CornerRun {
-    /// Passage by the edge of a path that leaves the last facet on this straight line; `None` where the edge does not matter.
+    /// Passage by the edge of a path that leaves the last facet on this straight line; `None` where the edge does not
+    /// matter.
     pub fn passage(&self, line: &Leg, environment: &Environment) -> Option<CornerPassage> {
         if !self.is_longest(line.direction) {
             return None;
@@ -178,8 +180,8 @@ impl Search<'_> {
         runs
     }
 
-    /// Finds the parts of a sequence that meet the facets of a corner in turn, with nothing between but mirrors across its
-    /// edge. Returns the indices of these facets in the sequence.
+    /// Finds the parts of a sequence that meet the facets of a corner in turn, with nothing between but mirrors across
+    /// its edge. Returns the indices of these facets in the sequence.
     fn alternations(&self, sequence: &[FacetId], pair: (FacetId, FacetId), corner: &InnerCorner) -> Vec<Vec<usize>> {
         let along = corner.along();
         let mut all: Vec<Vec<usize>> = vec![Vec::new()];
@@ -237,7 +239,8 @@ impl InnerCorner {
         let (a, b) = (environment.flat(pair.0)?, environment.flat(pair.1)?);
         let (ends, inwards) = inner_edge(a, b)?;
         let along = (ends[1] - ends[0]).normalize_or_zero();
-        // The edge ends where another facet continues one of them beside the edge: that facet has its own part of the edge.
+        // The edge ends where another facet continues one of them beside the edge: that facet has its own part of the
+        // edge.
         let may_continue = |end: DVec3, outwards: DVec3| {
             let is_continued = |own: &Flat, into: DVec3| {
                 let beside = end + (outwards + into) * INSIDE_M;
@@ -275,8 +278,8 @@ impl InnerCorner {
     }
 }
 
-/// Returns the common edge of two facets that are before each other, and unit vectors from it into both; `None` if they have
-/// none.
+/// Returns the common edge of two facets that are before each other, and unit vectors from it into both; `None` if they
+/// have none.
 fn inner_edge(a: &Flat, b: &Flat) -> Option<([DVec3; 2], [DVec3; 2])> {
     let ends = side_on(a, b).or_else(|| side_on(b, a))?;
     let along = (ends[1] - ends[0]).normalize_or_zero();
@@ -305,8 +308,8 @@ mod tests {
     const K: f64 = 1_257.507_013_171_009;
 
     /// Exact field in a wedge of metal about a line source at 1 m from the edge and 0.7 rad from one side, at 1.3 m and
-    /// 0.75 rad, relative to that of the source in the open at 1 m without its phase: angle in degrees, real and imaginary
-    /// part. Series of Bessel functions of the orders `n pi / angle` (scipy 1.17).
+    /// 0.75 rad, relative to that of the source in the open at 1 m without its phase: angle in degrees, real and
+    /// imaginary part. Series of Bessel functions of the orders `n pi / angle` (scipy 1.17).
     const EXACT: [(f64, [f64; 2]); 18] = [
         (60.0, [3.46538, -1.51788]),
         (75.0, [2.59751, -1.04844]),
@@ -328,8 +331,9 @@ mod tests {
         (110.0, [2.13728, -2.11770]),
     ];
 
-    /// Exact field of a source at 1 m at a point at 1.3 m, as in [`EXACT`]: angle of the wedge, angles of source and point
-    /// from one side, all in degrees, real and imaginary part. The path by one wall ends at the edge, near these points.
+    /// Exact field of a source at 1 m at a point at 1.3 m, as in [`EXACT`]: angle of the wedge, angles of source and
+    /// point from one side, all in degrees, real and imaginary part. The path by one wall ends at the edge, near these
+    /// points.
     const EXACT_BY_ONE_WALL: [(f64, [f64; 2], [f64; 2]); 56] = [
         (92.00, [88.60, 89.40], [2.26500, -2.08370]),
         (92.00, [89.35, 90.15], [2.20641, -2.55030]),
@@ -432,8 +436,8 @@ mod tests {
         total_field(walls(angle_deg, [-4.0, 4.0]), points, None)
     }
 
-    /// Paths by a metal floor have the field of paths without the floor from the antenna's image. Regression test: with a
-    /// reflection at the floor between those at both walls, the echo was missing or counted twice.
+    /// Paths by a metal floor have the field of paths without the floor from the antenna's image. Regression test: with
+    /// a reflection at the floor between those at both walls, the echo was missing or counted twice.
     #[test]
     fn a_floor_doubles_a_corner() {
         for angle_deg in [60.0, 80.0, 88.0, 89.5, 90.0, 90.1, 90.5, 92.0, 100.0, 135.0, 150.0_f64] {
@@ -450,7 +454,8 @@ mod tests {
         }
     }
 
-    /// Regression test: the echo by both walls was missing or counted twice where the corner is not exactly a right angle.
+    /// Regression test: the echo by both walls was missing or counted twice where the corner is not exactly a right
+    /// angle.
     #[test]
     fn the_field_in_a_corner_is_that_of_a_wedge() {
         for (angle_deg, [re, im]) in EXACT {
@@ -472,7 +477,8 @@ mod tests {
         for (angle_deg, angles_deg, [re, im]) in EXACT_BY_ONE_WALL {
             let found = in_corner(angle_deg, angles_deg.map(f64::to_radians));
             let error = (found - Complex64::new(re, im)).norm();
-            // In narrower corners, source and receiver are also near the other wall, and the path by both ends there too.
+            // In narrower corners, source and receiver are also near the other wall, and the path by both ends there
+            // too.
             let most = match angle_deg {
                 170.0.. => 0.006,
                 105.0.. => 0.025,

@@ -47,8 +47,8 @@ fn make_corner(a: &Flat, b: &Flat) -> bool {
     a.normal.dot(b.normal).abs() < MOST_COSINE && (side_on(a, b).is_some() || side_on(b, a).is_some())
 }
 
-/// Returns the side of a facet that lies in the plane of another facet and has its middle on that, if there is one. It is cut
-/// to the part in common with a side of the other facet on the same line, if there is such a side.
+/// Returns the side of a facet that lies in the plane of another facet and has its middle on that, if there is one. It
+/// is cut to the part in common with a side of the other facet on the same line, if there is such a side.
 pub(super) fn side_on(one: &Flat, other: &Flat) -> Option<[DVec3; 2]> {
     let lies_on = |p: DVec3, q: DVec3| {
         other.height(p).abs() < PLANAR_M && other.height(q).abs() < PLANAR_M && other.contains(0.5 * (p + q))

@@ -1,10 +1,10 @@
 //! Discovery of the facet sequences by which paths from an antenna are reflected, by launching rays, and of the antenna
 //! images that these sequences make.
 //!
-//! Rays are launched in the directions of a subdivided icosahedron. Where the rays at the corners of one of its triangles
-//! hit different facets, the triangle is divided into four, repeatedly. Rays thus concentrate at the edges of facets.
-//! Further rays are aimed at every facet, for facets so small that all others miss them. The result depends on geometry
-//! alone, never on threads.
+//! Rays are launched in the directions of a subdivided icosahedron. Where the rays at the corners of one of its
+//! triangles hit different facets, the triangle is divided into four, repeatedly. Rays thus concentrate at the edges of
+//! facets. Further rays are aimed at every facet, for facets so small that all others miss them. The result depends on
+//! geometry alone, never on threads.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -246,8 +246,8 @@ struct Launch<'a> {
     mount: Option<FacetId>,
     max_order: usize,
     directions: Vec<DVec3>,
-    /// Sequences by direction, as far as they are traced: of the ray that is reflected everywhere, and of rays that cross a
-    /// wall.
+    /// Sequences by direction, as far as they are traced: of the ray that is reflected everywhere, and of rays that
+    /// cross a wall.
     sequences: Vec<Vec<RaySequence>>,
     /// Triangles of directions that may be divided.
     triangles: Vec<[usize; 3]>,

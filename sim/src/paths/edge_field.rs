@@ -36,9 +36,9 @@ const GAUSS_16: [(f64, f64); 8] = [
 const SHORT: f64 = 1.5;
 const MEDIUM: f64 = 2.5;
 
-/// Contribution of a part of a straight side: `(1/2 pi) int exp(-j pi r^2/2) dphi` between two positions on it. Positions
-/// are measured from the foot of the perpendicular, which is `distance` away (not negative). They may have either sign
-/// and be infinite.
+/// Contribution of a part of a straight side: `(1/2 pi) int exp(-j pi r^2/2) dphi` between two positions on it.
+/// Positions are measured from the foot of the perpendicular, which is `distance` away (not negative). They may have
+/// either sign and be infinite.
 pub fn side_integral(distance: f64, [low, high]: [f64; 2]) -> Complex64 {
     let at_foot = half_plane(-distance);
     from_foot(distance, at_foot, high) - from_foot(distance, at_foot, low)

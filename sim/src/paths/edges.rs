@@ -1,5 +1,5 @@
-//! Diffracting edges: free edges of sheets, outward corners, and seams of two walls in one plane. Seams of one wall do not
-//! diffract, because the next facet reflects what the previous one loses. Inner corners are in `corner_runs.rs`.
+//! Diffracting edges: free edges of sheets, outward corners, and seams of two walls in one plane. Seams of one wall do
+//! not diffract, because the next facet reflects what the previous one loses. Inner corners are in `corner_runs.rs`.
 
 use glam::DVec3;
 
@@ -84,8 +84,8 @@ impl DiffractingEdge {
         self.inwards.get(number).copied().unwrap_or(DVec3::ZERO)
     }
 
-    /// Returns whether another facet begins at the edge before a facet with this normal. The backs of both may still form a
-    /// wedge, if both are sheets.
+    /// Returns whether another facet begins at the edge before a facet with this normal. The backs of both may still
+    /// form a wedge, if both are sheets.
     pub(super) fn is_inner_before(&self, normal: DVec3) -> bool {
         self.inwards.iter().any(|inwards| inwards.dot(normal) > FLAT)
     }

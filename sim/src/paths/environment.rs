@@ -219,8 +219,8 @@ impl Environment {
         }
     }
 
-    /// First facet that a ray hits, and the point; `None` if the ray hits it from behind. `on` is the facet on which the ray
-    /// begins, if any.
+    /// First facet that a ray hits, and the point; `None` if there is none, or the ray hits it from behind. `on` is the
+    /// facet on which the ray begins, if any.
     pub fn first_hit(&self, from: DVec3, direction: DVec3, on: Option<FacetId>) -> Option<(FacetId, DVec3)> {
         let hit = self.tracer.closest(&self.leaving(Ray::new(from, direction), on))?;
         let facet = *self.facet_of_triangle.get(hit.triangle as usize)?;
@@ -270,8 +270,8 @@ impl Environment {
                 obstacles.crossed.push(facet);
             }
         }
-        // `blocked` also counts hits nearer to the origin than f32 resolves, which `all` leaves out. They lie in a crease,
-        // which transmits nothing.
+        // `blocked` also counts hits nearer to the origin than f32 resolves, which `all` leaves out. They lie in a
+        // crease, which transmits nothing.
         obstacles.is_blocked = is_opaque || obstacles.crossed.is_empty();
         obstacles
     }

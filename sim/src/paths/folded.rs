@@ -1,7 +1,7 @@
 //! Paths by sequences of facets, folded into the room: antenna, points of reflection, point.
 //!
-//! Unfolded, a path is a straight line from an image of the antenna to the point. A path that passes beyond the edge of an
-//! inner corner is bent: it goes by the edge.
+//! Unfolded, a path is a straight line from an image of the antenna to the point. A path that passes beyond the edge of
+//! an inner corner is bent: it goes by the edge.
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -61,8 +61,8 @@ impl ImagePaths {
         Some(images)
     }
 
-    /// The path by a sequence if it meets all planes from the front, at any point of them. Within reach of the edge of an
-    /// inner corner it may also pass on the other side: it then meets the corner's facets at the edge.
+    /// The path by a sequence if it meets all planes from the front, at any point of them. Within reach of the edge of
+    /// an inner corner it may also pass on the other side: it then meets the corner's facets at the edge.
     pub(super) fn folded(&self, sequence: &[FacetId], antenna: DVec3, point: DVec3) -> Option<FoldedPath> {
         let count = sequence.len();
         if count > MAX_ORDER {

@@ -7,9 +7,9 @@
 //!
 //! An edge divides a path's wave fronts. Let `D` be the part of the field that passes on the other side of the edge
 //! (Kirchhoff's approximation, [`super::edge_field`]). The field is `(1 - D) T + D T'`: `T` is the transmission of the
-//! walls that the path crosses, `T'` that of the walls on the other side of the edge. Beside a free edge there are none.
-//! Beyond a seam, a hinge or a corner there are other walls. `D` is one half where a path meets a long edge, so that the field
-//! has no step there. Each list of walls `T'` is a [`SequenceField`] of its own.
+//! walls that the path crosses, `T'` that of the walls on the other side of the edge. Beside a free edge there are
+//! none. Beyond a seam, a hinge or a corner there are other walls. `D` is one half where a path meets a long edge, so
+//! that the field has no step there. Each list of walls `T'` is a [`SequenceField`] of its own.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -34,8 +34,8 @@ const BESIDE_M: f64 = 1e-4;
 const LEAST_PART: f64 = 0.003;
 /// Initial capacity for edges near a leg.
 const USUALLY_NEAR: usize = 64;
-/// Additional search distance for edges that are kept for paths to nearby points, m: a trunk moves this far in most of a
-/// frame.
+/// Additional search distance for edges that are kept for paths to nearby points, m: a trunk moves this far in most of
+/// a frame.
 const MOVED_M: f64 = 0.05;
 
 /// Relative field of an image past facets, edges and walls, about a point. It also gives the fields at nearby points
@@ -141,8 +141,8 @@ impl PathField {
         let mut others: Vec<(Complex64, CrossedWalls)> = Vec::new();
         for (part, walls) in &next_leg.others {
             others.push((self.main.field * *part, with(&self.crossed, walls)));
-            // Two edges leave a product of two parts. Weak products do not count. Otherwise there would be one for every
-            // choice of an edge beside each leg.
+            // Two edges leave a product of two parts. Weak products do not count. Otherwise there would be one for
+            // every choice of an edge beside each leg.
             let products = self.others.iter().map(|(before, crossed)| (*before * *part, crossed));
             let strong = products.filter(|(product, _)| is_significant(*product));
             others.extend(strong.map(|(product, crossed)| (product, with(crossed, walls))));
@@ -171,8 +171,8 @@ impl ImagePaths {
         self.illuminate_past(element, &self.obstruction(image, element.position, point, None), point)
     }
 
-    /// Relative field of an antenna's image at a point past facets, edges and walls. `known` keeps the edges beside paths to
-    /// nearly the same point, so that they are searched only once.
+    /// Relative field of an antenna's image at a point past facets, edges and walls. `known` keeps the edges beside
+    /// paths to nearly the same point, so that they are searched only once.
     pub fn obstruction(
         &self,
         image: usize,
@@ -261,9 +261,9 @@ impl ImagePaths {
         folded.map_or_else(Vec::new, |folded| folded.points().to_vec())
     }
 
-    /// Corners of a path from an antenna to a point by an image, whether obstacles block it or not. It is the first path
-    /// whose points of reflection lie on their facets, otherwise one with points beside them; empty where there is none. No
-    /// rays are traced.
+    /// Corners of a path from an antenna to a point by an image, whether obstacles block it or not. It is the first
+    /// path whose points of reflection lie on their facets, otherwise one with points beside them; empty where there is
+    /// none. No rays are traced.
     pub fn possible_polyline(&self, image: usize, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
         let Some(image) = self.images.get(image) else { return Vec::new() };
         let all = || image.sequences.iter().filter_map(|s| Some((s, self.folded(s, antenna, point)?)));
@@ -310,8 +310,8 @@ impl ImagePaths {
             let known = known.as_deref_mut().map(|known| (known, number));
             let Some((main, others)) = self.fields_of(sequence, antenna, point, known) else { continue };
             let is_geometric = main.is_geometric;
-            // Only one sequence can have a path of geometrical optics. A second one has the same path, on the seam of two
-            // facets.
+            // Only one sequence can have a path of geometrical optics. A second one has the same path, on the seam of
+            // two facets.
             if !(is_geometric && has_geometric) {
                 all.extend(std::iter::once(main).chain(others).filter(|found| found.field != Complex64::ZERO));
             }
@@ -342,8 +342,8 @@ impl ImagePaths {
             let ends = LegEnds { on: self.ends_on(sequence, i, antenna), sequence };
             tested.push((leg, ends, self.obstacles_on(&leg, folded.point(i + 1), ends)));
         }
-        // Most paths in shadow end at a leg that is blocked and has no edge beside it. Blocked legs are first, so that the
-        // edges beside the others are not searched in vain.
+        // Most paths in shadow end at a leg that is blocked and has no edge beside it. Blocked legs are first, so that
+        // the edges beside the others are not searched in vain.
         let mut leg_fields: Vec<Option<LegField>> = tested.iter().map(|_| None).collect();
         let is_blocked = |(_, (_, _, obstacles)): &(usize, &(Leg, LegEnds, SegmentObstacles))| obstacles.is_blocked;
         let (blocked, free) = (tested.iter().enumerate(), tested.iter().enumerate());
@@ -393,8 +393,8 @@ impl ImagePaths {
         self.environment.obstacles_between([leg.from, to], ends.on)
     }
 
-    /// Relative field on a leg past all facets except those on which it ends, and the walls that it crosses; `None` where
-    /// nothing is left.
+    /// Relative field on a leg past all facets except those on which it ends, and the walls that it crosses; `None`
+    /// where nothing is left.
     fn leg_field(
         &self,
         leg: &Leg,
@@ -453,8 +453,8 @@ impl ImagePaths {
         has_field.then(|| LegField { main, crossed: obstacles.crossed.clone(), others })
     }
 
-    /// Diffracting edges beside a leg: within reach (or up to `farther_m` beyond), seen from both ends, and with different
-    /// walls on their two sides. Where no wall transmits, these are edges on the outline of their facets.
+    /// Diffracting edges beside a leg: within reach (or up to `farther_m` beyond), seen from both ends, and with
+    /// different walls on their two sides. Where no wall transmits, these are edges on the outline of their facets.
     fn edges_beside(&self, leg: &Leg, to: DVec3, ends: LegEnds, farther_m: f64) -> Vec<EdgeBeside> {
         let (environment, on) = (&*self.environment, ends.on);
         let of_corners = ends
@@ -493,8 +493,9 @@ impl ImagePaths {
         near.into_iter().filter_map(found).collect()
     }
 
-    /// Walls that a path crosses just behind an edge, where the widest of its facets is, and just beside it, in the order
-    /// of the path; `None` where it is blocked. Sides of the edge's own facets are known, and rays find all other walls.
+    /// Walls that a path crosses just behind an edge, where the widest of its facets is, and just beside it, in the
+    /// order of the path; `None` where it is blocked. Sides of the edge's own facets are known, and rays find all other
+    /// walls.
     fn walls_on_both_sides(
         &self,
         edge: &DiffractingEdge,
@@ -551,8 +552,8 @@ impl ImagePaths {
         })
     }
 
-    /// Returns whether two lists have the same walls: as many, and for each of one list one of the same plane and material in
-    /// the other.
+    /// Returns whether two lists have the same walls: as many, and for each of one list one of the same plane and
+    /// material in the other.
     fn are_same_walls(&self, some: &[FacetId], others: &[FacetId]) -> bool {
         let is_same = |a: FacetId, b: FacetId| match (self.environment.flat(a), self.environment.flat(b)) {
             (Some(a), Some(b)) => a.plane == b.plane && Arc::ptr_eq(&a.table, &b.table),
@@ -635,8 +636,8 @@ mod tests {
         ImagePaths::with_sequences(Arc::new(environment), antenna, sequences.to_vec())
     }
 
-    /// A fence of slats is beside both legs of a reflected path. On each leg, the field passes through a slat or between two.
-    /// Regression test: there was a field for every choice of an edge beside each leg.
+    /// A fence of slats is beside both legs of a reflected path. On each leg, the field passes through a slat or
+    /// between two. Regression test: there was a field for every choice of an edge beside each leg.
     #[test]
     fn edges_of_the_same_walls_share_a_field() {
         let mirror = across(0.0, [-3.0, 3.0], Wall::Conductor);

@@ -90,8 +90,8 @@ impl Leg {
         environment.edge_reach() * 0.5 * (0.5 * wavelength_m * self.total_m).sqrt()
     }
 
-    /// Largest distance at which an edge beside this leg affects the path, m. Fresnel zones are widest in the middle of a
-    /// path.
+    /// Largest distance at which an edge beside this leg affects the path, m. Fresnel zones are widest in the middle of
+    /// a path.
     pub fn leg_reach_m(&self, environment: &Environment) -> f64 {
         let wavelength_m = environment.wavelength_m();
         let d1 = (0.5 * self.total_m).max(self.before_m).min(self.before_m + self.length_m);
@@ -99,8 +99,8 @@ impl Leg {
         environment.edge_reach() * (0.5 * wavelength_m * d1 * d2 / (d1 + d2)).sqrt() + UNSURE_M
     }
 
-    /// Passage of the leg by an edge; `None` where the edge is not beside the leg. `inwards` is the unit vector from the edge
-    /// into a facet that it bounds.
+    /// Passage of the leg by an edge; `None` where the edge is not beside the leg. `inwards` is the unit vector from
+    /// the edge into a facet that it bounds.
     pub fn passage(&self, edge: &DiffractingEdge, inwards: DVec3, wavelength_m: f64) -> Option<Passage> {
         let &Leg { from, direction, length_m, before_m, total_m } = self;
         let along = |p: DVec3| (p - from).dot(direction);
@@ -137,8 +137,8 @@ impl Leg {
     }
 }
 
-/// Ends of the part of an edge beside a leg, each with whether it was cut off. `along_a` and `along_b` are the coordinates of
-/// the edge's ends along the leg, m. `None` if no part is beside the leg.
+/// Ends of the part of an edge beside a leg, each with whether it was cut off. `along_a` and `along_b` are the
+/// coordinates of the edge's ends along the leg, m. `None` if no part is beside the leg.
 fn clipped([a, b]: [DVec3; 2], [along_a, along_b]: [f64; 2], length_m: f64) -> Option<[(DVec3, bool); 2]> {
     if along_a.max(along_b) <= 0.0 || along_a.min(along_b) >= length_m {
         return None;

@@ -1,14 +1,15 @@
-//! Paths between antennas and points, reflected by plane polygons. Rays find the surfaces that a path meets, and images give
-//! the exact path.
+//! Paths between antennas and points, reflected by plane polygons. Rays find the surfaces that a path meets, and images
+//! give the exact path.
 //!
-//! An [`Environment`] has the polygons, which are called facets. [`ImagePaths::discover`] launches rays from an antenna and
-//! keeps every sequence of facets that reflects a ray. Sequences with the same image of the antenna share an [`Image`].
-//! [`ImagePaths::illuminate`] unfolds a sequence in f64. It checks that the points of reflection lie on the facets and
-//! that the legs (the straight pieces between them) are free, and multiplies the reflection coefficients. Free edges and
-//! outward corners diffract to first order ([`edge_field`]). A path therefore fades where its point of reflection leaves a
-//! facet, or where a corner obstructs it. Walls may transmit waves.
+//! An [`Environment`] has the polygons, which are called facets. [`ImagePaths::discover`] launches rays from an antenna
+//! and keeps every sequence of facets that reflects a ray. Sequences with the same image of the antenna share an
+//! [`Image`]. [`ImagePaths::illuminate`] unfolds a sequence in f64. It checks that the points of reflection lie on the
+//! facets and that the legs (the straight pieces between them) are free, and multiplies the reflection coefficients.
+//! Free edges and outward corners diffract to first order ([`edge_field`]). A path therefore fades where its point of
+//! reflection leaves a facet, or where a corner obstructs it. Walls may transmit waves.
 //!
-//! [`Surroundings`] are what surrounds a scene's antennas: polygons, or a box whose images are a lattice in closed form.
+//! [`Surroundings`] are what surrounds a scene's antennas: polygons, or a box whose images are a lattice in closed
+//! form.
 
 mod aperture;
 mod corner_runs;

@@ -16,9 +16,9 @@ struct Cone {
 }
 
 impl ImagePaths {
-    /// Numbers of the images of at most `max_order` reflections that may illuminate points within `reach_m` of `middle`,
-    /// ascending. The antenna itself is always included. Facets are replaced by their bounding spheres and nothing is
-    /// hidden, so that the result includes all images that illuminate such a point.
+    /// Numbers of the images of at most `max_order` reflections that may illuminate points within `reach_m` of
+    /// `middle`, ascending. The antenna itself is always included. Facets are replaced by their bounding spheres and
+    /// nothing is hidden, so that the result includes all images that illuminate such a point.
     pub fn images_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64, max_order: usize) -> Vec<usize> {
         let cone = Cone { antenna, middle, reach_m };
         let images = self.images.iter().enumerate().take_while(|(_, image)| image.order <= max_order);
@@ -77,8 +77,8 @@ impl ImagePaths {
         true
     }
 
-    /// Largest factor by which edges increase a field: those of a small mirror, of the size of a first Fresnel zone, double
-    /// it.
+    /// Largest factor by which edges increase a field: those of a small mirror, of the size of a first Fresnel zone,
+    /// double it.
     pub fn most_by_edges(&self) -> f64 {
         if self.environment.diffracting_edges().is_empty() { 1.0 } else { 2.0 }
     }

@@ -112,8 +112,8 @@ impl PolygonRoom {
         &self.reached_facets
     }
 
-    /// Corners of the path from an antenna to a point by an image, whether obstacles block it or not; empty where there is
-    /// none ([`ImagePaths::possible_polyline`]).
+    /// Corners of the path from an antenna to a point by an image, whether obstacles block it or not; empty where there
+    /// is none ([`ImagePaths::possible_polyline`]).
     pub fn possible_polyline(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
         self.paths.possible_polyline(number(index), antenna, point)
     }
@@ -141,8 +141,8 @@ impl PolygonRoom {
         order < MOST_REFLECTIONS_OF_MANY || self.paths.environment().len() <= MANY_FACETS
     }
 
-    /// Upper bound of the magnitude of an image's field within `reach_m` of `middle`, without obstructions; 0 where no facet
-    /// reflects it there.
+    /// Upper bound of the magnitude of an image's field within `reach_m` of `middle`, without obstructions; 0 where no
+    /// facet reflects it there.
     pub fn most_free_field(&self, element: &Element, index: ImageIndex, middle: DVec3, reach_m: f64) -> f64 {
         let number = number(index);
         if !self.paths.may_light(number, element.position, middle, reach_m) {
@@ -165,8 +165,8 @@ impl PolygonRoom {
         self.paths.images().get(number(index)).map_or(antenna, |image| image.of(antenna))
     }
 
-    /// Pairs of such images, as indices into the list. The echo of a body by a pair has no more reflections than the scene
-    /// allows.
+    /// Pairs of such images, as indices into the list. The echo of a body by a pair has no more reflections than the
+    /// scene allows.
     pub fn pairs_among(&self, images: &[ImageIndex]) -> Vec<[usize; 2]> {
         let order = |index: ImageIndex| self.paths.images().get(number(index)).map_or(0, |image| image.order);
         let mut pairs = Vec::with_capacity(2 * images.len());
@@ -318,8 +318,8 @@ impl Surroundings {
         }
     }
 
-    /// Names of the walls or pieces of furniture on whose surface a point lies: several at an edge. For a point beside a face,
-    /// in its plane, the name of that face: a path may be diffracted there.
+    /// Names of the walls or pieces of furniture on whose surface a point lies: several at an edge. For a point beside
+    /// a face, in its plane, the name of that face: a path may be diffracted there.
     pub fn surface_names(&self, point: DVec3) -> Vec<&str> {
         match self {
             Surroundings::Box(room) => {

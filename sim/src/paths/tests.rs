@@ -114,7 +114,8 @@ fn around_a_corner_only_reflected_paths_arrive() {
     // The straight segment passes 28 cm behind the corner.
     let straight = paths.illuminate(&isotropic(antenna), 0, point);
     assert!(straight.field.magnitude() < 10f64.powf(-30.0 / 20.0));
-    // One path is by the wall x = 8, with the image of the antenna at x = 15; the other is by that wall and the wall y = 0.
+    // One path is by the wall x = 8, with the image of the antenna at x = 15; the other is by that wall and the wall y
+    // = 0.
     for (length_m, reflections) in [(8f64.hypot(2.4), 1), (8f64.hypot(3.0), 2)] {
         let field = field_by_length(&paths, antenna, point, length_m);
         assert!(field > 10f64.powf(-15.0 * f64::from(reflections) / 20.0), "{length_m} m: {field}");
@@ -220,8 +221,8 @@ fn on_either_side(offset_m: f64, along_m: f64) -> (f64, [Complex64; 2]) {
     (nu, [half_plane(-nu), half_plane(nu)])
 }
 
-/// Where the material of a mirror changes, the field changes from that of one wall to that of the other as fields beside
-/// half-planes do. Regression test: it had a step there.
+/// Where the material of a mirror changes, the field changes from that of one wall to that of the other as fields
+/// beside half-planes do. Regression test: it had a step there.
 #[test]
 fn a_mirror_of_two_walls_has_no_step_at_their_seam() {
     let walls = [Wall::Conductor, slab(0)];
@@ -255,8 +256,8 @@ fn glass() -> Wall {
     Wall::Slab { permittivity: Complex64::new(6.31, -0.26), thickness_m: 0.006 }
 }
 
-/// Behind a pane beside metal, and behind two panes, the field is the sum of what each transmits, as beside half-planes.
-/// Regression test: behind metal it was zero right up to the pane.
+/// Behind a pane beside metal, and behind two panes, the field is the sum of what each transmits, as beside
+/// half-planes. Regression test: behind metal it was zero right up to the pane.
 #[test]
 fn a_wall_of_two_materials_transmits_without_a_step() {
     let part = |from: f64, to: f64, wall: Wall| sheet(DVec2::new(0.0, from), DVec2::new(0.0, to), 3.0, wall);
@@ -307,8 +308,8 @@ fn a_hinge_gives_no_step() {
     assert!(least < 0.25 && most > 0.4, "{least} {most}");
 }
 
-/// Beside a box that transmits, such as a wooden cupboard, behind its side and behind its back there are no steps. Regression
-/// test: behind a corner the field had a step of what the side transmits.
+/// Beside a box that transmits, such as a wooden cupboard, behind its side and behind its back there are no steps.
+/// Regression test: behind a corner the field had a step of what the side transmits.
 ///
 /// In the plane of the side, y = 0.3, a step remains. The field that passes the front corner grazes the side there and
 /// passes the back corner, and successive edges are not solved together.

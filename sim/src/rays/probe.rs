@@ -39,8 +39,8 @@ pub(super) struct Probe {
 }
 
 impl Probe {
-    /// Makes a probe that begins at a distance along a ray; `None` for a ray without a finite origin or direction, which
-    /// hits nothing.
+    /// Makes a probe that begins at a distance along a ray; `None` for a ray without a finite origin or direction,
+    /// which hits nothing.
     #[inline(always)]
     pub fn new(ray: &Ray, start: f64) -> Option<Self> {
         let nearest_m = if start > 0.0 { 0.0 } else { ray.nearest_m() };
@@ -72,9 +72,9 @@ impl Probe {
         })
     }
 
-    /// Returns whether an intersection nearer to the origin than f32 resolves is real. A ray from a point in the air has
-    /// no such intersections. A ray that leaves a surface has one if the triangle faces it, which f64 decides. Such a
-    /// triangle is the other wall of a corner, and not the back of a neighbour that rounding moved before the origin.
+    /// Returns whether an intersection nearer to the origin than f32 resolves is real. A ray from a point in the air
+    /// has no such intersections. A ray that leaves a surface has one if the triangle faces it, which f64 decides. Such
+    /// a triangle is the other wall of a corner, and not the back of a neighbour behind which rounding put the origin.
     #[cold]
     pub fn is_real_near_hit(&self, corners: Option<[DVec3; 3]>) -> bool {
         let Some([a, b, c]) = corners.filter(|_| self.is_from_surface) else { return false };

@@ -15,8 +15,8 @@ pub struct Ray {
     /// surface: 10 um beside it would be 0.025 rad at 60 GHz.
     pub end_groups: [Option<u32>; 2],
     /// Unit normal of the surface on which the ray begins, on the side to which the ray goes; zero for a point in the
-    /// air. It keeps the f32 rounding of the origin on this side. An origin rounded below a floor would let a grazing ray
-    /// pass below the wall.
+    /// air. It keeps the f32 rounding of the origin on this side. An origin rounded below a floor would let a grazing
+    /// ray pass below the wall.
     pub side_normal: DVec3,
 }
 
@@ -66,8 +66,8 @@ impl Ray {
         self.origin + self.direction * distance_m
     }
 
-    /// Distance from the origin that f32 cannot resolve, m. A ray from a point in the air hits nothing nearer. A ray that
-    /// leaves a surface hits only facing triangles there.
+    /// Distance from the origin that f32 cannot resolve, m. A ray from a point in the air hits nothing nearer. A ray
+    /// that leaves a surface hits only facing triangles there.
     pub fn nearest_m(&self) -> f64 {
         4e-6 * (1.0 + self.origin.abs().max_element())
     }

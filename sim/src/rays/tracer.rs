@@ -127,8 +127,8 @@ impl RayTracer {
         all.iter().map(|found| hit(found, probe.start)).collect()
     }
 
-    /// Converts a ray to f32 ([`Probe::new`]). The probe of a ray from far away begins a metre before the mesh, where f32
-    /// still resolves small distances.
+    /// Converts a ray to f32 ([`Probe::new`]). The probe of a ray from far away begins a metre before the mesh, where
+    /// f32 still resolves small distances.
     #[inline(always)]
     fn probe(&self, ray: &Ray) -> Option<Probe> {
         let is_far = ray.origin.abs().max_element() > largest_origin_m(self.scale_m);
@@ -143,8 +143,8 @@ impl RayTracer {
         if start.is_finite() { start.max(0.0) } else { 0.0 }
     }
 
-    /// Visits all triangles whose boxes a probe crosses up to its end. The visitor takes the leaf and the end, and returns
-    /// the new end; a negative number ends the visit.
+    /// Visits all triangles whose boxes a probe crosses up to its end. The visitor takes the leaf and the end, and
+    /// returns the new end; a negative number ends the visit.
     #[inline(always)]
     fn visit(&self, probe: &Probe, mut visitor: impl FnMut(usize, f32) -> f32) {
         let mut farthest = probe.farthest;
@@ -243,8 +243,8 @@ fn corners_of(mesh: &Mesh, triangle: u32) -> Corners {
     })
 }
 
-/// Largest coordinate of a ray's origin from which its probe begins there, m. `scale_m` is the largest coordinate of the
-/// mesh.
+/// Largest coordinate of a ray's origin from which its probe begins there, m. `scale_m` is the largest coordinate of
+/// the mesh.
 fn largest_origin_m(scale_m: f64) -> f64 {
     8.0 + 2.0 * scale_m
 }

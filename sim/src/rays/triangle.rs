@@ -90,9 +90,9 @@ impl Shear {
 
 /// Weights of the corners in f64, where in f32 no two differ in sign and some are zero; `None` for a miss.
 ///
-/// Products of two f32 are exact in f64, and their difference has the right sign. Where that is zero too, the ray hits the
-/// edge itself. The ray is then treated as passing at (h, h^2), h infinitesimal: `h (Qy - Py) + h^2 (Px - Qx)` changes sign
-/// with the edge's direction.
+/// Products of two f32 are exact in f64, and their difference has the right sign. Where that is zero too, the ray hits
+/// the edge itself. The ray is then treated as passing at (h, h^2), h infinitesimal: `h (Qy - Py) + h^2 (Px - Qx)`
+/// changes sign with the edge's direction.
 #[cold]
 fn exact_weights(x: Vec3A, y: Vec3A) -> Option<Vec3A> {
     let (x, y) = (x.as_dvec3(), y.as_dvec3());

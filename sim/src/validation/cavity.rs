@@ -2,8 +2,8 @@
 //!
 //! The wave enters through the aperture as if there were no rim (Kirchhoff), which excites the modes of the guide. Each
 //! mode that propagates travels to the conducting end and back, and its aperture field radiates. This is the reference
-//! of Ling, Chou and Lee, "Shooting and bouncing rays: calculating the RCS of an arbitrarily shaped cavity", IEEE Trans.
-//! Antennas Propag. 37 (2), 1989. Fields on the outside of the walls are not included.
+//! of Ling, Chou and Lee, "Shooting and bouncing rays: calculating the RCS of an arbitrarily shaped cavity", IEEE
+//! Trans. Antennas Propag. 37 (2), 1989. Fields on the outside of the walls are not included.
 
 use std::f64::consts::{PI, TAU};
 

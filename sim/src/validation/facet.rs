@@ -35,13 +35,13 @@ pub struct Integral {
     pub value: Complex64,
     /// Number of facets that were evaluated.
     pub facets: usize,
-    /// Largest phase deviation of an edge that was not cut, rad. It is less than the tolerance. A finer tolerance above it
-    /// would not change the result.
+    /// Largest phase deviation of an edge that was not cut, rad. It is less than the tolerance. A finer tolerance above
+    /// it would not change the result.
     pub deviation_rad: f64,
 }
 
-/// Largest number of times that an edge is halved: to a millionth part. Facets under a near radar are that much smaller than
-/// a plate.
+/// Largest number of times that an edge is halved: to a millionth part. Facets under a near radar are that much smaller
+/// than a plate.
 const MAX_DEPTH: u32 = 20;
 /// Least slope of the phase anywhere on an edge, rad over its length, beyond which the facet's contribution is far from
 /// stationary. Its phase deviation then matters less, by the square of the ratio.
@@ -105,8 +105,8 @@ impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
         let corner = Corner { point, normal, sample: (self.sample)(point, normal) };
         let k = self.accuracy.wavenumber_per_m;
         let deviation = k * (corner.sample.length_m - 0.5 * (a.sample.length_m + b.sample.length_m));
-        // The difference between the ends does not suffice. It is large for an edge that leads from the stationary point far
-        // away, but most of that edge's contribution comes from its beginning.
+        // The difference between the ends does not suffice. It is large for an edge that leads from the stationary
+        // point far away, but most of that edge's contribution comes from its beginning.
         let edge = b.point - a.point;
         let slopes_m = [a.slope_m(edge), b.slope_m(edge), b.sample.length_m - a.sample.length_m];
         let has_one_sign = slopes_m.iter().all(|slope| *slope > 0.0) || slopes_m.iter().all(|slope| *slope < 0.0);
@@ -140,8 +140,8 @@ impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
         }
     }
 
-    /// Integrates a facet that is not cut further, as four triangles between its corners and the middles of its edges. All
-    /// samples are already known.
+    /// Integrates a facet that is not cut further, as four triangles between its corners and the middles of its edges.
+    /// All samples are already known.
     fn leaf(&mut self, [a, b, c]: [&Corner; 3], [ab, bc, ca]: [&Corner; 3]) {
         let at_corners = a.sample.length_m + b.sample.length_m + c.sample.length_m;
         let at_middles = ab.sample.length_m + bc.sample.length_m + ca.sample.length_m;

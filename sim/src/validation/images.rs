@@ -3,14 +3,14 @@
 //!
 //! The facets, the possible sequences, and the fields after reflections are computed as in scenes ([`crate::paths`]).
 //! The part of the last facet that a sequence illuminates is a polygon: the facet clipped by the (mirrored) facets
-//! before it, as seen from the last image. Currents are excited by each field of geometrical optics once. The sequences 1-2
-//! and 2-1 of a dihedral are two integrals, and fields scattered by physical optics are not reflected again.
+//! before it, as seen from the last image. Currents are excited by each field of geometrical optics once. The sequences
+//! 1-2 and 2-1 of a dihedral are two integrals, and fields scattered by physical optics are not reflected again.
 //!
 //! Currents radiate to both sides of a facet. Behind it they extinguish the wave that the facet intercepts, so that the
-//! facet hides objects behind it from the receiver. It does not hide other facets from the transmitter. Only facets that
-//! face away, or lie outside the view through the aperture if there is one, are not illuminated. The method therefore suits
-//! corners and cavities, and not rooms with furniture. Every sequence is tried, because the rays that find sequences in
-//! scenes are traced in single precision, from near antennas.
+//! facet hides objects behind it from the receiver. It does not hide other facets from the transmitter. Only facets
+//! that face away, or lie outside the view through the aperture if there is one, are not illuminated. The method
+//! therefore suits corners and cavities, and not rooms with furniture. Every sequence is tried, because the rays that
+//! find sequences in scenes are traced in single precision, from near antennas.
 
 use glam::{DMat3, DVec3};
 
@@ -52,8 +52,8 @@ pub struct Sequence {
 
 impl Images {
     /// Makes facets from convex polygons of a material, counter-clockwise seen from the reflecting side, and every
-    /// illuminated sequence of at most `max_bounces` facets. If there is an `aperture`, a convex polygon, the wave reaches
-    /// facets only through it.
+    /// illuminated sequence of at most `max_bounces` facets. If there is an `aperture`, a convex polygon, the wave
+    /// reaches facets only through it.
     ///
     /// # Errors
     /// If a face is not a plane polygon, or the environment of scenes refuses the faces.
@@ -280,8 +280,8 @@ mod hard_cases {
         }
     }
 
-    /// The visible part is twice as wide as the window at twice its distance from a near endpoint, and as wide as the window
-    /// for a far endpoint.
+    /// The visible part is twice as wide as the window at twice its distance from a near endpoint, and as wide as the
+    /// window for a far endpoint.
     #[test]
     fn windows_clip_to_the_right_size() {
         let square = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];

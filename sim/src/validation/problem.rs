@@ -30,9 +30,9 @@ const MOST_BOUNCES: usize = 3;
 const FAR: f64 = 1e7;
 /// Sines of the angles from the specular point up to which a skin counts fully and beyond which it would not count.
 ///
-/// A single body must be more accurate than people ([`IntegrationSettings::for_tolerance`]), so that its window is wider.
-/// Where the radius of curvature is a few wavelengths, the first Fresnel zone ends at such angles. Without contributions
-/// from 0.97 on, the end of a limb is 0.26 dB too weak.
+/// A single body must be more accurate than people ([`IntegrationSettings::for_tolerance`]), so that its window is
+/// wider. Where the radius of curvature is a few wavelengths, the first Fresnel zone ends at such angles. Without
+/// contributions from 0.97 on, the end of a limb is 0.26 dB too weak.
 const WINDOW: [f64; 2] = [0.5, 1.2];
 /// Factor on the ease of its quadrature rules, which makes them more exact.
 const EASE: f32 = 0.5;
@@ -40,8 +40,8 @@ const EASE: f32 = 0.5;
 const CONDUCTOR: Complex64 = Complex64::new(1.0, -1e12);
 /// Largest number of times that facets are halved to meet a tolerance.
 const ROUNDS: usize = 7;
-/// Number of facets from which on an integral that has an error estimate is not repeated with finer ones. They take about a
-/// second.
+/// Number of facets from which on an integral that has an error estimate is not repeated with finer ones. They take
+/// about a second.
 const MANY_FACETS: usize = 10_000_000;
 
 /// Target prepared for one method.
@@ -173,8 +173,8 @@ impl Problem {
         facet::integrate(surface, accuracy, |p, n| self.radar.sample(p, n, surface.two_sided, &boundary, k))
     }
 
-    /// Computes finer integrals until the result changes by no more than the tolerance, or until there is no finer one. The
-    /// last change is the error estimate.
+    /// Computes finer integrals until the result changes by no more than the tolerance, or until there is no finer one.
+    /// The last change is the error estimate.
     fn converged(
         &self,
         tolerance_db: f64,

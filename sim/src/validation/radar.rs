@@ -48,8 +48,9 @@ impl Radar {
         self.scattered(point, normal, outward, launched, boundary, wavenumber_per_m)
     }
 
-    /// Integrand at a surface point to which the wave of the radar, or of its image, travels by the leg `outward`. `arriving` is
-    /// the field that arrives there in a direction. Currents also radiate behind the surface, where they extinguish the wave.
+    /// Integrand at a surface point to which the wave of the radar, or of its image, travels by the leg `outward`.
+    /// `arriving` is the field that arrives there in a direction. Currents also radiate behind the surface, where they
+    /// extinguish the wave.
     pub fn scattered(
         &self,
         point: DVec3,
