@@ -1,5 +1,7 @@
-//! Kernels on rows of sixteen numbers. The loops over lanes are plain Rust and are compiled once for each instruction
-//! set ([`compiled_for_levels`]). Multiply and add are never fused, so every level computes the same bits.
+//! Kernels on rows of sixteen numbers in single precision, or eight in double precision.
+//!
+//! The loops over lanes are plain Rust and are compiled once for each instruction set ([`compiled_for_levels`]).
+//! Multiply and add are never fused, so every level computes the same bits.
 
 pub mod vector;
 
@@ -21,10 +23,11 @@ pub type WideRow = [f64; WIDE];
 /// A vector in double precision in every lane: `[axis][lane]`.
 pub type WideRow3 = [WideRow; 3];
 
-/// Defines a function whose body is another function, an `#[inline(always)]` one. It is compiled for the instruction
-/// level that its first argument names, which the processor must have. A [`radome_dsp::KernelLevel`] may name any level,
-/// and calls are too many to check each: so functions of this macro are never public, and this crate takes levels from
-/// `KernelLevel::detect`.
+/// Defines a function that is compiled once for each instruction level. Its body is another function, which must be
+/// `#[inline(always)]`. The first argument selects the level, and the processor must support it.
+///
+/// A [`radome_dsp::KernelLevel`] may name any level, and a check in every call would cost too much. Therefore functions
+/// of this macro are never public, and this crate takes levels from `KernelLevel::detect`.
 macro_rules! compiled_for_levels {
     ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)? = $body:path;) => {
         $(#[$doc])*
@@ -58,7 +61,8 @@ macro_rules! compiled_for_levels {
 }
 pub(crate) use compiled_for_levels;
 
-/// Cosine and sine of an angle in turns, to three millionths: best polynomials for the half angle, then angle doubling.
+/// Cosine and sine of an angle in turns, with an error below 3e-6. Best polynomials give those of the half angle, which
+/// is then doubled.
 #[inline(always)]
 pub fn cos_sin_of_turns(turns: f32) -> (f32, f32) {
     /// 1.5 times 2^23: adding it leaves the nearest integer in a number's last bits.
@@ -107,15 +111,15 @@ pub fn exp(x: f64) -> f64 {
 
 /// The vector of one lane, in double precision.
 #[inline(always)]
-pub fn wide_lane(of: &WideRow3, l: usize) -> [f64; 3] {
-    [of[0][l], of[1][l], of[2][l]]
+pub fn wide_lane(rows: &WideRow3, l: usize) -> [f64; 3] {
+    [rows[0][l], rows[1][l], rows[2][l]]
 }
 
 /// The vector of one lane.
 #[inline(always)]
-pub fn lane(of: &Row3, l: usize) -> [f32; 3] {
+pub fn lane(rows: &Row3, l: usize) -> [f32; 3] {
     // The elements are written out, as in all kernels: the compiler does not always inline `map` over an array.
-    [of[0][l], of[1][l], of[2][l]]
+    [rows[0][l], rows[1][l], rows[2][l]]
 }
 
 /// Dot product in every lane.
@@ -135,10 +139,10 @@ pub(crate) mod tests {
     use super::*;
 
     /// Asserts that a function gives the same with every instruction set of this processor.
-    pub(crate) fn assert_same_at_every_level<T: PartialEq>(of: impl Fn(KernelLevel) -> T) {
-        let portable = of(KernelLevel::Portable);
+    pub(crate) fn assert_same_at_every_level<T: PartialEq>(compute: impl Fn(KernelLevel) -> T) {
+        let portable = compute(KernelLevel::Portable);
         for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
-            assert!(of(level) == portable, "{level}");
+            assert!(compute(level) == portable, "{level}");
         }
     }
 

@@ -7,13 +7,13 @@ use serde::Deserialize;
 /// Name of the material of an absent surface.
 pub(super) const OPEN: &str = "open";
 
-/// Makes [`Material`] from the rows of a table: variant, name in scene files, frequency band in which the constants
-/// hold (GHz), coefficients `[a, b, c, d]` (`None` for a material that is not a dielectric).
+/// Defines [`Material`] by the rows of a table. A row has the variant, the name in scene files, the frequency band in
+/// which the constants hold (GHz), and coefficients `[a, b, c, d]` (`None` for a material that is not a dielectric).
 macro_rules! materials {
     ($($variant:ident, $name:literal, $band_ghz:expr, $coefficients:expr;)*) => {
         /// Building material with constants of the recommendation's table 3, or a metal.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-        #[allow(missing_docs, reason = "the table says what each one is")]
+        #[allow(missing_docs, reason = "the table below names each material")]
         pub enum Material {
             $($variant,)*
         }
@@ -79,6 +79,7 @@ impl OwnMaterial {
     }
 }
 
+/// Permittivity `eps' - j eps''` by the recommendation's coefficients.
 fn p2040([a, b, c, d]: [f64; 4], frequency_hz: f64) -> Complex64 {
     let ghz = frequency_hz * 1e-9;
     Complex64::new(a * ghz.powf(b), -17.98 * c * ghz.powf(d) / ghz)

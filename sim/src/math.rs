@@ -33,8 +33,8 @@ pub fn quintic([y0, v0, w0]: [f64; 3], [y1, v1, w1]: [f64; 3]) -> [f64; 6] {
     [y0, v0, 0.5 * w0, 10.0 * y - 4.0 * v + 0.5 * w, -15.0 * y + 7.0 * v - w, 6.0 * y - 3.0 * v + 0.5 * w]
 }
 
-/// Magnitude of a number whose square neither overflows nor underflows. [`Complex64::norm`] takes several times as long,
-/// because it serves all numbers.
+/// Magnitude of a number whose square neither overflows nor underflows. [`Complex64::norm`] has no such restriction,
+/// but takes several times as long.
 pub fn magnitude(z: Complex64) -> f64 {
     z.norm_sqr().sqrt()
 }
@@ -53,31 +53,31 @@ pub fn median(mut values: Vec<f64>) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// Neighbours of a position, 0 to 1, among evenly spaced values, and the part of the way from the first to the second;
-/// `None` for an empty list.
-pub fn neighbours<T>(values: &[T], at: f64) -> Option<(&T, &T, f64)> {
-    let place = at.clamp(0.0, 1.0) * values.len().saturating_sub(1) as f64;
-    let whole = place as usize;
-    let here = values.get(whole)?;
-    Some((here, values.get(whole + 1).unwrap_or(here), place - whole as f64))
+/// Values below and above a position from 0 to 1 among evenly spaced values, and the fraction of the interval between
+/// them; `None` for an empty list.
+pub fn neighbours<T>(values: &[T], position: f64) -> Option<(&T, &T, f64)> {
+    let position = position.clamp(0.0, 1.0) * values.len().saturating_sub(1) as f64;
+    let index = position as usize;
+    let below = values.get(index)?;
+    Some((below, values.get(index + 1).unwrap_or(below), position - index as f64))
 }
 
 /// Disjoint sets (union-find) of the numbers from 0. The lowest number of each set represents it.
-pub struct Sets(Vec<usize>);
+pub struct DisjointSets(Vec<usize>);
 
-impl Sets {
+impl DisjointSets {
     /// Creates one set for each of `count` numbers.
     pub fn new(count: usize) -> Self {
-        Sets((0..count).collect())
+        DisjointSets((0..count).collect())
     }
 
     /// Lowest number of the set that contains a number.
-    pub fn lowest(&mut self, mut of: usize) -> usize {
-        while self.0[of] != of {
-            self.0[of] = self.0[self.0[of]];
-            of = self.0[of];
+    pub fn lowest(&mut self, mut number: usize) -> usize {
+        while self.0[number] != number {
+            self.0[number] = self.0[self.0[number]];
+            number = self.0[number];
         }
-        of
+        number
     }
 
     /// Merges the sets that contain two numbers.
@@ -93,7 +93,8 @@ mod tests {
 
     #[test]
     fn values_are_interpolated_between_their_neighbours() {
-        let between = |values: &[f64], at: f64| neighbours(values, at).map(|(a, b, part)| a + (b - a) * part);
+        let between =
+            |values: &[f64], position: f64| neighbours(values, position).map(|(a, b, fraction)| a + (b - a) * fraction);
         assert_eq!(between(&[], 0.4), None);
         assert_eq!(between(&[0.3], 0.9), Some(0.3));
         assert_eq!(between(&[1.0, 0.0, 0.5], 0.75), Some(0.25));

@@ -20,7 +20,7 @@ use glam::DVec3;
 use radome_sim::em::image::{BoxRoom, Wall};
 use radome_sim::geometry::Mesh;
 use radome_sim::random::{Purpose, generator};
-use radome_sim::rays::{Ray, World};
+use radome_sim::rays::{Ray, RayTracer};
 use rand::Rng;
 
 use crate::common::WAVENUMBER;
@@ -34,7 +34,7 @@ fn lengths_from_what_was_met_are_exact() {
         let room = BoxRoom::new(size_m, [Wall::Conductor; 6], WAVENUMBER, false);
         let mesh = box_mesh(size_m);
         let groups: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
-        let world = World::new(mesh.clone(), &groups).expect("a good mesh");
+        let tracer = RayTracer::new(mesh.clone(), &groups).expect("a good mesh");
         let mut rng = generator(9, Purpose::Build, [0, 0]);
         let (mut of_ray, mut of_ids): (f64, f64) = (0.0, 0.0);
         for _ in 0..5000 {
@@ -43,7 +43,7 @@ fn lengths_from_what_was_met_are_exact() {
             for index in [[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]] {
                 let way = room.polyline(index, from, to);
                 let ray = Ray::new(from, way[1] - from);
-                let hit = world.closest(&ray).expect("the room is closed");
+                let hit = tracer.closest(&ray).expect("the room is closed");
                 let [corner, ..] = mesh.corners(hit.triangle as usize).expect("it was met");
                 let normal = mesh.area_vector(hit.triangle as usize).normalize();
                 let image = from - normal * (2.0 * normal.dot(from - corner));

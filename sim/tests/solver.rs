@@ -15,7 +15,7 @@ use radome_sim::paths::{Environment, Facet, ImagePaths};
 use radome_sim::validation::endpoint::Endpoint;
 use radome_sim::validation::facet::{self, Accuracy};
 use radome_sim::validation::radar::Radar;
-use radome_sim::validation::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, known, mie};
+use radome_sim::validation::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, mie, reference_value};
 
 use crate::common::{self, number, reference, reference_rows, vector};
 
@@ -42,7 +42,7 @@ fn solve(target: &Target, setup: &Setup, method: Method, edge_m: Option<f64>, to
 }
 
 fn known_db(target: &Target, setup: &Setup) -> f64 {
-    db(known(target, setup).expect("a closed form").sigma_m2)
+    db(reference_value(target, setup).expect("a closed form").sigma_m2)
 }
 
 /// Regression test: edges of one face took from the field on the way to the other, and parts of both were multiplied. Corners

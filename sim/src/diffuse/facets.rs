@@ -1,4 +1,4 @@
-//! Diffusely scattering walls of rooms of any shape: the facets that rays from the antenna meet.
+//! Diffusely scattering walls of rooms of any shape: the facets that reflect paths from the antenna.
 
 use glam::DVec3;
 use rand::Rng;
@@ -15,11 +15,11 @@ pub(super) struct FacetWalls<'a> {
 }
 
 impl<'a> FacetWalls<'a> {
-    /// Collects the facets of a room that rays met; the others contribute little.
+    /// Collects the facets of a room that reflect paths; the others contribute little.
     pub fn new(room: &'a PolygonRoom) -> Self {
         let mut triangles = Vec::new();
         let mut area_m2 = 0.0;
-        for &facet in room.met() {
+        for &facet in room.reached_facets() {
             for [a, b, c] in room.paths().environment().triangles(facet) {
                 area_m2 += 0.5 * (b - a).cross(c - a).length();
                 triangles.push((area_m2, facet, [a, b, c]));
@@ -61,7 +61,7 @@ impl Walls for FacetWalls<'_> {
     }
 
     fn seen(&self, antenna: DVec3, place: &WallPosition) -> f64 {
-        self.room.paths().straight([antenna, place.position + place.normal * BEFORE_M], [None; 2])
+        self.room.paths().field_on_segment([antenna, place.position + place.normal * BEFORE_M], [None; 2])
     }
 }
 

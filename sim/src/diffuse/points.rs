@@ -8,7 +8,7 @@ use rand::Rng;
 use rand::seq::SliceRandom;
 
 use super::{GOLDEN, LEAST_LEG_M};
-use crate::em::fresnel::Reflection;
+use crate::em::fresnel::Coefficients;
 use crate::em::image::{BoxRoom, Element, Wall};
 use crate::random::{Purpose, generator};
 use crate::tracks::RECEIVERS;
@@ -158,7 +158,7 @@ fn side_m2(room: &BoxRoom, wall: usize) -> f64 {
 }
 
 /// Returns the reflected power, averaged over both polarisations.
-pub(super) fn mean_power(reflection: Reflection) -> f64 {
+pub(super) fn mean_power(reflection: Coefficients) -> f64 {
     0.5 * (reflection.te.norm_sqr() + reflection.tm.norm_sqr())
 }
 

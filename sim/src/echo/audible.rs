@@ -327,7 +327,7 @@ fn left(
     if least > MOST_IN_SHADOW || !room.counts_in_shadow(index) {
         return 0.0;
     }
-    let in_shadow = |ellipsoid: &Ellipsoid| room.obstruction(index, antenna, facing(ellipsoid, source), None).left();
+    let in_shadow = |ellipsoid: &Ellipsoid| room.obstruction(index, antenna, facing(ellipsoid, source), None).bound();
     at.get(middle).map_or(0.0, |ellipsoid| MOVING * in_shadow(ellipsoid))
 }
 

@@ -157,7 +157,7 @@ fn audible(prepared: &PreparedScene, thinning: &Thinning, own: &[&Snapshot], str
     let middle = own.get(own.len() / 2).map_or(DVec3::ZERO, |now| chest(now));
     let seen = |point: &WallPoint| {
         let before = point.position + point.normal * BEFORE_M;
-        if prepared.room.straight(before, middle) > 0.5 { 1.0 } else { 0.0 }
+        if prepared.room.field_on_segment(before, middle) > 0.5 { 1.0 } else { 0.0 }
     };
     let near_points: Vec<f64> = points.iter().map(|point| near(point.position) * seen(point)).collect();
     let weight = (points.len() as f64).sqrt();

@@ -37,7 +37,7 @@ impl Leg {
 
     /// Computes the leg from an antenna.
     pub(super) fn from_antenna(prepared: &PreparedScene, lit: &Scatterer, antenna: &Element) -> Self {
-        let straight = prepared.room.straight(antenna.position, lit.centre);
+        let straight = prepared.room.field_on_segment(antenna.position, lit.centre);
         let sends = |direction: DVec3| antenna.pattern.field(antenna.radar_from_world * direction) * straight;
         Leg::new(lit, antenna.position, sends)
     }

@@ -83,7 +83,9 @@ pub(super) fn past_people(
             room.each_leg(image, antenna, point, |leg, from, to| weight *= others.past(leg == last, from, to));
             weight
         }
-        Surroundings::Polygons(room) => past_along(prepared, people, me, &room.way(image, antenna, point)),
+        Surroundings::Polygons(room) => {
+            past_along(prepared, people, me, &room.possible_polyline(image, antenna, point))
+        }
     }
 }
 
@@ -170,17 +172,17 @@ impl<'a> SharedWays<'a> {
             let mut beside = self.beside.borrow_mut();
             let beside = beside.get_mut(number * SEGMENTS + segment)?;
             let (obstruction, way) = if beside.arrives && !beside.edges.is_empty() {
-                (None, room.way(image, antenna, point))
+                (None, room.possible_polyline(image, antenna, point))
             } else {
                 let obstruction = room.obstruction(image, antenna, point, Some(&mut beside.edges));
-                beside.arrives = obstruction.left() > 0.0;
+                beside.arrives = obstruction.bound() > 0.0;
                 let way = room.paths().polyline_past(&obstruction, antenna, point);
                 (Some(obstruction), way)
             };
             let past_people = past_along(self.prepared, self.people, self.me, &way);
             *slot = Some(SharedWay { obstruction, past_people });
         }
-        slot.as_ref().filter(|way| way.obstruction.as_ref().is_none_or(|obstruction| obstruction.left() > 0.0))
+        slot.as_ref().filter(|way| way.obstruction.as_ref().is_none_or(|obstruction| obstruction.bound() > 0.0))
     }
 
     /// Returns the field of an element's image at a point of a segment.

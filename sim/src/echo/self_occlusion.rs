@@ -399,7 +399,7 @@ mod tests {
     use crate::people::motion::{MotionBuilder, Person};
     use crate::people::skin::EDGE_M;
     use crate::people::walking_mesh::WalkingMesh;
-    use crate::rays::{Ray, World};
+    use crate::rays::{Ray, RayTracer};
 
     const WAVELENGTH_M: f64 = 0.005;
 
@@ -418,7 +418,7 @@ mod tests {
             let posed = walker.posed(time_s);
             let mesh = walker.mesh_at(time_s);
             let groups: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
-            let world = World::new(mesh, &groups).expect("world");
+            let tracer = RayTracer::new(mesh, &groups).expect("tracer");
             let weights = weights(walker.skin(), &posed, antenna, WAVELENGTH_M, &all);
             let (mut shaded, mut wrong, mut facing) = (0, 0, 0);
             for ((weight, v), normal) in weights.iter().zip(&posed.vertices).zip(&posed.normals) {
@@ -426,7 +426,7 @@ mod tests {
                 if normal.dot(antenna - *v) <= 0.3 * depth_m {
                     continue;
                 }
-                let hit = world.closest(&Ray::between(antenna, *v));
+                let hit = tracer.closest(&Ray::between(antenna, *v));
                 let is_shaded = hit.is_some_and(|hit| hit.distance_m < depth_m - f64::from(BEHIND_M));
                 facing += 1;
                 shaded += i32::from(is_shaded);

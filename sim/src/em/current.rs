@@ -15,10 +15,12 @@ pub struct Arrival {
     pub direction: DVec3,
 }
 
-/// Evaluates physical optics at a point: half of `p . [eta (J - s (s . J)) + M x s]` with `J = n x (H_i + H_r)` and `M
-/// = -n x (E_i + E_r)`. The received field is `-jk/(2 pi)` times its integral over the surface (with spreading and
-/// phase). For a conductor in the monostatic case it is the cosine of the angle of incidence. `towards` is the unit
-/// vector from the surface to the receiving antenna, whose polarisation at the surface is complex behind a lossy wall.
+/// Integrand of physical optics at a point: half of `p . [eta (J - s (s . J)) + M x s]` with `J = n x (H_i + H_r)` and
+/// `M = -n x (E_i + E_r)`.
+///
+/// The received field is `-jk/(2 pi)` times the integral over the surface, with spreading and phase. For a conductor in
+/// the monostatic case, the integrand is the cosine of the angle of incidence. `towards` is the unit vector from the
+/// surface to the receiving antenna. The antenna's polarisation at the surface is complex behind a lossy wall.
 pub fn received(
     arrival: &Arrival,
     normal: DVec3,
@@ -37,7 +39,7 @@ pub fn received(
     let (reflected, outgoing) = boundary.reflect(arrival.field, arrival.direction, normal, wavenumber_per_m);
     let electric_current = (magnetic + reflected.crossed_by(outgoing)).crossed_by(normal);
     let magnetic_current = (arrival.field + reflected).crossed_by(normal);
-    // p . (M x s) = M . (s x p), and M has the minus.
+    // p . (M x s) = M . (s x p), and M has a negative sign.
     0.5 * (electric_current.received_by(p) - magnetic_current.received_by(p.crossed_by(s)))
 }
 

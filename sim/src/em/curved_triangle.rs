@@ -1,13 +1,13 @@
 //! Vectorised physical optics over curved triangles of a skin between two antennas. Each triangle contributes the
 //! strength of one path.
 //!
-//! The normals at the corners determine the bulge of a triangle (a quadratic patch). Edges are common with the
-//! neighbours', so that the surface has no gaps. The path over it is the parabola through its corners and the middles
-//! of its edges. The neglected part is of the third order in the triangle's size over its distance, micrometres. The
-//! integral is a sum over the nodes of a rule ([`super::quadrature`]). The phase span selects the rule: a span of a few
-//! radians takes a few nodes, whatever the curvature.
+//! The normals at the corners determine the bulge of a triangle (a quadratic patch). Neighbours have the same curved
+//! edge in common, so that the surface has no gaps. The path length over a triangle is the parabola through its values
+//! at the corners and in the middles of the edges. The neglected part is of third order in the triangle's size over its
+//! distance: micrometres. The integral is a sum over the nodes of a rule ([`super::quadrature`]). The phase span
+//! selects the rule: a span of a few radians takes a few nodes, whatever the curvature.
 //!
-//! All lengths are differences from the path by the triangle's middle, in a form without cancellation, so single
+//! All path lengths are relative to the path by the triangle's middle, in a form without cancellation, so that single
 //! precision suffices. A test compares `moments` with an integral in double precision.
 
 // Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
@@ -29,9 +29,10 @@ pub struct TriangleRows {
     /// Offset of the surface from the middles of the edges (first to second corner, second to third, third to first),
     /// m.
     pub bulges: [Row3; 3],
-    /// Half of the squared differences of unit normals along the edges. These, times both weights, are the relative
-    /// excess of the strength over linear interpolation, since interpolated normals are shorter than unit length.
-    pub turns: [Row; 3],
+    /// Half of the squared differences of unit normals along the edges. Interpolated normals are shorter than unit
+    /// length. These values, times the weights of both ends, are the relative excess of the strength over linear
+    /// interpolation.
+    pub normal_changes: [Row; 3],
 }
 
 /// Antenna seen from the middles of triangles.
@@ -43,16 +44,17 @@ pub struct ViewRows {
     pub distances_m: [f64; LANES],
     /// Inverse lengths, 1/m.
     pub inverse_m: Row,
-    /// Excess length of the path to each of the [`SIX`], wavelengths.
-    longer: [Row; 6],
+    /// Excess length of the path to each of the [`SIX_POINTS`] over that to the middle, wavelengths.
+    excess: [Row; 6],
 }
 
 /// Barycentric coordinates of the corners, then of the middles of the edges in the order of the bulges.
-const SIX: [[f32; 3]; 6] =
+const SIX_POINTS: [[f32; 3]; 6] =
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]];
 
 /// Number of groups of lanes, each integrated by its own rule.
 pub const HALVES: usize = 2;
+/// Number of lanes in a group.
 const HALF: usize = LANES / HALVES;
 
 /// Nodes of a rule on the triangles of half of the lanes; empty where these need no integral.
@@ -61,10 +63,11 @@ pub struct Nodes {
     all: Vec<Node>,
 }
 
+/// Node of a rule on the triangles of half of the lanes.
 #[derive(Debug, Clone, Copy)]
 struct Node {
-    /// Barycentric coordinates of the second and third corner.
-    corners: [f32; 2],
+    /// Weights (barycentric coordinates) of the second and third corner.
+    weights: [f32; 2],
     /// Area that the node represents, m^2.
     area: [f32; HALF],
 }
@@ -104,8 +107,12 @@ impl TriangleRows {
     /// Builds the rows from corners, unit normals there and bulges.
     #[inline(always)]
     pub fn new(corners: &[Row3; 3], normals: &[Row3; 3], bulges: &[Row3; 3]) -> Self {
-        let mut rows =
-            TriangleRows { middles: Default::default(), corners: *corners, bulges: *bulges, turns: Default::default() };
+        let mut rows = TriangleRows {
+            middles: Default::default(),
+            corners: *corners,
+            bulges: *bulges,
+            normal_changes: Default::default(),
+        };
         for axis in 0..3 {
             for l in 0..LANES {
                 let middle = (corners[0][axis][l] + corners[1][axis][l] + corners[2][axis][l]) * (1.0 / 3.0);
@@ -115,11 +122,11 @@ impl TriangleRows {
                 rows.corners[2][axis][l] -= middle;
             }
         }
-        for (turn, (a, b)) in rows.turns.iter_mut().zip([(0, 1), (1, 2), (2, 0)]) {
+        for (change, (a, b)) in rows.normal_changes.iter_mut().zip([(0, 1), (1, 2), (2, 0)]) {
             let (a, b) = (&normals[a], &normals[b]);
             for l in 0..LANES {
                 let (x, y, z) = (a[0][l] - b[0][l], a[1][l] - b[1][l], a[2][l] - b[2][l]);
-                turn[l] = 0.5 * (x * x + y * y + z * z);
+                change[l] = 0.5 * (x * x + y * y + z * z);
             }
         }
         rows
@@ -132,19 +139,19 @@ impl TriangleRows {
 
     /// Returns a point by its barycentric coordinates, relative to the middle, m.
     #[inline(always)]
-    fn place(&self, [a, b, c]: [f32; 3], l: usize) -> [f32; 3] {
+    fn point(&self, [a, b, c]: [f32; 3], l: usize) -> [f32; 3] {
         let (corners, bulges) = (&self.corners, &self.bulges);
-        let mut place = [0.0; 3];
+        let mut point = [0.0; 3];
         for axis in 0..3 {
             let flat = a * corners[0][axis][l] + b * corners[1][axis][l] + c * corners[2][axis][l];
             let bulge = (a * b) * bulges[0][axis][l] + (b * c) * bulges[1][axis][l] + (c * a) * bulges[2][axis][l];
-            place[axis] = flat + 4.0 * bulge;
+            point[axis] = flat + 4.0 * bulge;
         }
-        place
+        point
     }
 
-    /// Returns the derivatives of a point by the weights of the second and of the third corner: their values at the
-    /// first corner, and their slopes by both weights.
+    /// Returns the derivatives of a point by the weights of the second and of the third corner. Each has its value at
+    /// the first corner, and its slopes by both weights.
     #[inline(always)]
     fn tangents(&self) -> [[Row3; 3]; 2] {
         let (corners, bulges) = (&self.corners, &self.bulges);
@@ -188,7 +195,7 @@ impl ViewRows {
     pub fn new(antenna: DVec3, origin: DVec3, triangles: &TriangleRows, wavelength_m: f64) -> Self {
         let zero = [0.0; LANES];
         let start = (origin - antenna).to_array();
-        let mut view = ViewRows { offsets: [zero; 3], distances_m: [0.0; LANES], inverse_m: zero, longer: [zero; 6] };
+        let mut view = ViewRows { offsets: [zero; 3], distances_m: [0.0; LANES], inverse_m: zero, excess: [zero; 6] };
         let per_wavelength = 1.0 / wavelength_m;
         let mut wavelengths = zero;
         for l in 0..LANES {
@@ -200,14 +207,14 @@ impl ViewRows {
             view.inverse_m[l] = (1.0 / distance) as f32;
             wavelengths[l] = (distance * per_wavelength) as f32;
         }
-        for (weights, longer) in SIX.into_iter().zip(&mut view.longer) {
+        for (weights, excess) in SIX_POINTS.into_iter().zip(&mut view.excess) {
             for l in 0..LANES {
-                let [x, y, z] = triangles.place(weights, l);
+                let [x, y, z] = triangles.point(weights, l);
                 let along = x * view.offsets[0][l] + y * view.offsets[1][l] + z * view.offsets[2][l];
                 // `D (sqrt(1 + e) - 1)` with `e = (|d|^2 + 2 d.offset) / D^2`, without cancellation for small `e`.
                 let inverse2 = view.inverse_m[l] * view.inverse_m[l];
                 let e = ((x * x + y * y + z * z) + 2.0 * along) * inverse2;
-                longer[l] = wavelengths[l] * e / (1.0 + (1.0 + e).max(0.0).sqrt());
+                excess[l] = wavelengths[l] * e / (1.0 + (1.0 + e).max(0.0).sqrt());
             }
         }
         view
@@ -238,6 +245,7 @@ fn bulges_body(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] {
 }
 
 compiled_for_levels! {
+    /// Builds the rows of triangles ([`TriangleRows::new`]).
     pub(crate) fn triangle_rows(
         corners: &[Row3; 3],
         normals: &[Row3; 3],
@@ -272,10 +280,10 @@ fn nodes_body(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Node
         }
     }
     let [second, third] = &tangents;
-    let turns =
-        [half_of(&triangles.turns[0], half), half_of(&triangles.turns[1], half), half_of(&triangles.turns[2], half)];
-    for &([a, b, c], part) in &rule.places {
-        let mut node = Node { corners: [b, c], area: [0.0; HALF] };
+    let [ab, bc, ca] = &triangles.normal_changes;
+    let changes = [half_of(ab, half), half_of(bc, half), half_of(ca, half)];
+    for &([a, b, c], weight) in &rule.nodes {
+        let mut node = Node { weights: [b, c], area: [0.0; HALF] };
         for l in 0..HALF {
             let (mut u, mut v) = ([0f32; 3], [0f32; 3]);
             for axis in 0..3 {
@@ -283,8 +291,8 @@ fn nodes_body(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Node
                 v[axis] = third[0][axis][l] + b * third[1][axis][l] + c * third[2][axis][l];
             }
             let (x, y, z) = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
-            let above = 1.0 + turns[0][l] * (a * b) + turns[1][l] * (b * c) + turns[2][l] * (c * a);
-            node.area[l] = (0.5 * part) * (x * x + y * y + z * z).sqrt() * above;
+            let strength = 1.0 + changes[0][l] * (a * b) + changes[1][l] * (b * c) + changes[2][l] * (c * a);
+            node.area[l] = (0.5 * weight) * (x * x + y * y + z * z).sqrt() * strength;
         }
         out.all.push(node);
     }
@@ -301,8 +309,8 @@ fn spans_body(views: [&ViewRows; 2]) -> Row {
     for (l, span) in spans.iter_mut().enumerate() {
         let (mut least, mut most) = (f32::INFINITY, f32::NEG_INFINITY);
         for i in 0..6 {
-            let longer = views[0].longer[i][l] + views[1].longer[i][l];
-            (least, most) = (least.min(longer), most.max(longer));
+            let excess = views[0].excess[i][l] + views[1].excess[i][l];
+            (least, most) = (least.min(excess), most.max(excess));
         }
         *span = std::f32::consts::TAU * (most - least);
     }
@@ -333,10 +341,10 @@ fn moments_body(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows {
 /// Computes moments of one half of the lanes: real parts, then imaginary ones.
 #[inline(always)]
 fn half_moments(nodes: &Nodes, half: usize, views: [&ViewRows; 2]) -> [[f32; HALF]; 6] {
-    // Path parabola by powers of the weights of the second and third corner: 1, b, c, b b, b c, c c.
+    // Phase parabola, turns, by powers of the weights of the second and third corner: 1, b, c, b b, b c, c c.
     let mut turns = [[0f32; HALF]; 6];
-    let [p, q, r, pq, qr, rp] = &views[0].longer;
-    let [p2, q2, r2, pq2, qr2, rp2] = &views[1].longer;
+    let [p, q, r, pq, qr, rp] = &views[0].excess;
+    let [p2, q2, r2, pq2, qr2, rp2] = &views[1].excess;
     let (p, q, r) = (half_of(p, half), half_of(q, half), half_of(r, half));
     let (p2, q2, r2) = (half_of(p2, half), half_of(q2, half), half_of(r2, half));
     let (pq, qr, rp) = (half_of(pq, half), half_of(qr, half), half_of(rp, half));
@@ -351,11 +359,11 @@ fn half_moments(nodes: &Nodes, half: usize, views: [&ViewRows; 2]) -> [[f32; HAL
         turns[4][l] = 4.0 * ((pq + rp) - (p + qr));
         turns[5][l] = 4.0 * rp - 2.0 * (p + r);
     }
-    // Sums of the field, and of the field times the weights of the second and third corner. The first corner has the
-    // rest.
+    // Sums of the field, and of the field times the weights of the second and third corner. The moment of the first
+    // corner is the rest.
     let (mut re, mut im) = ([[0f32; HALF]; 3], [[0f32; HALF]; 3]);
     for node in &nodes.all {
-        let [b, c] = node.corners;
+        let [b, c] = node.weights;
         for l in 0..HALF {
             let along = turns[1][l] + (b * turns[3][l] + c * turns[4][l]);
             let turn = turns[0][l] + (b * along + c * (turns[2][l] + c * turns[5][l]));
@@ -414,26 +422,26 @@ mod tests {
         let CurvedTriangle { corners, normals, bulges } = triangle;
         let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
         let length = |p: DVec3| antennas.iter().map(|a| a.distance(p)).sum::<f64>();
-        let start = length(middle);
-        let turns = [0, 1, 2].map(|i| 0.5 * normals[i].distance_squared(normals[(i + 1) % 3]));
+        let middle_length = length(middle);
+        let changes = [0, 1, 2].map(|i| 0.5 * normals[i].distance_squared(normals[(i + 1) % 3]));
         let node = |i: usize, j: usize| {
             let [a, b, c] = [n - i - j, j, i].map(|w| w as f64 / n as f64);
-            let place = corners[0] * a
+            let point = corners[0] * a
                 + corners[1] * b
                 + corners[2] * c
                 + 4.0 * (bulges[0] * (a * b) + bulges[1] * (b * c) + bulges[2] * (c * a));
-            let above = 1.0 + turns[0] * (a * b) + turns[1] * (b * c) + turns[2] * (c * a);
-            (place, [a, b, c], above)
+            let strength = 1.0 + changes[0] * (a * b) + changes[1] * (b * c) + changes[2] * (c * a);
+            (point, [a, b, c], strength)
         };
         let mut sums = [Complex64::ZERO; 3];
         let mut add = |nodes: [(DVec3, [f64; 3], f64); 3]| {
-            let [p, q, r] = nodes.map(|(place, ..)| place);
+            let [p, q, r] = nodes.map(|(point, ..)| point);
             let twice_area = (q - p).cross(r - p).length();
-            let phases = nodes.map(|(place, ..)| -wavenumber_per_m * (length(place) - start));
+            let phases = nodes.map(|(point, ..)| -wavenumber_per_m * (length(point) - middle_length));
             let moments = triangle::moments(phases[0], phases[1], phases[2]);
-            for ((_, weights, above), moment) in nodes.into_iter().zip(moments) {
+            for ((_, weights, strength), moment) in nodes.into_iter().zip(moments) {
                 for (sum, w) in sums.iter_mut().zip(weights) {
-                    *sum += moment * (twice_area * above * w);
+                    *sum += moment * (twice_area * strength * w);
                 }
             }
         };
@@ -477,7 +485,7 @@ mod tests {
     }
 
     /// Computes moments, and the span that selected their rule.
-    fn of(triangle: &CurvedTriangle, antennas: [DVec3; 2], level: KernelLevel) -> ([Complex<f32>; 3], f32) {
+    fn moments_of(triangle: &CurvedTriangle, antennas: [DVec3; 2], level: KernelLevel) -> ([Complex<f32>; 3], f32) {
         let rows = rows(triangle, level);
         let [t, r] = antennas.map(|a| view_rows(level, a, ORIGIN, &rows, WAVELENGTH_M));
         let span = spans_rad(level, [&t, &r])[0];
@@ -494,24 +502,24 @@ mod tests {
     }
 
     /// Errors of moments, the area of the triangle, m^2, and the span that selected the rule, rad.
-    fn misses(triangle: &CurvedTriangle, antennas: [DVec3; 2]) -> ([f64; 3], f64, f32) {
+    fn errors(triangle: &CurvedTriangle, antennas: [DVec3; 2]) -> ([f64; 3], f64, f32) {
         let exact = exact_moments(triangle, antennas, K, 24);
         let [a, b, c] = triangle.corners;
-        let (found, span) = of(triangle, antennas, KernelLevel::detect());
-        let miss = |i: usize| (exact[i] - Complex64::new(found[i].re.into(), found[i].im.into())).norm();
-        ([0, 1, 2].map(miss), 0.5 * (b - a).cross(c - a).length(), span)
+        let (found, span) = moments_of(triangle, antennas, KernelLevel::detect());
+        let error = |i: usize| (exact[i] - Complex64::new(found[i].re.into(), found[i].im.into())).norm();
+        ([0, 1, 2].map(error), 0.5 * (b - a).cross(c - a).length(), span)
     }
 
     #[test]
     fn every_rule_is_the_integral_to_a_few_thousandths_of_the_area() {
         let (mut seen, mut squares) = ([0; 7], 0.0);
         for (triangle, antennas) in triangles() {
-            let (misses, area, span) = misses(&triangle, antennas);
+            let (errors, area, span) = errors(&triangle, antennas);
             seen[rule_for(span, 1.0)] += 1;
-            for miss in misses {
+            for error in errors {
                 // This bound holds in the worst direction.
-                assert!(miss < 3e-2 * area + 1e-8, "{} of {area} over {span} rad", miss / area);
-                squares += (miss / area).powi(2) / 1200.0;
+                assert!(error < 3e-2 * area + 1e-8, "{} of {area} over {span} rad", error / area);
+                squares += (error / area).powi(2) / 1200.0;
             }
         }
         assert!(squares.sqrt() < 3e-3, "{}", squares.sqrt());
@@ -521,7 +529,7 @@ mod tests {
     #[test]
     fn every_level_of_instructions_computes_the_same() {
         for (triangle, antennas) in triangles() {
-            assert_same_at_every_level(|level| of(&triangle, antennas, level));
+            assert_same_at_every_level(|level| moments_of(&triangle, antennas, level));
         }
     }
 
@@ -529,12 +537,12 @@ mod tests {
         use super::*;
 
         #[test]
-        fn a_point_and_a_needle_are_no_surface() {
+        fn a_point_and_a_needle_have_no_moments() {
             let antennas = [DVec3::ZERO, DVec3::Y * 0.003];
             let corner = DVec3::new(2.0, 0.0, 0.0);
             for corners in [[corner; 3], [corner, corner + DVec3::Z * 0.02, corner + DVec3::Z * 0.01]] {
                 let triangle = CurvedTriangle { corners, normals: [DVec3::X; 3], bulges: [DVec3::ZERO; 3] };
-                for moment in of(&triangle, antennas, KernelLevel::detect()).0 {
+                for moment in moments_of(&triangle, antennas, KernelLevel::detect()).0 {
                     assert!(moment.norm() < 1e-9, "{moment}");
                 }
             }
@@ -542,12 +550,12 @@ mod tests {
 
         /// The antenna is a quarter of a metre away, where the error of the path's series is largest.
         #[test]
-        fn near_antennas_are_as_exact() {
+        fn moments_are_as_exact_near_an_antenna() {
             for (triangle, _) in triangles().into_iter().take(50) {
                 let near = triangle.corners[0] + DVec3::new(-0.25, 0.02, 0.03);
-                let (misses, area, span) = misses(&triangle, [near, near + DVec3::Y * 0.003]);
-                for miss in misses {
-                    assert!(miss < 1e-2 * area + 1e-8, "{} of {area} over {span} rad", miss / area);
+                let (errors, area, span) = errors(&triangle, [near, near + DVec3::Y * 0.003]);
+                for error in errors {
+                    assert!(error < 1e-2 * area + 1e-8, "{} of {area} over {span} rad", error / area);
                 }
             }
         }

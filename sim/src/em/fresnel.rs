@@ -6,19 +6,19 @@
 
 use num_complex::Complex64;
 
-/// Reflection coefficients for both polarisations.
+/// Reflection or transmission coefficients of both polarisations.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Reflection {
+pub struct Coefficients {
     /// Electric field normal to the plane of incidence.
     pub te: Complex64,
     /// Electric field in the plane of incidence.
     pub tm: Complex64,
 }
 
-impl Reflection {
-    /// Returns both coefficients times a factor.
+impl Coefficients {
+    /// Returns both coefficients times a real factor.
     pub(crate) fn times(self, factor: f64) -> Self {
-        Reflection { te: self.te * factor, tm: self.tm * factor }
+        Coefficients { te: self.te * factor, tm: self.tm * factor }
     }
 }
 
@@ -26,15 +26,16 @@ impl Reflection {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slab {
     /// Reflection.
-    pub reflection: Reflection,
+    pub reflection: Coefficients,
     /// Transmission, from front face to back face.
-    pub transmission: Reflection,
+    pub transmission: Coefficients,
 }
 
 /// Computes the normal component of the wave vector inside, over k.
 fn normal_index(permittivity: Complex64, cosine: f64) -> Complex64 {
     let square = permittivity - (1.0 - cosine * cosine);
-    // The complex root uses real roots, with the larger part first, to avoid angles and cancellation.
+    // The complex root is computed by real ones, which need no angle. The larger part is first, so that nothing
+    // cancels.
     let modulus = square.norm_sqr().sqrt();
     if square.re >= 0.0 {
         let re = (0.5 * (modulus + square.re)).sqrt();
@@ -47,14 +48,14 @@ fn normal_index(permittivity: Complex64, cosine: f64) -> Complex64 {
 }
 
 /// Computes the reflection of a half-space at the cosine of the angle of incidence.
-pub fn half_space(permittivity: Complex64, cosine: f64) -> Reflection {
+pub fn half_space(permittivity: Complex64, cosine: f64) -> Coefficients {
     if cosine == 0.0 {
-        // The limit of all materials. The quotients have none where the permittivity is 1.
-        return Reflection { te: Complex64::from(-1.0), tm: Complex64::from(-1.0) };
+        // All materials have this limit. The quotients have none where the permittivity is 1.
+        return Coefficients { te: Complex64::from(-1.0), tm: Complex64::from(-1.0) };
     }
     let q = normal_index(permittivity, cosine);
     let c = Complex64::from(cosine);
-    Reflection { te: (c - q) / (c + q), tm: (permittivity * c - q) / (permittivity * c + q) }
+    Coefficients { te: (c - q) / (c + q), tm: (permittivity * c - q) / (permittivity * c + q) }
 }
 
 /// Computes `e^z - 1` without cancellation near zero.
@@ -73,23 +74,23 @@ pub fn slab(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64, co
     let both = |g: Complex64| {
         let denominator = 1.0 - g * g * round_trip;
         if denominator == Complex64::ZERO {
-            // A slab without thickness at grazing incidence does not exist.
+            // This is a slab without thickness at grazing incidence, which has no effect.
             return (Complex64::ZERO, Complex64::ONE);
         }
         (g * one_minus / denominator, (1.0 - g * g) * one_way / denominator)
     };
     let (te, te_through) = both(face.te);
     let (tm, tm_through) = both(face.tm);
-    Slab { reflection: Reflection { te, tm }, transmission: Reflection { te: te_through, tm: tm_through } }
+    Slab { reflection: Coefficients { te, tm }, transmission: Coefficients { te: te_through, tm: tm_through } }
 }
 
 /// Computes the factor of a slab on a field that passes straight through, relative to the same path through air. It is
 /// the transmission without the phase of the air that the slab displaces. The path to a person behind a wall and back
 /// contains it twice.
-pub fn straight_through(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64, cosine: f64) -> Reflection {
+pub fn straight_through(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64, cosine: f64) -> Coefficients {
     let through = slab(permittivity, thickness_m, wavenumber_per_m, cosine).transmission;
     let air = Complex64::from_polar(1.0, wavenumber_per_m * thickness_m * cosine);
-    Reflection { te: through.te * air, tm: through.tm * air }
+    Coefficients { te: through.te * air, tm: through.tm * air }
 }
 
 #[cfg(test)]
@@ -114,7 +115,8 @@ mod tests {
         (if tm { -back } else { back }, through)
     }
 
-    /// Compares reflections and the two-way factor with the matrix over angles, thicknesses and materials of thin walls.
+    /// Compares reflections and the two-way factor with the matrix over angles, thicknesses and materials of thin
+    /// walls.
     #[test]
     fn thin_walls_reflect_and_transmit_as_the_characteristic_matrix_says() {
         let mut worst: f64 = 0.0;
@@ -169,7 +171,7 @@ mod hard_cases {
     /// At grazing incidence `1 + G` loses digits where G tends to -1. The terms of the currents do not: both `c (1 +
     /// G)` and G itself keep full precision (`1 + G = 2 c/(c + q)` in TE, `2 eps c/(eps c + q)` in TM).
     #[test]
-    fn grazing_incidence_loses_no_digit_of_what_is_used() {
+    fn grazing_incidence_keeps_full_precision_in_the_terms_of_currents() {
         let eps = Complex64::new(7.98, -10.9);
         for cosine in [1e-2, 1e-4, 1e-8, 1e-12, 1e-300, 0.0] {
             let face = half_space(eps, cosine);

@@ -2,8 +2,8 @@
 //!
 //! The image with index n lies at `n_i L_i + x_i` for even `n_i` and at `n_i L_i + L_i - x_i` for odd ones. A ray from
 //! an image to a point of the room crosses the mirror planes in the order of its bounces. In the unfolded room its
-//! direction never changes. Each crossing multiplies the field by `G_te te te^T - G_tm tm tm^T`: mirroring turns `te x
-//! s'` into `-(te x s)`, hence the sign. Both terms agree at normal incidence.
+//! direction never changes. Each crossing multiplies the field by `G_te te te^T - G_tm tm tm^T`. The sign is negative
+//! because mirroring turns `te x s'` into `-(te x s)`. Both terms agree at normal incidence.
 //!
 //! If walls transmit, the field at a point beyond an upright wall is the antenna's own field. It is multiplied by the
 //! slab's transmission, relative to the air that the slab displaces. Images do not contribute there.
@@ -13,7 +13,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
-use super::fresnel::Reflection;
+use super::fresnel::Coefficients;
 use super::pattern::Pattern;
 pub use super::wall::Wall;
 use super::wall::{WallTable, WallTables};
@@ -92,10 +92,10 @@ impl Illumination {
     }
 }
 
-/// Converts a coordinate of a cell of the lattice to a coordinate of the room.
-fn folded(x: f64, length: f64, cell: i32) -> f64 {
-    let beyond = x - f64::from(cell) * length;
-    if cell % 2 == 0 { beyond } else { length - beyond }
+/// Converts a coordinate in a cell of the lattice to a coordinate in the room.
+fn folded_coordinate(x: f64, length: f64, cell: i32) -> f64 {
+    let in_cell = x - f64::from(cell) * length;
+    if cell % 2 == 0 { in_cell } else { length - in_cell }
 }
 
 /// Mirror plane between an image and a point of the room.
@@ -107,18 +107,32 @@ struct Crossing {
     wall: usize,
 }
 
-/// Planes across one axis that have not been crossed.
+/// Mirror planes across one axis that have not been crossed.
 #[derive(Debug, Clone, Copy)]
 struct PlanesAhead {
+    /// Number of the next plane in the lattice.
     next: i32,
+    /// Number of planes ahead.
     count: u32,
     /// Step from one plane to the next, 1 or -1.
     step: i32,
     /// Fraction of the path to the next plane.
     fraction: f64,
+    /// Coordinate of the image along the axis, m.
     from_m: f64,
+    /// Extent of the path along the axis, m.
     span_m: f64,
-    length_m: f64,
+    /// Size of the room along the axis, m.
+    room_m: f64,
+}
+
+/// Wall through which a path leaves the room.
+struct Exit {
+    /// Axis across which the wall lies.
+    axis: usize,
+    wall: usize,
+    /// Part of the wall's effect, from 0 at its inner face to 1.
+    weight: f64,
 }
 
 /// Mirror planes between an image and a point of the room, in the order in which the path crosses them. Those across
@@ -131,19 +145,19 @@ impl Crossings {
             let n = index[axis];
             // Descending from above to plane 1, the high wall; ascending from below to plane 0, the low wall.
             let (next, step) = if n > 0 { (n, -1) } else { (n + 1, 1) };
-            let (from_m, span_m, length_m) = (source[axis], point[axis] - source[axis], size_m[axis]);
-            let mut planes =
-                PlanesAhead { next, count: n.unsigned_abs(), step, fraction: 0.0, from_m, span_m, length_m };
-            planes.measure();
+            let (from_m, span_m, room_m) = (source[axis], point[axis] - source[axis], size_m[axis]);
+            let mut planes = PlanesAhead { next, count: n.unsigned_abs(), step, fraction: 0.0, from_m, span_m, room_m };
+            planes.update_fraction();
             planes
         }))
     }
 }
 
 impl PlanesAhead {
-    fn measure(&mut self) {
+    /// Computes the fraction of the path to the next plane.
+    fn update_fraction(&mut self) {
         if self.count > 0 {
-            self.fraction = (f64::from(self.next) * self.length_m - self.from_m) / self.span_m;
+            self.fraction = (f64::from(self.next) * self.room_m - self.from_m) / self.span_m;
         }
     }
 }
@@ -158,29 +172,29 @@ impl Iterator for Crossings {
         let crossing = Crossing { fraction: planes.fraction, axis, wall };
         planes.next += planes.step;
         planes.count -= 1;
-        planes.measure();
+        planes.update_fraction();
         Some(crossing)
     }
 }
 
-/// Applies a mirror plane of the unfolded room to a field: `G_te te te^T - G_tm tm tm^T`. The field is transverse, so
-/// its part that is not TE is TM.
+/// Multiplies a field by the reflection at a mirror plane of the unfolded room: `G_te te te^T - G_tm tm tm^T`. The
+/// field is transverse, so its part that is not TE is TM.
 #[inline(always)]
-fn mirrored(field: Phasor3, direction: DVec3, axis: usize, reflection: Reflection) -> Phasor3 {
+fn reflected(field: Phasor3, direction: DVec3, axis: usize, reflection: Coefficients) -> Phasor3 {
     let across = direction.cross(DVec3::AXES[axis]);
     let square = across.length_squared();
-    let as_tm = field.times(-reflection.tm);
+    let all_as_tm = field.times(-reflection.tm);
     // TE and TM coincide at normal incidence.
     if square < 1e-12 {
-        return as_tm;
+        return all_as_tm;
     }
-    let more = (reflection.te + reflection.tm) * (field.along(across) / square);
-    Phasor3 { re: as_tm.re + across * more.re, im: as_tm.im + across * more.im }
+    let te_excess = (reflection.te + reflection.tm) * (field.along(across) / square);
+    Phasor3 { re: all_as_tm.re + across * te_excess.re, im: all_as_tm.im + across * te_excess.im }
 }
 
 impl BoxRoom {
-    /// Builds a room of a size, m, with its smooth surfaces at low and high x, low and high y, floor, ceiling. Tabulates
-    /// their coefficients at the wave number.
+    /// Builds a room of a size, m, with its smooth surfaces at low and high x, low and high y, floor, ceiling.
+    /// Tabulates their coefficients at the wave number.
     pub fn new(size_m: DVec3, walls: [Wall; 6], wavenumber_per_m: f64, transmission: bool) -> Self {
         Self::with_diffuse_share(size_m, walls, wavenumber_per_m, transmission, 0.0)
     }
@@ -242,20 +256,20 @@ impl BoxRoom {
         field: Phasor3,
     ) -> Phasor3 {
         let field = self.past_planes(index, source, direction, point, field);
-        let behind = self.behind(antenna, point).filter(|&(_, wall, _)| self.is_passable(wall));
-        let Some((axis, wall, weight)) = behind else { return field };
+        let exit = self.exit(antenna, point).filter(|exit| self.is_passable(exit.wall));
+        let Some(Exit { axis, wall, weight }) = exit else { return field };
         if order(index) > 0 {
             return field.scaled(1.0 - weight);
         }
         if self.walls[wall] == Wall::Open {
             return field;
         }
-        let rest = field.scaled(1.0 - weight);
+        let before = field.scaled(1.0 - weight);
         let normal = DVec3::AXES[axis];
         let through = self.tables[wall].transmission(direction.dot(normal).abs());
         let (te, tm) = incidence_frame(direction, normal);
         let behind = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
-        Phasor3 { re: rest.re + behind.re * weight, im: rest.im + behind.im * weight }
+        Phasor3 { re: before.re + behind.re * weight, im: before.im + behind.im * weight }
     }
 
     /// Returns whether fields reach points behind a wall.
@@ -264,10 +278,11 @@ impl BoxRoom {
     }
 
     /// Returns the depth of a point behind upright walls that hide it from an antenna in the room, m. It is negative
-    /// behind such a wall. It is infinite in the room, and where the straight path leads out through an open wall or
-    /// one that transmits: a person beside the box is seen through it, even beyond the plane of a neighbouring wall.
+    /// behind such a wall. It is infinite in the room, and where the straight path leaves through an open wall or one
+    /// that transmits. A person beside the box is then seen through that wall, even beyond the plane of a neighbouring
+    /// one.
     pub(crate) fn depth_within_m(&self, antenna: DVec3, point: DVec3) -> f64 {
-        let is_hidden = self.behind(antenna, point).is_some_and(|(_, wall, _)| !self.is_passable(wall));
+        let is_hidden = self.exit(antenna, point).is_some_and(|exit| !self.is_passable(exit.wall));
         if !is_hidden {
             return f64::INFINITY;
         }
@@ -287,24 +302,24 @@ impl BoxRoom {
     ) -> Phasor3 {
         let [x, y, z] = index;
         // Planes across a single axis are crossed in a fixed order, wherever the point is.
-        let only: Option<usize> = match (x != 0, y != 0, z != 0) {
+        let only_axis: Option<usize> = match (x != 0, y != 0, z != 0) {
             (false, false, false) => return field,
             (true, false, false) => Some(0),
             (false, true, false) => Some(1),
             (false, false, true) => Some(2),
             _ => None,
         };
-        if let Some(axis) = only {
+        if let Some(axis) = only_axis {
             let (n, cosine) = (index[axis], direction[axis].abs());
             let (first, step) = if n > 0 { (n, -1) } else { (n + 1, 1) };
             for crossed in 0..n.abs() {
                 let wall = 2 * axis + usize::from((first + crossed * step) % 2 != 0);
-                field = mirrored(field, direction, axis, self.tables[wall].reflection(cosine));
+                field = reflected(field, direction, axis, self.tables[wall].reflection(cosine));
             }
             return field;
         }
         for Crossing { axis, wall, .. } in Crossings::new(index, source, point, self.size_m) {
-            field = mirrored(field, direction, axis, self.tables[wall].reflection(direction[axis].abs()));
+            field = reflected(field, direction, axis, self.tables[wall].reflection(direction[axis].abs()));
         }
         field
     }
@@ -316,7 +331,7 @@ impl BoxRoom {
         let mut most = element.pattern.most_within(departure, spread_rad);
         let is_across_one_axis = index.iter().filter(|&&n| n != 0).count() == 1;
         for (axis, &n) in index.iter().enumerate().filter(|(_, n)| **n != 0) {
-            let [te, tm] = self.most_mirrored(axis, n, direction[axis].abs(), spread_rad);
+            let [te, tm] = self.most_reflections(axis, n, direction[axis].abs(), spread_rad);
             let either = te.max(tm);
             if !is_across_one_axis {
                 most *= either;
@@ -324,9 +339,9 @@ impl BoxRoom {
             }
             // Least and largest part of the antenna's field that is TE; the rest is TM.
             let across = direction.cross(DVec3::AXES[axis]);
-            let (part, sine) = (Self::image_vector(index, element.polarisation).dot(across).abs(), across.length());
-            let least_te = ((part - spread_rad) / (sine + spread_rad).max(1e-9)).max(0.0);
-            let most_te = if sine > spread_rad { ((part + spread_rad) / (sine - spread_rad)).min(1.0) } else { 1.0 };
+            let (along, sine) = (Self::image_vector(index, element.polarisation).dot(across).abs(), across.length());
+            let least_te = ((along - spread_rad) / (sine + spread_rad).max(1e-9)).max(0.0);
+            let most_te = if sine > spread_rad { ((along + spread_rad) / (sine - spread_rad)).min(1.0) } else { 1.0 };
             let power = (te * most_te).powi(2) + tm * tm * (1.0 - least_te * least_te).max(0.0);
             most *= power.sqrt().min(either);
         }
@@ -335,7 +350,7 @@ impl BoxRoom {
 
     /// Returns upper bounds of the product of reflections, TE and TM, at all planes across an axis. The cosine of
     /// incidence differs from the given one by at most `spread`.
-    fn most_mirrored(&self, axis: usize, n: i32, cosine: f64, spread: f64) -> [f64; 2] {
+    fn most_reflections(&self, axis: usize, n: i32, cosine: f64, spread: f64) -> [f64; 2] {
         let most = |wall: usize| self.tables[wall].most_reflection(cosine - spread, cosine + spread);
         let (low, high) = (most(2 * axis), most(2 * axis + 1));
         // Planes alternate; the first beyond the room is the wall on the image's side.
@@ -345,8 +360,8 @@ impl BoxRoom {
         std::array::from_fn(|part| low[part].powi(at_low) * high[part].powi(at_high))
     }
 
-    /// Returns whether no image but the antenna itself contributes to the field anywhere in a box with these half-widths,
-    /// because it lies behind upright walls that transmit or are open.
+    /// Returns whether no image but the antenna itself contributes to the field anywhere in a box with these
+    /// half-widths, because it lies behind upright walls that transmit or are open.
     pub(crate) fn is_behind_walls(&self, centre: DVec3, half_widths_m: DVec3) -> bool {
         let beyond_m = |wall: usize| {
             let axis = wall / 2;
@@ -358,27 +373,28 @@ impl BoxRoom {
             && (0..4).all(|wall| is_wholly_before(wall) || is_wholly_behind(wall) && self.is_passable(wall))
     }
 
-    /// Returns the upright wall that the straight path from a point of the room to an outside point crosses. The result
-    /// is its axis, its index, and the part of its effect, from 0 at its inner face to 1; `None` for a point in the
-    /// room.
-    fn behind(&self, from: DVec3, to: DVec3) -> Option<(usize, usize, f64)> {
+    /// Returns the upright wall by which the straight path from a point of the room to an outside point leaves the
+    /// room; `None` for a point in the room.
+    fn exit(&self, from: DVec3, to: DVec3) -> Option<Exit> {
         let (from, to, size) = (from.to_array(), to.to_array(), self.size_m.to_array());
         // Nearly all points lie in the room.
         let is_outside = to[0] < 0.0 || to[0] > size[0] || to[1] < 0.0 || to[1] > size[1];
         if !is_outside {
             return None;
         }
-        let crossed = [0, 1, 2, 3].map(|wall| {
+        let planes = [0, 1, 2, 3].map(|wall| {
             let axis = wall / 2;
             let plane = if wall % 2 == 0 { 0.0 } else { size[axis] };
-            let beyond = if wall % 2 == 0 { -to[axis] } else { to[axis] - plane };
-            (axis, wall, beyond, (plane - from[axis]) / (to[axis] - from[axis]))
+            let beyond_m = if wall % 2 == 0 { -to[axis] } else { to[axis] - plane };
+            let fraction = (plane - from[axis]) / (to[axis] - from[axis]);
+            (axis, wall, beyond_m, fraction)
         });
-        // The room is convex, so the path leaves it through the first plane that it meets.
-        let out = crossed.into_iter().filter(|&(.., beyond, _)| beyond > 0.0);
-        let (axis, wall, beyond, _) = out.min_by(|a, b| a.3.total_cmp(&b.3))?;
+        // The room is convex, so the path leaves it through the first plane that it crosses.
+        let crossed = planes.into_iter().filter(|&(.., beyond_m, _)| beyond_m > 0.0);
+        let (axis, wall, beyond_m, _) =
+            crossed.min_by(|(.., fraction), (.., other_fraction)| fraction.total_cmp(other_fraction))?;
         let depth_m = self.walls[wall].depth_m();
-        Some((axis, wall, smooth_step(2.0 * beyond / depth_m - 1.0)))
+        Some(Exit { axis, wall, weight: smooth_step(2.0 * beyond_m / depth_m - 1.0) })
     }
 
     /// Returns the corners of the path from an antenna to a point by an image, folded into the room: antenna, bounces,
@@ -390,8 +406,8 @@ impl BoxRoom {
         corners
     }
 
-    /// Visits the legs of the path from an antenna to a point by an image, folded into the room, with index, start and
-    /// end of each.
+    /// Visits the legs of the path from an antenna to a point by an image, folded into the room. The visitor takes the
+    /// index, the start and the end of each.
     pub(crate) fn each_leg(
         &self,
         index: ImageIndex,
@@ -406,11 +422,11 @@ impl BoxRoom {
             // Current cell of the lattice: each crossing moves one cell nearer to the room.
             let mut cell = index;
             for Crossing { fraction, axis, .. } in Crossings::new(index, source, point, size_m) {
-                let at = source.lerp(point, fraction);
+                let unfolded = source.lerp(point, fraction);
                 let corner = DVec3::new(
-                    folded(at.x, size_m.x, cell[0]),
-                    folded(at.y, size_m.y, cell[1]),
-                    folded(at.z, size_m.z, cell[2]),
+                    folded_coordinate(unfolded.x, size_m.x, cell[0]),
+                    folded_coordinate(unfolded.y, size_m.y, cell[1]),
+                    folded_coordinate(unfolded.z, size_m.z, cell[2]),
                 );
                 cell[axis] -= cell[axis].signum();
                 visit(leg, from, corner);
@@ -488,7 +504,7 @@ mod tests {
     /// For up to six reflections, planes and their order agree with a sorted list. The field agrees with the incidence
     /// frames and the slab applied one by one.
     #[test]
-    fn images_are_lit_as_by_each_wall_in_turn() {
+    fn the_field_of_an_image_is_that_of_each_reflection_in_turn() {
         let room = room();
         let element = Element {
             position: DVec3::new(0.3, 1.1, 1.4),
@@ -509,7 +525,7 @@ mod tests {
                 let mut field = Phasor3::real(transverse * element.pattern.field(departure));
                 for Crossing { axis, wall, .. } in all {
                     let normal = DVec3::AXES[axis];
-                    let Reflection { te, tm } = room.walls[wall].reflection(K, direction[axis].abs());
+                    let Coefficients { te, tm } = room.walls[wall].reflection(K, direction[axis].abs());
                     let (across, within) = incidence_frame(direction, normal);
                     field = Phasor3::combine(te * field.along(across), across, -tm * field.along(within), within);
                 }

@@ -33,14 +33,17 @@ impl Phasor3 {
         Phasor3 { re, im: DVec3::ZERO }
     }
 
-    /// Returns the component along a real vector (no conjugation).
+    /// Returns the component along a real vector, without conjugation.
     pub fn along(self, v: DVec3) -> Complex64 {
         Complex64::new(self.re.dot(v), self.im.dot(v))
     }
 
-    /// Returns `a . b` without conjugation: field `a` received by an antenna with receive vector `b`.
-    pub fn received_by(self, other: Phasor3) -> Complex64 {
-        Complex64::new(self.re.dot(other.re) - self.im.dot(other.im), self.re.dot(other.im) + self.im.dot(other.re))
+    /// Returns the signal of this field in an antenna with a receive vector: their scalar product, without conjugation.
+    pub fn received_by(self, antenna: Phasor3) -> Complex64 {
+        Complex64::new(
+            self.re.dot(antenna.re) - self.im.dot(antenna.im),
+            self.re.dot(antenna.im) + self.im.dot(antenna.re),
+        )
     }
 
     /// Returns the sum of two real directions with complex weights.
@@ -63,7 +66,7 @@ impl Phasor3 {
         Phasor3 { re: a.cross(self.re), im: a.cross(self.im) }
     }
 
-    /// Returns the Euclidean length over both parts.
+    /// Returns the Euclidean length of real and imaginary part together.
     pub fn magnitude(self) -> f64 {
         (self.re.length_squared() + self.im.length_squared()).sqrt()
     }

@@ -45,8 +45,8 @@ impl Pattern {
     #[inline(always)]
     pub(crate) fn field_in_lane(&self, x: f64, y: f64) -> f64 {
         let horizontal = 0.5 * lanes::ln((x * x + y * y).max(f64::MIN_POSITIVE));
-        let ahead = lanes::ln(x.max(f64::MIN_POSITIVE));
-        let lobe = lanes::exp(self.azimuth_exponent * (ahead - horizontal) + self.elevation_exponent * horizontal);
+        let forward = lanes::ln(x.max(f64::MIN_POSITIVE));
+        let lobe = lanes::exp(self.azimuth_exponent * (forward - horizontal) + self.elevation_exponent * horizontal);
         let lobe = if x > 0.0 { lobe } else { 0.0 };
         (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
     }
@@ -56,18 +56,20 @@ impl Pattern {
         let DVec3 { x, y, z } = direction_radar;
         let (sine, cosine) = spread_rad.sin_cos();
         let horizontal = (x * x + y * y).sqrt();
-        // Directions of the cone lie within asin(sine / horizontal) of its azimuth; beyond that the cone contains the
-        // pole.
+        // Azimuths in the cone differ from its own by at most asin(sine / horizontal). Where that does not exist, the
+        // cone contains the pole.
         if cosine <= 0.0 || horizontal <= sine {
             return 1.0;
         }
-        let level = if z.abs() <= sine { 1.0 } else { (horizontal * cosine + z.abs() * sine).min(1.0) };
-        let turn = sine / horizontal;
-        let [ahead, aside] = [x, y.abs()].map(|part| part / horizontal);
-        let still = (1.0 - turn * turn).sqrt();
-        let ahead = if ahead >= still { 1.0 } else { ahead * still + aside * turn };
-        let [ahead, level] = [ahead, level].map(|part| lanes::ln(part.max(f64::MIN_POSITIVE)));
-        let lobe = lanes::exp(self.azimuth_exponent * ahead + self.elevation_exponent * level);
+        // Largest cosines of elevation and azimuth in the cone.
+        let elevation_cosine = if z.abs() <= sine { 1.0 } else { (horizontal * cosine + z.abs() * sine).min(1.0) };
+        let turn_sine = sine / horizontal;
+        let [forward, aside] = [x, y.abs()].map(|component| component / horizontal);
+        let turn_cosine = (1.0 - turn_sine * turn_sine).sqrt();
+        let azimuth_cosine = if forward >= turn_cosine { 1.0 } else { forward * turn_cosine + aside * turn_sine };
+        let [azimuth, elevation] =
+            [azimuth_cosine, elevation_cosine].map(|cosine| lanes::ln(cosine.max(f64::MIN_POSITIVE)));
+        let lobe = lanes::exp(self.azimuth_exponent * azimuth + self.elevation_exponent * elevation);
         (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
     }
 }

@@ -1,16 +1,16 @@
 //! Quadrature over a triangle: nodes and weights that are exact for polynomials up to a degree.
 //!
 //! The rules are symmetric, with all nodes inside and all weights positive. They are those of H. Xiao and Z. Gimbutas,
-//! A numerical algorithm for the construction of efficient quadrature rules in two and higher dimensions, Computers and
-//! Mathematics with Applications 59 (2010), 663-676. For a wave with a given phase span across the triangle they
+//! "A numerical algorithm for the construction of efficient quadrature rules in two and higher dimensions", Computers
+//! and Mathematics with Applications 59 (2010), 663-676. For a wave with a given phase span across the triangle they
 //! converge faster than any power of the number of nodes, whatever the curvature. Six nodes suffice for five radians,
 //! 28 for eighteen, to 3e-3 of the area.
 
 /// Quadrature rule: nodes in a triangle and their weights.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rule {
-    /// Barycentric coordinates of each node, and the part of the area that it represents.
-    pub places: Vec<([f32; 3], f32)>,
+    /// Barycentric coordinates of each node, and its weight: the part of the area that it represents.
+    pub nodes: Vec<([f32; 3], f32)>,
 }
 
 /// Phase span, rad, up to which the error of each of [`rules`] is below 3e-3 of the area, rms over the wave's
@@ -19,8 +19,8 @@ const SPANS_RAD: [f32; 7] = [4.8, 11.3, 17.7, 24.0, 35.1, 44.2, f32::INFINITY];
 
 /// Returns all rules, by increasing number of nodes.
 pub fn rules() -> [Rule; 7] {
-    let once = [DEGREE_4, DEGREE_8, DEGREE_11, DEGREE_14, DEGREE_19, DEGREE_25];
-    let [a, b, c, d, e, f] = once.map(places);
+    let classes = [DEGREE_4, DEGREE_8, DEGREE_11, DEGREE_14, DEGREE_19, DEGREE_25];
+    let [a, b, c, d, e, f] = classes.map(nodes);
     // The last rule applies that of degree 19 to each quarter of the triangle, given by twice its corners.
     let quarters: [[[f64; 3]; 3]; 4] = [
         [[2.0, 0.0, 0.0], [1.0, 1.0, 0.0], [1.0, 0.0, 1.0]],
@@ -29,14 +29,14 @@ pub fn rules() -> [Rule; 7] {
         [[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, 1.0]],
     ];
     let quarter = |corners: [[f64; 3]; 3]| {
-        e.iter().map(move |&(place, weight)| {
-            let of = |corner: usize| (0..3).map(|i| 0.5 * place[i] * corners[i][corner]).sum();
-            ([of(0), of(1), of(2)], 0.25 * weight)
+        e.iter().map(move |&(node, weight)| {
+            let coordinate = |corner: usize| (0..3).map(|i| 0.5 * node[i] * corners[i][corner]).sum();
+            ([coordinate(0), coordinate(1), coordinate(2)], 0.25 * weight)
         })
     };
     let g = quarters.into_iter().flat_map(quarter).collect();
-    [a, b, c, d, e.clone(), f, g].map(|places: Vec<([f64; 3], f64)>| Rule {
-        places: places.into_iter().map(|(place, weight)| (place.map(|w| w as f32), weight as f32)).collect(),
+    [a, b, c, d, e.clone(), f, g].map(|nodes: Vec<([f64; 3], f64)>| Rule {
+        nodes: nodes.into_iter().map(|(node, weight)| (node.map(|w| w as f32), weight as f32)).collect(),
     })
 }
 
@@ -47,7 +47,7 @@ pub fn rule_for(span_rad: f32, ease: f32) -> usize {
 
 /// Expands a rule given by one node of each symmetry class: weight, and two of the barycentric coordinates, in any
 /// order.
-fn places(classes: &[[f64; 3]]) -> Vec<([f64; 3], f64)> {
+fn nodes(classes: &[[f64; 3]]) -> Vec<([f64; 3], f64)> {
     let mut all = Vec::new();
     for &[weight, a, b] in classes {
         let c = 1.0 - a - b;
@@ -58,7 +58,7 @@ fn places(classes: &[[f64; 3]]) -> Vec<([f64; 3], f64)> {
         } else {
             &[[a, a, c]]
         };
-        all.extend(orders.iter().map(|&place| (place, weight)));
+        all.extend(orders.iter().map(|&node| (node, weight)));
     }
     all
 }
@@ -167,25 +167,25 @@ mod tests {
     fn rules_are_exact_to_their_degrees() {
         let all = [(DEGREE_4, 4), (DEGREE_8, 8), (DEGREE_11, 11), (DEGREE_14, 14), (DEGREE_19, 19), (DEGREE_25, 25)];
         for (classes, degree) in all {
-            let places = places(classes);
+            let nodes = nodes(classes);
             for i in 0..=degree {
                 for j in 0..=degree - i {
-                    let found: f64 = places.iter().map(|([a, b, _], w)| w * a.powi(i) * b.powi(j)).sum();
+                    let found: f64 = nodes.iter().map(|([a, b, _], w)| w * a.powi(i) * b.powi(j)).sum();
                     let (i, j) = (i as u32, j as u32);
                     let exact = 2.0 * factorial(i) * factorial(j) / factorial(i + j + 2);
                     assert!((found - exact).abs() < 1e-14, "degree {degree}, {i} {j}: {found} {exact}");
                 }
             }
-            assert!(places.iter().all(|(place, w)| *w > 0.0 && place.iter().all(|p| (0.0..1.0).contains(p))));
+            assert!(nodes.iter().all(|(node, w)| *w > 0.0 && node.iter().all(|p| (0.0..1.0).contains(p))));
         }
     }
 
     #[test]
     fn weights_of_every_rule_sum_to_one() {
         for rule in rules() {
-            let sum: f32 = rule.places.iter().map(|(_, w)| w).sum();
+            let sum: f32 = rule.nodes.iter().map(|(_, w)| w).sum();
             assert!((sum - 1.0).abs() < 1e-5, "{sum}");
-            assert!(rule.places.iter().all(|(place, _)| (place.iter().sum::<f32>() - 1.0).abs() < 1e-6));
+            assert!(rule.nodes.iter().all(|(node, _)| (node.iter().sum::<f32>() - 1.0).abs() < 1e-6));
         }
     }
 }

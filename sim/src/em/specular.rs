@@ -28,7 +28,7 @@ pub struct Ellipsoid {
 pub struct SpecularPoint {
     /// Position, m.
     pub point: DVec3,
-    /// Corresponding point of the unit sphere, which moves with the body's material.
+    /// Corresponding point of the unit sphere. A fixed point of the sphere follows a point of the moving body.
     pub unit: DVec3,
     /// Outward unit normal.
     pub normal: DVec3,
@@ -68,13 +68,14 @@ impl Ellipsoid {
         self.centre + self.axes * (unit * self.semi_axes_m)
     }
 
-    /// Returns a source in axes of the ellipsoid, moved to the surface if it lies inside, and whether it does.
-    fn outside(&self, source: DVec3) -> (DVec3, bool) {
-        let place = self.axes.transpose() * (source - self.centre);
-        let unit = place / self.semi_axes_m;
+    /// Converts a source to axes of the ellipsoid, and moves it to the surface if it lies inside. Also returns whether
+    /// it does.
+    fn moved_outside(&self, source: DVec3) -> (DVec3, bool) {
+        let position = self.axes.transpose() * (source - self.centre);
+        let unit = position / self.semi_axes_m;
         let square = unit.length_squared();
         if square >= TOUCHING * TOUCHING {
-            return (place, false);
+            return (position, false);
         }
         let radius = square.sqrt();
         let outward = if radius > 1e-9 { unit / radius } else { DVec3::X };
@@ -94,33 +95,36 @@ impl Ellipsoid {
         if nearest_m > FAR * longest_m {
             return Some(bisector.normalize());
         }
-        // For far sources the normal is the bisector; for touching ones the point is below them.
-        let support = (b * bisector).normalize();
+        // For far sources the normal is the bisector; for touching ones the point is below them. On the unit sphere,
+        // the first point is between these two.
+        let by_bisector = (b * bisector).normalize();
         let below = ((tx / b).normalize() + (rx / b).normalize()).normalize_or_zero();
-        let w = (longest_m / nearest_m).clamp(0.0, 1.0).powi(2);
-        let unit = support.lerp(below, w).normalize_or(support);
+        let weight = (longest_m / nearest_m).clamp(0.0, 1.0).powi(2);
+        let unit = by_bisector.lerp(below, weight).normalize_or(by_bisector);
         Some((unit / b).normalize())
     }
 
     /// Finds the specular point for a pair of points; `None` where the pair lies on opposite sides (forward scattering,
-    /// which has no specular point). `start` is a point of the unit sphere near the solution, if one is known. It is
-    /// used only where the centre does not determine on which side of the ellipsoid the pair lies.
+    /// which has no specular point).
+    ///
+    /// `start` is a point of the unit sphere near the solution, if one is known. It is used only where directions from
+    /// the centre do not determine on which side of the ellipsoid the pair lies.
     pub fn specular_point(&self, tx: DVec3, rx: DVec3, start: Option<DVec3>) -> Option<SpecularPoint> {
-        let ((tx, tx_inside), (rx, rx_inside)) = (self.outside(tx), self.outside(rx));
+        let ((tx, tx_inside), (rx, rx_inside)) = (self.moved_outside(tx), self.moved_outside(rx));
         let b = self.semi_axes_m;
         let first = self.first_normal([tx, rx]).or_else(|| Some((start? / b).normalize()))?;
-        let mut here = Mirror::new(b, first, [tx, rx])?;
+        let mut current = Reflector::new(b, first, [tx, rx])?;
         for _ in 0..MOST_STEPS {
-            if here.step_m < LEAST_STEP_M {
+            if current.step_m < LEAST_STEP_M {
                 break;
             }
-            here = here.next(b, [tx, rx])?;
+            current = current.next(b, [tx, rx])?;
         }
-        (here.cosine > LEAST_COSINE).then(|| here.seen_by(self, (tx_inside, rx_inside)))
+        (current.cosine > LEAST_COSINE).then(|| current.in_room(self, (tx_inside, rx_inside)))
     }
 }
 
-/// Bounds of a specular point that has not been computed.
+/// Bounds of the properties of a specular point, without its computation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpecularPointBound {
     /// Largest `cos / (2 sqrt(det J))`, m.
@@ -132,16 +136,16 @@ pub struct SpecularPointBound {
 }
 
 impl Ellipsoid {
-    /// Bounds the specular point for any pair of points within `apart_m` of these, without a search; `None` where no
-    /// specular point exists.
+    /// Bounds the specular point for any pair of points within `apart_m` of these, without a search; `None` where none
+    /// exists.
     ///
     /// At a specular point both directions are at the same angle from the normal. The part of J due to distances is
     /// thus at least `cos (1/R_t + 1/R_r)/2` in each tangent direction on geometric mean. By Minkowski's inequality for
     /// determinants `sqrt(det J) >= cos (sqrt(K) + (1/R_t + 1/R_r)/2)`, with Gauss's curvature `K = (h^2/(abc))^2` at
     /// the normal's support h. The normal is the fixed point of a map: from a normal to the bisector at the point with
     /// that normal. Where the map is a contraction, two iterations bound the distance of the fixed point from the
-    /// second, and that of the specular point from the point with the first normal. Elsewhere the flattest side gives the
-    /// bound.
+    /// second, and that of the specular point from the point with the first normal. Elsewhere the flattest side gives
+    /// the bound.
     pub fn bound(&self, tx: DVec3, rx: DVec3, apart_m: f64) -> Option<SpecularPointBound> {
         let (to_body, b) = (self.axes.transpose(), self.semi_axes_m);
         let sources = [tx, rx].map(|source| to_body * (source - self.centre));
@@ -151,65 +155,70 @@ impl Ellipsoid {
         let by_distance: f64 = distances_m.iter().map(|distance| 0.5 / (distance + reach_m)).sum();
         let strength_m = |support_m: f64| 0.5 / (support_m * support_m / b.element_product() + by_distance);
         let near_m = distances_m.map(|distance| distance - reach_m);
-        let any = SpecularPointBound { strength_m: strength_m(shortest_m), least_cosine: 0.0, most_cosine: 1.0 };
+        let loosest = SpecularPointBound { strength_m: strength_m(shortest_m), least_cosine: 0.0, most_cosine: 1.0 };
         if near_m[0] <= 0.0 || near_m[1] <= 0.0 {
-            return Some(any);
+            return Some(loosest);
         }
         let bisector =
             |point: DVec3| (sources[0] - point).normalize_or_zero() + (sources[1] - point).normalize_or_zero();
-        // Over all points of the body, the directions to both sources differ from the centre's by no more than this in
-        // sum.
-        let turned: f64 = distances_m.iter().map(|distance| (reach_m / distance).min(1.0).asin()).sum();
+        // Sum of the largest angles by which the directions to both sources, from any point of the body, differ from
+        // those at the centre.
+        let direction_change: f64 = distances_m.iter().map(|distance| (reach_m / distance).min(1.0).asin()).sum();
         let middle = bisector(DVec3::ZERO);
         let twice_cosine = middle.length();
-        let most_cosine = 0.5 * (twice_cosine + turned);
+        let most_cosine = 0.5 * (twice_cosine + direction_change);
         if most_cosine < LEAST_COSINE {
             return None;
         }
-        let least = twice_cosine - turned;
-        if least <= 0.0 {
-            return Some(SpecularPointBound { most_cosine, ..any });
+        let least_twice_cosine = twice_cosine - direction_change;
+        if least_twice_cosine <= 0.0 {
+            return Some(SpecularPointBound { most_cosine, ..loosest });
         }
         let first = middle / twice_cosine;
         let scaled = b * b * first;
         let at_first = bisector(scaled / scaled.dot(first).sqrt());
         let second = at_first.normalize_or(first);
         let per_near_m = 1.0 / near_m[0] + 1.0 / near_m[1];
-        let (per_m, radius_m) = (per_near_m / least, longest_m * longest_m / shortest_m);
+        let (per_m, radius_m) = (per_near_m / least_twice_cosine, longest_m * longest_m / shortest_m);
         let contraction = radius_m * per_m;
-        let moved = first.distance(second);
-        if contraction >= 0.9 || moved > 0.5 {
-            return Some(SpecularPointBound { least_cosine: 0.5 * least, most_cosine, ..any });
+        let first_step = first.distance(second);
+        if contraction >= 0.9 || first_step > 0.5 {
+            return Some(SpecularPointBound { least_cosine: 0.5 * least_twice_cosine, most_cosine, ..loosest });
         }
         // An angle of half a radian is 1 % longer than its chord.
-        let farther = (apart_m * per_m + 1.02 * contraction * moved) / (1.0 - contraction);
-        let support_m = ((b * second).length() - longest_m * farther).max(shortest_m);
+        let remaining = (apart_m * per_m + 1.02 * contraction * first_step) / (1.0 - contraction);
+        let support_m = ((b * second).length() - longest_m * remaining).max(shortest_m);
         // The point moves by at most the largest radius of curvature times the angle.
-        let apart_m = apart_m + 1.02 * radius_m * (moved + farther);
-        let most_cosine = if moved + farther > 0.5 {
+        let apart_m = apart_m + 1.02 * radius_m * (first_step + remaining);
+        let most_cosine = if first_step + remaining > 0.5 {
             most_cosine
         } else {
             most_cosine.min(0.5 * (at_first.length() + apart_m * per_near_m))
         };
-        Some(SpecularPointBound { strength_m: strength_m(support_m), least_cosine: 0.5 * least, most_cosine })
+        Some(SpecularPointBound {
+            strength_m: strength_m(support_m),
+            least_cosine: 0.5 * least_twice_cosine,
+            most_cosine,
+        })
     }
 }
 
-/// Point of an ellipsoid, in its own axes, as a mirror between two sources.
+/// Point of an ellipsoid, in its own axes, that reflects between two sources.
 #[derive(Debug, Clone, Copy)]
-struct Mirror {
+struct Reflector {
     normal: DVec3,
     point: DVec3,
     distances_m: [f64; 2],
     towards: [DVec3; 2],
     cosine: f64,
     det_j: f64,
-    /// Newton's step of the normal, and the resulting displacement of the point, m.
-    turn: DVec3,
+    /// Newton's step of the normal.
+    normal_step: DVec3,
+    /// Resulting displacement of the point, m.
     step_m: f64,
 }
 
-impl Mirror {
+impl Reflector {
     /// Evaluates the point with this normal; `None` where `det_j` is not finite and positive.
     fn new(b: DVec3, normal: DVec3, sources: [DVec3; 2]) -> Option<Self> {
         let square = b * b;
@@ -249,18 +258,18 @@ impl Mirror {
         let (g_u, g_v) = (0.5 * (t_u + r_u), 0.5 * (t_v + r_v));
         let turn_u = (m[1][1] * g_u - m[0][1] * g_v) / det_m;
         let turn_v = (m[0][0] * g_v - m[1][0] * g_u) / det_m;
-        let moved = (s_uu * turn_u + s_uv * turn_v, s_uv * turn_u + s_vv * turn_v);
-        let step_m = (moved.0 * moved.0 + moved.1 * moved.1).sqrt();
-        let turn = u * turn_u + v * turn_v;
-        Some(Mirror { normal, point, distances_m, towards, cosine, det_j, turn, step_m })
+        let (step_u, step_v) = (s_uu * turn_u + s_uv * turn_v, s_uv * turn_u + s_vv * turn_v);
+        let step_m = (step_u * step_u + step_v * step_v).sqrt();
+        let normal_step = u * turn_u + v * turn_v;
+        Some(Reflector { normal, point, distances_m, towards, cosine, det_j, normal_step, step_m })
     }
 
     /// Takes Newton's step, halved for as long as it lengthens the path.
     fn next(&self, b: DVec3, sources: [DVec3; 2]) -> Option<Self> {
-        let length_m = |mirror: &Mirror| mirror.distances_m[0] + mirror.distances_m[1];
+        let length_m = |reflector: &Reflector| reflector.distances_m[0] + reflector.distances_m[1];
         let mut fraction = 1.0;
         loop {
-            let next = Mirror::new(b, (self.normal + self.turn * fraction).normalize(), sources)?;
+            let next = Reflector::new(b, (self.normal + self.normal_step * fraction).normalize(), sources)?;
             if length_m(&next) <= length_m(self) + 1e-12 || fraction < 1e-3 {
                 return Some(next);
             }
@@ -269,13 +278,13 @@ impl Mirror {
     }
 
     /// Converts the point to room coordinates.
-    fn seen_by(&self, of: &Ellipsoid, inside: (bool, bool)) -> SpecularPoint {
+    fn in_room(&self, ellipsoid: &Ellipsoid, inside: (bool, bool)) -> SpecularPoint {
         SpecularPoint {
-            point: of.centre + of.axes * self.point,
-            unit: self.point / of.semi_axes_m,
-            normal: of.axes * self.normal,
+            point: ellipsoid.centre + ellipsoid.axes * self.point,
+            unit: self.point / ellipsoid.semi_axes_m,
+            normal: ellipsoid.axes * self.normal,
             distances_m: (self.distances_m[0], self.distances_m[1]),
-            towards: (of.axes * self.towards[0], of.axes * self.towards[1]),
+            towards: (ellipsoid.axes * self.towards[0], ellipsoid.axes * self.towards[1]),
             cosine: self.cosine,
             det_j: self.det_j,
             inside,
@@ -291,7 +300,8 @@ mod tests {
     use crate::people::body::Build;
     use crate::random::{Purpose, generator};
 
-    /// Draws a segment of a body, and two sources on any side of it, as far apart as image antennas or as antennas.
+    /// Draws a segment of a body and two sources on any side of it. They are as far apart as two antennas of a radar,
+    /// or as image antennas.
     fn draw(rng: &mut impl Rng, near_m: f64) -> (Ellipsoid, DVec3, DVec3) {
         let build = Build { height_m: 1.75, girth: 1.0 };
         let body = build.segments(&build.standing());
@@ -311,16 +321,17 @@ mod tests {
         (Ellipsoid { axes, ..segment }, tx, rx)
     }
 
-    /// Minimises a function over the unit sphere by descent from `from`. Steps are halved where none leads downhill.
-    fn least(of: impl Fn(DVec3) -> f64, from: DVec3, mut step: f64, last: f64) -> DVec3 {
-        let (mut unit, mut value) = (from, of(from));
-        while step > last {
+    /// Minimises a function over the unit sphere by descent from `start`. Steps are halved where none leads downhill,
+    /// down to `least_step`.
+    fn minimum(function: impl Fn(DVec3) -> f64, start: DVec3, mut step: f64, least_step: f64) -> DVec3 {
+        let (mut unit, mut value) = (start, function(start));
+        while step > least_step {
             let u = unit.any_orthonormal_vector();
             let v = unit.cross(u);
-            let around = [u, -u, v, -v].map(|way| (unit + way * step).normalize());
-            let best = around.into_iter().min_by(|a, b| of(*a).total_cmp(&of(*b))).unwrap_or(unit);
-            if of(best) < value {
-                (unit, value) = (best, of(best));
+            let around = [u, -u, v, -v].map(|direction| (unit + direction * step).normalize());
+            let best = around.into_iter().min_by(|a, b| function(*a).total_cmp(&function(*b))).unwrap_or(unit);
+            if function(best) < value {
+                (unit, value) = (best, function(best));
             } else {
                 step *= 0.5;
             }
@@ -328,23 +339,23 @@ mod tests {
         unit
     }
 
-    /// Finds the shortest path, then the point that best fulfils the law of reflection. The minimum of a length
-    /// determines the point to only half of the digits.
-    fn slowly(e: &Ellipsoid, tx: DVec3, rx: DVec3) -> DVec3 {
+    /// Finds the specular point by search: the shortest path, then the point that best fulfils the law of reflection.
+    /// The minimum of a length determines the point to only half of the digits.
+    fn by_search(e: &Ellipsoid, tx: DVec3, rx: DVec3) -> DVec3 {
         let length = |unit: DVec3| e.surface(unit).distance(tx) + e.surface(unit).distance(rx);
-        let off_mirror = |unit: DVec3| {
+        let mirror_error = |unit: DVec3| {
             let point = e.surface(unit);
             let normal = (e.axes * (unit / e.semi_axes_m)).normalize();
             ((tx - point).normalize() + (rx - point).normalize()).cross(normal).length_squared()
         };
-        let places = (0..200).map(|i| {
+        let candidates = (0..200).map(|i| {
             let z = 1.0 - (2.0 * f64::from(i) + 1.0) / 200.0;
             let (sine, cosine) = (2.399_963_229_728_653 * f64::from(i)).sin_cos();
             let ring = (1.0 - z * z).sqrt();
             DVec3::new(ring * cosine, ring * sine, z)
         });
-        let first = places.min_by(|a, b| length(*a).total_cmp(&length(*b))).unwrap_or(DVec3::Z);
-        least(off_mirror, least(length, first, 0.2, 1e-5), 1e-5, 1e-11)
+        let first = candidates.min_by(|a, b| length(*a).total_cmp(&length(*b))).unwrap_or(DVec3::Z);
+        minimum(mirror_error, minimum(length, first, 0.2, 1e-5), 1e-5, 1e-11)
     }
 
     /// Returns the amplitude without constants.
@@ -361,12 +372,12 @@ mod tests {
         for _ in 0..300 {
             let (e, tx, rx) = draw(&mut rng, 0.45);
             let Some(h) = e.specular_point(tx, rx, None) else { continue };
-            let unit = slowly(&e, tx, rx);
+            let unit = by_search(&e, tx, rx);
             let point = e.surface(unit);
             let length_m = point.distance(tx) + point.distance(rx);
             assert!((h.distances_m.0 + h.distances_m.1 - length_m).abs() < 1e-7, "{e:?} {tx} {rx}");
-            let sources = [tx, rx].map(|source| e.outside(source).0);
-            let exact = Mirror::new(e.semi_axes_m, (unit / e.semi_axes_m).normalize(), sources).expect("numbers");
+            let sources = [tx, rx].map(|source| e.moved_outside(source).0);
+            let exact = Reflector::new(e.semi_axes_m, (unit / e.semi_axes_m).normalize(), sources).expect("numbers");
             let ours = amplitude(h.cosine, h.det_j, [h.distances_m.0, h.distances_m.1]);
             let ratio = ours / amplitude(exact.cosine, exact.det_j, exact.distances_m);
             assert!((ratio - 1.0).abs() < 1e-6, "{e:?} {tx} {rx}: {ratio}");
@@ -381,19 +392,19 @@ mod tests {
     #[test]
     fn few_steps_are_taken() {
         let mut rng = generator(12, Purpose::Build, [0, 0]);
-        let (mut places, mut all) = (0, 0);
+        let (mut evaluations, mut all) = (0, 0);
         for _ in 0..2000 {
             let (e, tx, rx) = draw(&mut rng, 2.0);
-            let sources = [tx, rx].map(|source| e.outside(source).0);
+            let sources = [tx, rx].map(|source| e.moved_outside(source).0);
             let Some(first) = e.first_normal(sources) else { continue };
-            let mut here = Mirror::new(e.semi_axes_m, first, sources).expect("numbers");
-            (places, all) = (places + 1, all + 1);
-            while here.step_m >= LEAST_STEP_M {
-                here = here.next(e.semi_axes_m, sources).expect("numbers");
-                places += 1;
+            let mut current = Reflector::new(e.semi_axes_m, first, sources).expect("numbers");
+            (evaluations, all) = (evaluations + 1, all + 1);
+            while current.step_m >= LEAST_STEP_M {
+                current = current.next(e.semi_axes_m, sources).expect("numbers");
+                evaluations += 1;
             }
         }
-        assert!(f64::from(places) < 3.2 * f64::from(all), "{places} of {all}");
+        assert!(f64::from(evaluations) < 3.2 * f64::from(all), "{evaluations} of {all}");
     }
 
     /// A start value from a neighbouring instant changes the result only where no other start value exists.

@@ -9,8 +9,8 @@ use super::specular::{Ellipsoid, FAR, LEAST_COSINE, LEAST_STEP_M, TOUCHING};
 use crate::lanes::vector::{Vector, add, choose, cross, dot, normalized, over, scale, store, subtract, tangent, times};
 use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
 
-/// Number of points evaluated before a lane is left to the method for one pair.
-const MOST_PLACES: usize = 6;
+/// Largest number of points that are evaluated. Lanes that need more are left to the method for one pair.
+const MOST_EVALUATIONS: usize = 6;
 
 /// Specular points of an ellipsoid for pairs of sources, one per lane, with the fields of
 /// [`super::specular::SpecularPoint`].
@@ -31,7 +31,11 @@ pub(crate) struct SpecularRows {
 
 compiled_for_levels! {
     /// Finds the specular points for pairs of positions of transmitter and receiver in the room.
-    pub(crate) fn specular_points(of: &Ellipsoid, sources: &[WideRow3; 2], out: &mut SpecularRows) = specular_points_body;
+    pub(crate) fn specular_points(
+        ellipsoid: &Ellipsoid,
+        sources: &[WideRow3; 2],
+        out: &mut SpecularRows,
+    ) = specular_points_body;
 }
 
 /// Constants of an ellipsoid.
@@ -42,75 +46,79 @@ struct Body {
     longest_m: f64,
 }
 
-/// Pairs of sources in axes of the ellipsoid, and the initial normals of their search.
+/// Pairs of sources in axes of the ellipsoid, and the initial normals of the search.
 #[derive(Clone, Copy, Default)]
-struct Begun {
+struct Start {
     tx: WideRow3,
     rx: WideRow3,
     normal: WideRow3,
     /// 1 where an initial normal exists.
-    sound: WideRow,
+    regular: WideRow,
     /// 1 where a source is so near that the bisector is a poor initial normal.
     near: WideRow,
+    /// Distance of the nearer source from the centre, m.
     nearest_m: WideRow,
 }
 
-/// Points of an ellipsoid, in its own axes, as mirrors between two sources.
+/// Points of an ellipsoid, in its own axes, that reflect between two sources.
 #[derive(Clone, Copy)]
-struct Mirrors {
+struct Reflectors {
     normal: WideRow3,
     point: WideRow3,
     towards: [WideRow3; 2],
     distances_m: [WideRow; 2],
     cosine: WideRow,
     det_j: WideRow,
-    turn: WideRow3,
+    /// Newton's step of the normal.
+    normal_step: WideRow3,
+    /// Resulting displacement of the point, m.
     step_m: WideRow,
     /// 1 where every step of the search was regular.
-    sound: WideRow,
+    regular: WideRow,
 }
 
 #[inline(always)]
-fn specular_points_body(of: &Ellipsoid, sources: &[WideRow3; 2], out: &mut SpecularRows) {
+fn specular_points_body(ellipsoid: &Ellipsoid, sources: &[WideRow3; 2], out: &mut SpecularRows) {
+    let &Ellipsoid { centre, axes, semi_axes_m } = ellipsoid;
     let body = Body {
-        centre: [of.centre.x, of.centre.y, of.centre.z],
+        centre: [centre.x, centre.y, centre.z],
         axes: [
-            [of.axes.x_axis.x, of.axes.x_axis.y, of.axes.x_axis.z],
-            [of.axes.y_axis.x, of.axes.y_axis.y, of.axes.y_axis.z],
-            [of.axes.z_axis.x, of.axes.z_axis.y, of.axes.z_axis.z],
+            [axes.x_axis.x, axes.x_axis.y, axes.x_axis.z],
+            [axes.y_axis.x, axes.y_axis.y, axes.y_axis.z],
+            [axes.z_axis.x, axes.z_axis.y, axes.z_axis.z],
         ],
-        semi_axes_m: [of.semi_axes_m.x, of.semi_axes_m.y, of.semi_axes_m.z],
-        longest_m: of.semi_axes_m.x.max(of.semi_axes_m.y).max(of.semi_axes_m.z),
+        semi_axes_m: [semi_axes_m.x, semi_axes_m.y, semi_axes_m.z],
+        longest_m: semi_axes_m.x.max(semi_axes_m.y).max(semi_axes_m.z),
     };
-    let begun = begun(&body, sources);
-    let mut here = Mirrors {
-        normal: begun.normal,
+    let start = start(&body, sources);
+    let mut current = Reflectors {
+        normal: start.normal,
         point: [[0.0; WIDE]; 3],
         towards: [[[0.0; WIDE]; 3]; 2],
         distances_m: [[f64::INFINITY; WIDE]; 2],
         cosine: [0.0; WIDE],
         det_j: [0.0; WIDE],
-        turn: [[0.0; WIDE]; 3],
+        normal_step: [[0.0; WIDE]; 3],
         step_m: [f64::INFINITY; WIDE],
-        sound: begun.sound,
+        regular: start.regular,
     };
-    for _ in 0..MOST_PLACES {
-        here = next(&body, &begun, &here);
-        let mut open = 0.0;
+    for _ in 0..MOST_EVALUATIONS {
+        current = next(&body, &start, &current);
+        let mut unfinished = 0.0;
         for l in 0..WIDE {
-            open += if here.step_m[l] >= LEAST_STEP_M { here.sound[l] } else { 0.0 };
+            unfinished += if current.step_m[l] >= LEAST_STEP_M { current.regular[l] } else { 0.0 };
         }
-        if open == 0.0 {
+        if unfinished == 0.0 {
             break;
         }
     }
-    in_the_room(&body, &here, out);
+    store_in_room(&body, &current, out);
 }
 
 /// Transforms sources to axes of the ellipsoid and computes the initial normals.
 #[inline(always)]
-fn begun(body: &Body, sources: &[WideRow3; 2]) -> Begun {
-    let (b, mut begun) = (body.semi_axes_m, Begun::default());
+fn start(body: &Body, sources: &[WideRow3; 2]) -> Start {
+    let (b, mut start) = (body.semi_axes_m, Start::default());
     for l in 0..WIDE {
         let t = subtract(wide_lane(&sources[0], l), body.centre);
         let r = subtract(wide_lane(&sources[1], l), body.centre);
@@ -120,81 +128,83 @@ fn begun(body: &Body, sources: &[WideRow3; 2]) -> Begun {
         let (t_m, r_m) = (dot(t, t).sqrt(), dot(r, r).sqrt());
         let bisector = add(scale(t, 1.0 / t_m), scale(r, 1.0 / r_m));
         let square = dot(bisector, bisector);
-        let is_sound = (dot(t_unit, t_unit) >= TOUCHING * TOUCHING)
+        let is_regular = (dot(t_unit, t_unit) >= TOUCHING * TOUCHING)
             & (dot(r_unit, r_unit) >= TOUCHING * TOUCHING)
             & (square >= 4.0 * LEAST_COSINE * LEAST_COSINE);
         let nearest_m = if t_m < r_m { t_m } else { r_m };
-        store(&mut begun.tx, l, t);
-        store(&mut begun.rx, l, r);
-        store(&mut begun.normal, l, scale(bisector, 1.0 / square.sqrt()));
-        begun.sound[l] = if is_sound { 1.0 } else { 0.0 };
-        begun.near[l] = if nearest_m > FAR * body.longest_m { 0.0 } else { 1.0 };
-        begun.nearest_m[l] = nearest_m;
+        store(&mut start.tx, l, t);
+        store(&mut start.rx, l, r);
+        store(&mut start.normal, l, scale(bisector, 1.0 / square.sqrt()));
+        start.regular[l] = if is_regular { 1.0 } else { 0.0 };
+        start.near[l] = if nearest_m > FAR * body.longest_m { 0.0 } else { 1.0 };
+        start.nearest_m[l] = nearest_m;
     }
     let mut near = 0.0;
     for l in 0..WIDE {
-        near += begun.near[l];
+        near += start.near[l];
     }
     if near == 0.0 {
-        return begun;
+        return start;
     }
     // For far sources the normal is the bisector; for touching ones the point is below them.
-    let mut normals = begun.normal;
+    let mut normals = start.normal;
     for l in 0..WIDE {
-        let bisector = wide_lane(&begun.normal, l);
-        let support = normalized(times(b, bisector));
-        let (t, r) = (over(wide_lane(&begun.tx, l), b), over(wide_lane(&begun.rx, l), b));
+        let bisector = wide_lane(&start.normal, l);
+        let by_bisector = normalized(times(b, bisector));
+        let (t, r) = (over(wide_lane(&start.tx, l), b), over(wide_lane(&start.rx, l), b));
         let below = normalized(add(normalized(t), normalized(r)));
-        let part = body.longest_m / begun.nearest_m[l];
-        let part = if part < 1.0 { part } else { 1.0 };
-        let unit = add(scale(support, 1.0 - part * part), scale(below, part * part));
+        let nearness = body.longest_m / start.nearest_m[l];
+        let nearness = if nearness < 1.0 { nearness } else { 1.0 };
+        let weight = nearness * nearness;
+        let unit = add(scale(by_bisector, 1.0 - weight), scale(below, weight));
         let normal = normalized(over(unit, b));
-        store(&mut normals, l, choose(begun.near[l] != 0.0, normal, bisector));
+        store(&mut normals, l, choose(start.near[l] != 0.0, normal, bisector));
     }
-    Begun { normal: normals, ..begun }
+    Start { normal: normals, ..start }
 }
 
 /// Takes Newton's step. Lanes in which the last step was short enough keep their point.
 #[inline(always)]
-fn next(body: &Body, begun: &Begun, here: &Mirrors) -> Mirrors {
-    let mut next = *here;
+fn next(body: &Body, start: &Start, current: &Reflectors) -> Reflectors {
+    let mut next = *current;
     for l in 0..WIDE {
-        let old = wide_lane(&here.normal, l);
-        let moved = normalized(add(old, wide_lane(&here.turn, l)));
-        let normal = choose(here.step_m[l] >= LEAST_STEP_M, moved, old);
-        let m = mirror(body.semi_axes_m, normal, wide_lane(&begun.tx, l), wide_lane(&begun.rx, l));
+        let old = wide_lane(&current.normal, l);
+        let moved = normalized(add(old, wide_lane(&current.normal_step, l)));
+        let normal = choose(current.step_m[l] >= LEAST_STEP_M, moved, old);
+        let new = reflector(body.semi_axes_m, normal, wide_lane(&start.tx, l), wide_lane(&start.rx, l));
         // Steps that lengthen the path need halving, which is left to the method for one pair.
-        let longest_m = here.distances_m[0][l] + here.distances_m[1][l] + 1e-12;
-        let is_sound = (m.distances_m[0] + m.distances_m[1] <= longest_m) & (m.det_j > 0.0) & (m.det_j < f64::INFINITY);
+        let longest_m = current.distances_m[0][l] + current.distances_m[1][l] + 1e-12;
+        let is_regular =
+            (new.distances_m[0] + new.distances_m[1] <= longest_m) & (new.det_j > 0.0) & (new.det_j < f64::INFINITY);
         store(&mut next.normal, l, normal);
-        store(&mut next.point, l, m.point);
-        store(&mut next.towards[0], l, m.towards[0]);
-        store(&mut next.towards[1], l, m.towards[1]);
-        store(&mut next.turn, l, m.turn);
-        next.distances_m[0][l] = m.distances_m[0];
-        next.distances_m[1][l] = m.distances_m[1];
-        next.cosine[l] = m.cosine;
-        next.det_j[l] = m.det_j;
-        next.step_m[l] = m.step_m;
-        next.sound[l] = if is_sound { here.sound[l] } else { 0.0 };
+        store(&mut next.point, l, new.point);
+        store(&mut next.towards[0], l, new.towards[0]);
+        store(&mut next.towards[1], l, new.towards[1]);
+        store(&mut next.normal_step, l, new.normal_step);
+        next.distances_m[0][l] = new.distances_m[0];
+        next.distances_m[1][l] = new.distances_m[1];
+        next.cosine[l] = new.cosine;
+        next.det_j[l] = new.det_j;
+        next.step_m[l] = new.step_m;
+        next.regular[l] = if is_regular { current.regular[l] } else { 0.0 };
     }
     next
 }
 
-/// Point as a mirror, in one lane.
-struct Mirror {
+/// Point that reflects, in one lane.
+struct Reflector {
     point: Vector,
     towards: [Vector; 2],
     distances_m: [f64; 2],
     cosine: f64,
     det_j: f64,
-    turn: Vector,
+    normal_step: Vector,
     step_m: f64,
 }
 
-/// Evaluates the point with this normal, like `Mirror::new` of [`super::specular`].
+/// Evaluates the point with this normal, like `Reflector::new` of [`super::specular`].
 #[inline(always)]
-fn mirror(b: Vector, normal: Vector, tx: Vector, rx: Vector) -> Mirror {
+fn reflector(b: Vector, normal: Vector, tx: Vector, rx: Vector) -> Reflector {
     let square = times(b, b);
     let scaled = times(square, normal);
     let support_m = dot(scaled, normal).sqrt();
@@ -228,42 +238,42 @@ fn mirror(b: Vector, normal: Vector, tx: Vector, rx: Vector) -> Mirror {
     let per_det = 1.0 / det_m;
     let turn_u = (m_vv * g_u - m_uv * g_v) * per_det;
     let turn_v = (m_uu * g_v - m_vu * g_u) * per_det;
-    let (moved_u, moved_v) = (s_uu * turn_u + s_uv * turn_v, s_uv * turn_u + s_vv * turn_v);
-    Mirror {
+    let (step_u, step_v) = (s_uu * turn_u + s_uv * turn_v, s_uv * turn_u + s_vv * turn_v);
+    Reflector {
         point,
         towards: [t, r],
         distances_m: [t_m, r_m],
         cosine,
         det_j: det_m / (root_s * root_s),
-        turn: add(scale(u, turn_u), scale(v, turn_v)),
-        step_m: (moved_u * moved_u + moved_v * moved_v).sqrt(),
+        normal_step: add(scale(u, turn_u), scale(v, turn_v)),
+        step_m: (step_u * step_u + step_v * step_v).sqrt(),
     }
 }
 
 /// Converts the points found to room axes.
 #[inline(always)]
-fn in_the_room(body: &Body, here: &Mirrors, out: &mut SpecularRows) {
+fn store_in_room(body: &Body, found: &Reflectors, out: &mut SpecularRows) {
     let [x, y, z] = body.axes;
     for l in 0..WIDE {
-        let (p, n) = (wide_lane(&here.point, l), wide_lane(&here.normal, l));
-        let (t, r) = (wide_lane(&here.towards[0], l), wide_lane(&here.towards[1], l));
+        let (p, n) = (wide_lane(&found.point, l), wide_lane(&found.normal, l));
+        let (t, r) = (wide_lane(&found.towards[0], l), wide_lane(&found.towards[1], l));
         store(&mut out.unit, l, over(p, body.semi_axes_m));
-        store(&mut out.point, l, add(body.centre, turned(x, y, z, p)));
-        store(&mut out.normal, l, turned(x, y, z, n));
-        store(&mut out.towards[0], l, turned(x, y, z, t));
-        store(&mut out.towards[1], l, turned(x, y, z, r));
-        out.distances_m[0][l] = here.distances_m[0][l];
-        out.distances_m[1][l] = here.distances_m[1][l];
-        out.cosine[l] = here.cosine[l];
-        out.det_j[l] = here.det_j[l];
-        out.found[l] = if here.step_m[l] < LEAST_STEP_M { here.sound[l] } else { 0.0 };
+        store(&mut out.point, l, add(body.centre, room_vector(x, y, z, p)));
+        store(&mut out.normal, l, room_vector(x, y, z, n));
+        store(&mut out.towards[0], l, room_vector(x, y, z, t));
+        store(&mut out.towards[1], l, room_vector(x, y, z, r));
+        out.distances_m[0][l] = found.distances_m[0][l];
+        out.distances_m[1][l] = found.distances_m[1][l];
+        out.cosine[l] = found.cosine[l];
+        out.det_j[l] = found.det_j[l];
+        out.found[l] = if found.step_m[l] < LEAST_STEP_M { found.regular[l] } else { 0.0 };
     }
 }
 
 /// Converts a vector from the ellipsoid's axes to the room's.
 #[inline(always)]
-fn turned(x: Vector, y: Vector, z: Vector, of: Vector) -> Vector {
-    add(add(scale(x, of[0]), scale(y, of[1])), scale(z, of[2]))
+fn room_vector(x: Vector, y: Vector, z: Vector, vector: Vector) -> Vector {
+    add(add(scale(x, vector[0]), scale(y, vector[1])), scale(z, vector[2]))
 }
 
 #[cfg(test)]
@@ -288,10 +298,10 @@ mod tests {
             sphere.try_normalize().unwrap_or(DVec3::Z)
         };
         let axis = direction();
-        let ways: [[DVec3; 2]; WIDE] = std::array::from_fn(|_| [direction(), direction()]);
+        let directions: [[DVec3; 2]; WIDE] = std::array::from_fn(|_| [direction(), direction()]);
         let axes = DMat3::from_axis_angle(axis, rng.random_range(0.0..3.0));
         let mut sources = [[[0.0; WIDE]; 3]; 2];
-        for (l, [there, aside]) in ways.into_iter().enumerate() {
+        for (l, [there, aside]) in directions.into_iter().enumerate() {
             let least_m = [0.02, 0.45, 2.0][l % 3];
             let tx = segment.centre + there * rng.random_range(least_m..8.0);
             let rx = if rng.random::<bool>() {
@@ -312,7 +322,7 @@ mod tests {
     /// Each lane agrees with the method for one pair: the point to some nanometres, path length and amplitude to
     /// rounding.
     #[test]
-    fn lanes_are_specular_points_of_one_pair() {
+    fn lanes_agree_with_the_method_for_one_pair() {
         let mut rng = generator(21, Purpose::Build, [0, 0]);
         let (mut found, mut all) = (0, 0);
         for _ in 0..600 {
@@ -359,13 +369,13 @@ mod tests {
                 specular_points(level, &e, &sources, &mut rows);
                 let all = [&rows.point, &rows.unit, &rows.normal, &rows.towards[0], &rows.towards[1]];
                 let bits = |row: &WideRow| row.map(f64::to_bits);
-                let sound: Vec<bool> = rows.found.iter().map(|found| *found != 0.0).collect();
+                let is_found: Vec<bool> = rows.found.iter().map(|found| *found != 0.0).collect();
                 let vectors = all.into_iter().flatten().map(bits);
                 let rest = [&rows.distances_m[0], &rows.distances_m[1], &rows.cosine, &rows.det_j, &rows.found];
                 let mut all: Vec<[u64; WIDE]> = vectors.chain(rest.into_iter().map(bits)).collect();
                 // Lanes without a point are ignored.
                 all.iter_mut().for_each(|row| {
-                    row.iter_mut().zip(&sound).filter(|(_, sound)| !**sound).for_each(|(bits, _)| *bits = 0);
+                    row.iter_mut().zip(&is_found).filter(|(_, is_found)| !**is_found).for_each(|(bits, _)| *bits = 0);
                 });
                 all
             });

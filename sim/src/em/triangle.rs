@@ -3,9 +3,9 @@
 //!
 //! By the Hermite-Genocchi formula, `I` is minus the divided difference of `exp(j .)` at a, b, c. Its quotient form
 //! suffers from cancellation where phases are close, as do Gordon's edge sums near specular directions. Two forms
-//! together avoid this. For phases within one radian of each other it is a power series about their mean. Otherwise it
-//! is a difference of edge integrals over the longest phase difference, which is then not small. The result does not
-//! depend on the order of the vertices.
+//! together avoid this. For phases within one radian of each other, `I` is computed by a power series about their mean.
+//! Otherwise it is a difference of edge integrals, divided by the largest phase difference, which is then not small.
+//! The result does not depend on the order of the vertices.
 
 use num_complex::Complex64;
 
@@ -51,16 +51,16 @@ pub fn moments(a: f64, b: f64, c: f64) -> [Complex64; 3] {
     let [p, q, r] = x;
     let longest = r - p;
     let (lower, upper) = (Edge::new(p, q), Edge::new(q, r));
-    let over = Complex64::new(0.0, longest).inv();
-    let whole = (upper.value - lower.value) * over;
+    let inverse = Complex64::new(0.0, longest).inv();
+    let whole = (upper.value - lower.value) * inverse;
     let sorted = [
-        -lower.to_first * over + whole / longest,
-        (upper.to_first - lower.to_second) * over,
-        upper.to_second * over - whole / longest,
+        -lower.by_first * inverse + whole / longest,
+        (upper.by_first - lower.by_second) * inverse,
+        upper.by_second * inverse - whole / longest,
     ];
     let mut moments = [Complex64::ZERO; 3];
-    for (to, value) in order.into_iter().zip(sorted) {
-        moments[to] = Complex64::new(value.im, -value.re);
+    for (corner, value) in order.into_iter().zip(sorted) {
+        moments[corner] = Complex64::new(value.im, -value.re);
     }
     moments
 }
@@ -68,14 +68,14 @@ pub fn moments(a: f64, b: f64, c: f64) -> [Complex64; 3] {
 /// `int_0^1 exp(j (a + t (b - a))) dt` and its derivatives by a and b.
 struct Edge {
     value: Complex64,
-    to_first: Complex64,
-    to_second: Complex64,
+    by_first: Complex64,
+    by_second: Complex64,
 }
 
 impl Edge {
     #[inline]
     fn new(a: f64, b: f64) -> Self {
-        let (half, turn) = (0.5 * (b - a), Complex64::from_polar(1.0, 0.5 * (a + b)));
+        let (half, phasor) = (0.5 * (b - a), Complex64::from_polar(1.0, 0.5 * (a + b)));
         let (sine, cosine) = half.sin_cos();
         let (sinc, slope) = if half.abs() < 0.03 {
             let square = half * half;
@@ -85,15 +85,15 @@ impl Edge {
             (sine / half, (cosine - sine / half) / half)
         };
         Edge {
-            value: turn * sinc,
-            to_first: turn * Complex64::new(-0.5 * slope, 0.5 * sinc),
-            to_second: turn * Complex64::new(0.5 * slope, 0.5 * sinc),
+            value: phasor * sinc,
+            by_first: phasor * Complex64::new(-0.5 * slope, 0.5 * sinc),
+            by_second: phasor * Complex64::new(0.5 * slope, 0.5 * sinc),
         }
     }
 }
 
-/// Evaluates the series of [`series`] with each corner's phase counted twice: `h_n(x, y, z, x) = h_n(x, y, z) + x
-/// h_{n-1}(x, y, z, x)`.
+/// Sums the moments by the series of [`series`], in which each corner's own phase is counted twice: `h_n(x, y, z, x) =
+/// h_n(x, y, z) + x h_{n-1}(x, y, z, x)`.
 fn series_moments(phases: [f64; 3]) -> [Complex64; 3] {
     let mean = (phases[0] + phases[1] + phases[2]) / 3.0;
     let x = phases.map(|p| p - mean);
@@ -137,8 +137,8 @@ fn series(a: f64, b: f64, c: f64) -> Complex64 {
         }
     }
     // The first order does not quite vanish at the rounded mean: for a hundred radians the last digit is 1e-14.
-    let left = (x + y + z) / 3.0;
-    Complex64::from_polar(1.0, mean) * Complex64::new(re - left * im, im + left * re)
+    let residual = (x + y + z) / 3.0;
+    Complex64::from_polar(1.0, mean) * Complex64::new(re - residual * im, im + residual * re)
 }
 
 /// Computes `int_0^1 exp(j (a + t (b - a))) dt`.
@@ -146,9 +146,9 @@ fn series(a: f64, b: f64, c: f64) -> Complex64 {
 fn edge(a: f64, b: f64) -> Complex64 {
     let sum = a + b;
     // Rounding error of the sum (Knuth), applied as a rotation.
-    let of_b = sum - a;
-    let left = 0.5 * ((a - (sum - of_b)) + (b - of_b));
-    Complex64::from_polar(sinc(0.5 * (b - a)), 0.5 * sum) * Complex64::new(1.0, left)
+    let rounded_b = sum - a;
+    let residual = 0.5 * ((a - (sum - rounded_b)) + (b - rounded_b));
+    Complex64::from_polar(sinc(0.5 * (b - a)), 0.5 * sum) * Complex64::new(1.0, residual)
 }
 
 /// Computes `sin x / x`.

@@ -3,8 +3,9 @@
 //! [`fresnel::slab`] evaluates complex roots and exponentials, and an image path needs it at every wall. [`WallTable`]
 //! divides the range of the cosine into cells, and each cell into as many equal pieces as accuracy requires. A piece is
 //! a polynomial of degree five through Chebyshev points, within 1e-8 of the slab at all check points. Thin walls take
-//! one piece a cell; walls many wavelengths thick take more. Cells that would take too many (foils at grazing
-//! incidence, thick walls without loss) are not tabulated and use the slab.
+//! one piece a cell; walls many wavelengths thick take more. Cells that would take too many are not tabulated, and
+//! coefficients there are computed in closed form. Examples are foils at grazing incidence and thick walls without
+//! loss.
 
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -12,7 +13,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::fresnel::{self, Reflection};
+use super::fresnel::{self, Coefficients};
 use super::{Phasor3, incidence_frame};
 
 /// Type of a wall or another surface.
@@ -36,30 +37,31 @@ pub enum Wall {
     Open,
 }
 
-/// Least depth over which a wall takes effect, m. It avoids a step between two chirps when a person passes.
+/// Least depth over which a wall takes effect, m. Otherwise the field would step between two chirps when a person
+/// passes.
 const LEAST_DEPTH_M: f64 = 0.1;
 
 impl Wall {
     /// Returns the reflection at the cosine of the angle of incidence, in closed form.
-    pub fn reflection(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
+    pub fn reflection(&self, wavenumber_per_m: f64, cosine: f64) -> Coefficients {
         match *self {
             Wall::Slab { permittivity, thickness_m } => {
                 fresnel::slab(permittivity, thickness_m, wavenumber_per_m, cosine).reflection
             }
             Wall::HalfSpace { permittivity } => fresnel::half_space(permittivity, cosine),
-            Wall::Conductor => Reflection { te: Complex64::from(-1.0), tm: Complex64::from(1.0) },
-            Wall::Open => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
+            Wall::Conductor => Coefficients { te: Complex64::from(-1.0), tm: Complex64::from(1.0) },
+            Wall::Open => Coefficients { te: Complex64::ZERO, tm: Complex64::ZERO },
         }
     }
 
     /// Returns the factor of the wall on a field that passes straight through, relative to air.
-    pub fn transmission(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
+    pub fn transmission(&self, wavenumber_per_m: f64, cosine: f64) -> Coefficients {
         match *self {
             Wall::Slab { permittivity, thickness_m } => {
                 fresnel::straight_through(permittivity, thickness_m, wavenumber_per_m, cosine)
             }
-            Wall::HalfSpace { .. } | Wall::Conductor => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
-            Wall::Open => Reflection { te: Complex64::ONE, tm: Complex64::ONE },
+            Wall::HalfSpace { .. } | Wall::Conductor => Coefficients { te: Complex64::ZERO, tm: Complex64::ZERO },
+            Wall::Open => Coefficients { te: Complex64::ONE, tm: Complex64::ONE },
         }
     }
 
@@ -84,8 +86,8 @@ impl Wall {
         (field, outgoing)
     }
 
-    /// Returns the distance beyond the wall's inner face over which its effect rises to full, m. It is the wall's
-    /// thickness, but at least what a body takes some chirps to pass.
+    /// Returns the distance beyond the wall's inner face over which its effect increases from none to full, m. It is
+    /// the wall's thickness, but at least a length that a body needs several chirps to pass.
     pub(super) fn depth_m(&self) -> f64 {
         match *self {
             Wall::Slab { thickness_m, .. } => thickness_m.max(LEAST_DEPTH_M),
@@ -105,14 +107,14 @@ const TOLERANCE: f64 = 1e-8;
 /// Check points of a piece, from -1 to 1: where the error of an interpolation by six points is largest.
 const CHECKS: [f64; 7] = [-1.0, -0.866, -0.5, 0.0, 0.5, 0.866, 1.0];
 
-/// Factor by which a magnitude may exceed its values at the check points, or 1 by rounding.
-const BETWEEN: f64 = 1.01;
+/// Margin of a bound on magnitudes: the factor by which they may exceed those at the check points, or 1 by rounding.
+const MARGIN: f64 = 1.01;
 
-/// Real and imaginary parts of a coefficient in both polarisations: `[te.re, te.im, tm.re, tm.im]`.
+/// Real and imaginary parts of the coefficients of both polarisations: `[te.re, te.im, tm.re, tm.im]`.
 type Parts = [f64; 4];
 
-fn parts(r: Reflection) -> Parts {
-    [r.te.re, r.te.im, r.tm.re, r.tm.im]
+fn parts(Coefficients { te, tm }: Coefficients) -> Parts {
+    [te.re, te.im, tm.re, tm.im]
 }
 
 /// Polynomial over -1..1, as coefficients by power.
@@ -121,10 +123,11 @@ type Piece = [Parts; NODES];
 /// Cell of a curve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Cell {
+    /// Index of the first of its pieces.
     first: usize,
-    /// 0 where the curve is not tabulated.
+    /// Number of its pieces; 0 where the curve is not tabulated.
     count: usize,
-    /// Largest magnitudes, TE and TM.
+    /// Upper bounds of the magnitudes, TE and TM.
     most: [f64; 2],
 }
 
@@ -136,51 +139,53 @@ struct Curve {
 }
 
 impl Curve {
-    fn new(of: impl Fn(f64) -> Parts) -> Self {
+    /// Tabulates a function of the cosine.
+    fn new(exact: impl Fn(f64) -> Parts) -> Self {
         let mut curve = Curve { cells: Vec::with_capacity(CELLS), pieces: Vec::with_capacity(CELLS) };
         for cell in 0..CELLS {
             let first = curve.pieces.len();
             let mut count = 1;
-            let found = loop {
-                let found = fit(&of, cell, count);
-                if found.is_some() || count == MOST_PIECES {
-                    break found.unwrap_or_default();
+            let pieces = loop {
+                let fitted = fit(&exact, cell, count);
+                if fitted.is_some() || count == MOST_PIECES {
+                    break fitted.unwrap_or_default();
                 }
                 count *= 2;
             };
-            let most = if found.is_empty() { [BETWEEN; 2] } else { largest(&found) };
-            curve.cells.push(Cell { first, count: found.len(), most });
-            curve.pieces.extend(found);
+            let most = if pieces.is_empty() { [MARGIN; 2] } else { max_magnitudes(&pieces) };
+            curve.cells.push(Cell { first, count: pieces.len(), most });
+            curve.pieces.extend(pieces);
         }
         curve
     }
 
     /// Returns the coefficients at a cosine; `None` where they are not tabulated.
     #[inline(always)]
-    fn at(&self, cosine: f64) -> Option<Reflection> {
-        let at = cosine * CELLS as f64;
+    fn at(&self, cosine: f64) -> Option<Coefficients> {
+        let in_cells = cosine * CELLS as f64;
         // NaN and values out of range map to the first or the last cell.
-        let cell = (at as usize).min(CELLS - 1);
+        let cell = (in_cells as usize).min(CELLS - 1);
         let &Cell { first, count, .. } = self.cells.get(cell)?;
-        let along = (at - cell as f64) * count as f64;
-        let piece = (along as usize).min(count.checked_sub(1)?);
-        let [te_re, te_im, tm_re, tm_im] = value(self.pieces.get(first + piece)?, 2.0 * (along - piece as f64) - 1.0);
-        Some(Reflection { te: Complex64::new(te_re, te_im), tm: Complex64::new(tm_re, tm_im) })
+        let in_pieces = (in_cells - cell as f64) * count as f64;
+        let piece = (in_pieces as usize).min(count.checked_sub(1)?);
+        let x = 2.0 * (in_pieces - piece as f64) - 1.0;
+        let [te_re, te_im, tm_re, tm_im] = value(self.pieces.get(first + piece)?, x);
+        Some(Coefficients { te: Complex64::new(te_re, te_im), tm: Complex64::new(tm_re, tm_im) })
     }
 }
 
 /// Fits a cell by `count` pieces; `None` if their error is too large.
-fn fit(of: &impl Fn(f64) -> Parts, cell: usize, count: usize) -> Option<Vec<Piece>> {
+fn fit(exact: &impl Fn(f64) -> Parts, cell: usize, count: usize) -> Option<Vec<Piece>> {
     let half = 0.5 / (CELLS * count) as f64;
     let mut pieces = Vec::with_capacity(count);
     for i in 0..count {
         let middle = cell as f64 / CELLS as f64 + (2 * i + 1) as f64 * half;
-        let piece = interpolated(|x| of(middle + half * x));
-        let errs = |&x: &f64| {
-            let (got, exact) = (value(&piece, x), of(middle + half * x));
-            got.iter().zip(exact).any(|(got, exact)| (got - exact).abs() > TOLERANCE / 2.0)
+        let piece = interpolated(|x| exact(middle + half * x));
+        let is_wrong = |&x: &f64| {
+            let (fitted, exact) = (value(&piece, x), exact(middle + half * x));
+            fitted.iter().zip(exact).any(|(fitted, exact)| (fitted - exact).abs() > TOLERANCE / 2.0)
         };
-        if CHECKS.iter().any(errs) {
+        if CHECKS.iter().any(is_wrong) {
             return None;
         }
         pieces.push(piece);
@@ -188,8 +193,8 @@ fn fit(of: &impl Fn(f64) -> Parts, cell: usize, count: usize) -> Option<Vec<Piec
     Some(pieces)
 }
 
-/// Returns the polynomial through the Chebyshev points of -1..1.
-fn interpolated(of: impl Fn(f64) -> Parts) -> Piece {
+/// Returns the polynomial through a function's values at the Chebyshev points of -1..1.
+fn interpolated(function: impl Fn(f64) -> Parts) -> Piece {
     /// Coefficients of the Chebyshev polynomials, in columns, by powers.
     const POWERS: [[f64; NODES]; NODES] = [
         [1.0, 0.0, -1.0, 0.0, 1.0, 0.0],
@@ -200,7 +205,7 @@ fn interpolated(of: impl Fn(f64) -> Parts) -> Piece {
         [0.0, 0.0, 0.0, 0.0, 0.0, 16.0],
     ];
     let angles: [f64; NODES] = std::array::from_fn(|i| PI * (i as f64 + 0.5) / NODES as f64);
-    let values = angles.map(|angle| of(angle.cos()));
+    let values = angles.map(|angle| function(angle.cos()));
     let mut by_degree = [[0.0; 4]; NODES];
     for (degree, sums) in by_degree.iter_mut().enumerate() {
         let scale = if degree == 0 { 1.0 } else { 2.0 };
@@ -218,6 +223,7 @@ fn interpolated(of: impl Fn(f64) -> Parts) -> Piece {
     })
 }
 
+/// Value of a polynomial.
 #[inline(always)]
 fn value(piece: &Piece, x: f64) -> Parts {
     let mut sum = piece[NODES - 1];
@@ -230,12 +236,12 @@ fn value(piece: &Piece, x: f64) -> Parts {
 }
 
 /// Returns the largest magnitudes of both polarisations over pieces, with a margin for values between the check points.
-fn largest(pieces: &[Piece]) -> [f64; 2] {
+fn max_magnitudes(pieces: &[Piece]) -> [f64; 2] {
     let mut most = [0.0f64; 2];
     for [te_re, te_im, tm_re, tm_im] in pieces.iter().flat_map(|piece| CHECKS.map(|x| value(piece, x))) {
         most = [most[0].max(te_re.hypot(te_im)), most[1].max(tm_re.hypot(tm_im))];
     }
-    most.map(|most| BETWEEN * most)
+    most.map(|most| MARGIN * most)
 }
 
 /// Coefficients of a wall at one wave number, over the cosine of the angle of incidence.
@@ -243,8 +249,8 @@ fn largest(pieces: &[Piece]) -> [f64; 2] {
 pub struct WallTable {
     wall: Wall,
     wavenumber_per_m: f64,
-    /// Factor of diffuse scattering on the fields that the wall reflects specularly and transmits.
-    specular: f64,
+    /// Factor on the fields that the wall reflects specularly and transmits: the rest is scattered diffusely.
+    specular_factor: f64,
     reflection: Option<Curve>,
     transmission: Option<Curve>,
 }
@@ -255,33 +261,33 @@ impl WallTable {
     /// power than it receives, and a metal one returns all.
     pub fn new(wall: Wall, wavenumber_per_m: f64, transmission: bool, diffuse_share: f64) -> Self {
         let is_slab = matches!(wall, Wall::Slab { .. });
-        // Openings do not scatter.
-        let specular = if wall == Wall::Open { 1.0 } else { (1.0 - diffuse_share).max(0.0).sqrt() };
-        let reflection =
-            is_slab.then(|| Curve::new(|cosine| parts(wall.reflection(wavenumber_per_m, cosine).times(specular))));
+        // An opening does not scatter.
+        let specular_factor = if wall == Wall::Open { 1.0 } else { (1.0 - diffuse_share).max(0.0).sqrt() };
+        let reflection = is_slab
+            .then(|| Curve::new(|cosine| parts(wall.reflection(wavenumber_per_m, cosine).times(specular_factor))));
         let transmission = (is_slab && transmission)
-            .then(|| Curve::new(|cosine| parts(wall.transmission(wavenumber_per_m, cosine).times(specular))));
-        WallTable { wall, wavenumber_per_m, specular, reflection, transmission }
+            .then(|| Curve::new(|cosine| parts(wall.transmission(wavenumber_per_m, cosine).times(specular_factor))));
+        WallTable { wall, wavenumber_per_m, specular_factor, reflection, transmission }
     }
 
     /// Returns the reflection at the cosine of the angle of incidence.
     #[inline(always)]
-    pub fn reflection(&self, cosine: f64) -> Reflection {
+    pub fn reflection(&self, cosine: f64) -> Coefficients {
         let tabulated = self.reflection.as_ref().and_then(|curve| curve.at(cosine));
-        tabulated.unwrap_or_else(|| self.wall.reflection(self.wavenumber_per_m, cosine).times(self.specular))
+        tabulated.unwrap_or_else(|| self.wall.reflection(self.wavenumber_per_m, cosine).times(self.specular_factor))
     }
 
     /// Returns the factor of the wall on a field that passes straight through, relative to air.
     #[inline(always)]
-    pub fn transmission(&self, cosine: f64) -> Reflection {
+    pub fn transmission(&self, cosine: f64) -> Coefficients {
         let tabulated = self.transmission.as_ref().and_then(|curve| curve.at(cosine));
-        tabulated.unwrap_or_else(|| self.wall.transmission(self.wavenumber_per_m, cosine).times(self.specular))
+        tabulated.unwrap_or_else(|| self.wall.transmission(self.wavenumber_per_m, cosine).times(self.specular_factor))
     }
 
     /// Returns upper bounds of the magnitudes of the reflection, TE and TM, over cosines from `low` to `high`.
     pub fn most_reflection(&self, low: f64, high: f64) -> [f64; 2] {
         let Some(curve) = &self.reflection else {
-            return if self.wall == Wall::Open { [0.0; 2] } else { [self.specular; 2] };
+            return if self.wall == Wall::Open { [0.0; 2] } else { [self.specular_factor; 2] };
         };
         let cell = |cosine: f64| ((cosine.max(0.0) * CELLS as f64) as usize).min(CELLS - 1);
         let cells = curve.cells.get(cell(low)..=cell(high)).unwrap_or_default();
@@ -294,22 +300,23 @@ pub(crate) struct WallTables {
     pub(crate) wavenumber_per_m: f64,
     transmission: bool,
     diffuse_share: f64,
-    known: Vec<Arc<WallTable>>,
+    tables: Vec<Arc<WallTable>>,
 }
 
 impl WallTables {
     /// Creates an empty set of tables, with transmissions if `transmission` is set, of walls that scatter a share of
     /// the incident power.
     pub(crate) fn new(wavenumber_per_m: f64, transmission: bool, diffuse_share: f64) -> Self {
-        WallTables { wavenumber_per_m, transmission, diffuse_share, known: Vec::new() }
+        WallTables { wavenumber_per_m, transmission, diffuse_share, tables: Vec::new() }
     }
 
+    /// Returns the table of a wall, which is made if there is none yet.
     pub(crate) fn of(&mut self, wall: Wall) -> Arc<WallTable> {
-        if let Some(table) = self.known.iter().find(|table| table.wall == wall) {
+        if let Some(table) = self.tables.iter().find(|table| table.wall == wall) {
             return Arc::clone(table);
         }
         let table = Arc::new(WallTable::new(wall, self.wavenumber_per_m, self.transmission, self.diffuse_share));
-        self.known.push(Arc::clone(&table));
+        self.tables.push(Arc::clone(&table));
         table
     }
 }
@@ -331,7 +338,7 @@ mod tests {
         })
     }
 
-    fn difference(a: Reflection, b: Reflection) -> f64 {
+    fn difference(a: Coefficients, b: Coefficients) -> f64 {
         (a.te - b.te).norm().max((a.tm - b.tm).norm())
     }
 
@@ -357,7 +364,7 @@ mod tests {
             let table = WallTable::new(wall, K, false, 0.0);
             for i in 0..=500 {
                 let cosine = f64::from(i) / 500.0;
-                let Reflection { te, tm } = wall.reflection(K, cosine);
+                let Coefficients { te, tm } = wall.reflection(K, cosine);
                 for spread in [0.0, 0.003, 0.1, 2.0] {
                     let most = table.most_reflection(cosine - spread, cosine + spread);
                     assert!(te.norm() <= most[0] && tm.norm() <= most[1], "{wall:?} {cosine} {spread}");
@@ -369,8 +376,8 @@ mod tests {
         assert!(most[0] < 1.1 * thin.reflection(K, 0.5).te.norm());
     }
 
-    /// A scattering wall reflects and transmits the rest of the power as a smooth wall does all of it, from the table
-    /// and beside it. A metal wall returns all power, and no wall returns more than it receives.
+    /// A scattering wall reflects and transmits the power that it does not scatter in the same proportions as a smooth
+    /// wall, with a table or without one. A metal wall returns all power, and no wall returns more than it receives.
     #[test]
     fn walls_conserve_power() {
         const SHARE: f64 = 0.16;

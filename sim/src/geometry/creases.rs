@@ -6,19 +6,19 @@ use glam::DVec3;
 
 use super::weld::has_area;
 use super::{Mesh, Surface, edges};
-use crate::math::Sets;
+use crate::math::DisjointSets;
 
 impl Surface {
-    /// Makes a surface from a mesh, smooth across every side whose triangles meet at less than the crease angle.
-    /// Vertices at the same place are merged. A vertex normal is the mean of its triangles' normals, weighted by their
-    /// angles at the vertex. Triangles without area are left out. A mesh with an open side is a sheet and reflects on
-    /// either side.
+    /// Makes a surface from a mesh, smooth across every edge whose triangles meet at less than the crease angle.
+    /// Vertices at the same position are merged. A vertex normal is the mean of its triangles' normals, weighted by
+    /// their angles at the vertex. Triangles without area are left out. A mesh with an open edge is a sheet and
+    /// reflects on both sides.
     pub fn from_mesh(mesh: &Mesh, crease_rad: f64) -> Self {
         let mut first_at: HashMap<[u64; 3], u32> = HashMap::new();
         // Adding zero turns -0 into 0.
-        let place = |v: &DVec3| (*v + DVec3::ZERO).to_array().map(f64::to_bits);
+        let bits = |v: &DVec3| (*v + DVec3::ZERO).to_array().map(f64::to_bits);
         let first_of: Vec<u32> =
-            mesh.vertices.iter().zip(0..).map(|(v, i)| *first_at.entry(place(v)).or_insert(i)).collect();
+            mesh.vertices.iter().zip(0..).map(|(v, i)| *first_at.entry(bits(v)).or_insert(i)).collect();
         let with_area = mesh.triangles.iter().enumerate().filter(|(t, _)| mesh.corners(*t).is_some_and(has_area));
         let triangles = with_area.map(|(_, corners)| corners.map(|i| first_of[i as usize])).collect();
         let welded = Mesh { vertices: mesh.vertices.clone(), triangles };
@@ -47,12 +47,12 @@ impl Surface {
     }
 }
 
-/// For each corner of each triangle, a number shared by all corners that it is smooth with. Also whether some side has
-/// no triangle behind it.
+/// For each corner of each triangle, a number that it shares with the corners across smooth edges. Also whether some
+/// edge has only one triangle.
 fn smooth_corners(mesh: &Mesh, crease_rad: f64) -> (Vec<u32>, bool) {
     let edges = edges(mesh);
-    let mut smooth = Sets::new(3 * mesh.triangles.len());
-    // At a tangled edge, no surface continues.
+    let mut smooth = DisjointSets::new(3 * mesh.triangles.len());
+    // No surface continues across a non-manifold edge.
     for edge in edges.iter().filter(|edge| !edge.is_crease(crease_rad)) {
         let Some(right) = edge.right else { continue };
         for vertex in edge.vertices {
@@ -63,7 +63,7 @@ fn smooth_corners(mesh: &Mesh, crease_rad: f64) -> (Vec<u32>, bool) {
             smooth.join(corner(edge.left), corner(right));
         }
     }
-    let open = edges.iter().any(|edge| edge.right.is_none() && !edge.tangled);
+    let open = edges.iter().any(|edge| edge.right.is_none() && !edge.is_non_manifold);
     ((0..3 * mesh.triangles.len()).map(|i| smooth.lowest(i) as u32).collect(), open)
 }
 

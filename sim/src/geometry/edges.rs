@@ -9,51 +9,74 @@ pub struct Edge {
     pub vertices: [u32; 2],
     /// Triangle that has the edge on its border; of several the first.
     pub left: u32,
-    /// Adjacent triangle, which winds the other way. `None` at a border.
+    /// Adjacent triangle, whose winding runs along the edge in the opposite direction. `None` at a border and at a
+    /// non-manifold edge.
     pub right: Option<u32>,
     /// Angle between the two triangles' normals, rad. It is positive where the surface is convex (an outer corner: pi/2
-    /// for a cube) and negative where it is concave (a corner of a room seen from within). It is zero at a border.
+    /// for a cube) and negative where it is concave (a corner of a room seen from within). It is zero without a
+    /// triangle `right`.
     pub turn_rad: f64,
-    /// Whether three or more triangles meet at the edge, or two that face different ways.
-    pub tangled: bool,
+    /// Whether three or more triangles share the edge, or two of opposite orientation.
+    pub is_non_manifold: bool,
 }
 
 impl Edge {
-    /// Returns whether the surface turns at the edge by more than an angle, or ends.
+    /// Returns whether the surface turns at the edge by more than an angle, or ends there.
     pub fn is_crease(&self, least_turn_rad: f64) -> bool {
         self.right.is_none() || self.turn_rad.abs() > least_turn_rad
     }
 }
 
-/// Sides of all triangles, sorted: lower and higher vertex, triangle, and whether it runs from the lower to the higher.
-pub(super) fn sides(mesh: &Mesh) -> Vec<(u32, u32, u32, bool)> {
+/// Side of a triangle. Sides are sorted by their vertices, then by triangle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Side {
+    /// Vertex of lower index.
+    low: u32,
+    /// Vertex of higher index.
+    high: u32,
+    pub triangle: u32,
+    /// Whether the triangle's winding leads from the lower vertex to the higher one.
+    pub is_ascending: bool,
+}
+
+impl Side {
+    /// Returns whether both sides lie on one edge.
+    pub fn has_same_vertices(&self, other: &Side) -> bool {
+        (self.low, self.high) == (other.low, other.high)
+    }
+}
+
+/// Sides of all triangles, sorted.
+pub(super) fn sides(mesh: &Mesh) -> Vec<Side> {
     let mut sides = Vec::with_capacity(3 * mesh.triangles.len());
     for (triangle, &[a, b, c]) in mesh.triangles.iter().enumerate() {
         for (from, to) in [(a, b), (b, c), (c, a)] {
-            sides.push((from.min(to), from.max(to), triangle as u32, from < to));
+            let (low, high) = (from.min(to), from.max(to));
+            sides.push(Side { low, high, triangle: triangle as u32, is_ascending: from < to });
         }
     }
     sides.sort_unstable();
     sides
 }
 
-/// All edges of a mesh, sorted by their lower and then their higher vertex. A closed surface has no boundary and no
-/// tangle.
+/// All edges of a mesh, sorted by their lower and then their higher vertex. Every edge of a closed surface has a
+/// triangle `right`.
 pub fn edges(mesh: &Mesh) -> Vec<Edge> {
     sides(mesh)
-        .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
-        .filter_map(|chunk| {
-            let &(low, high, left, up) = chunk.first()?;
-            let vertices = if up { [low, high] } else { [high, low] };
-            let opposite = chunk.get(1).filter(|other| other.3 != up);
-            let tangled = chunk.len() > 2 || (chunk.len() == 2 && opposite.is_none());
-            let right = opposite.filter(|_| !tangled).map(|other| other.2);
+        .chunk_by(Side::has_same_vertices)
+        .filter_map(|sides| {
+            let &Side { low, high, triangle: left, is_ascending } = sides.first()?;
+            let vertices = if is_ascending { [low, high] } else { [high, low] };
+            let opposite = sides.get(1).filter(|other| other.is_ascending != is_ascending);
+            let is_non_manifold = sides.len() > 2 || (sides.len() == 2 && opposite.is_none());
+            let right = opposite.filter(|_| !is_non_manifold).map(|other| other.triangle);
             let turn_rad = right.map_or(0.0, |right| turn_rad(mesh, vertices, left, right));
-            Some(Edge { vertices, left, right, turn_rad, tangled })
+            Some(Edge { vertices, left, right, turn_rad, is_non_manifold })
         })
         .collect()
 }
 
+/// Signed angle between the normals of two triangles at an edge, rad ([`Edge::turn_rad`]).
 fn turn_rad(mesh: &Mesh, [from, to]: [u32; 2], left: u32, right: u32) -> f64 {
     let [Some(from), Some(to)] = [from, to].map(|v| mesh.vertices.get(v as usize)) else { return 0.0 };
     let [n, m] = [left, right].map(|t| mesh.area_vector(t as usize).normalize_or_zero());
@@ -100,13 +123,13 @@ mod tests {
     }
 
     #[test]
-    fn a_hole_has_a_boundary_and_a_flipped_triangle_a_tangle() {
+    fn a_hole_has_a_boundary_and_a_flipped_triangle_is_non_manifold() {
         let mut open = Mesh::cube();
         open.triangles.pop();
-        assert_eq!(edges(&open).iter().filter(|e| e.right.is_none() && !e.tangled).count(), 3);
+        assert_eq!(edges(&open).iter().filter(|e| e.right.is_none() && !e.is_non_manifold).count(), 3);
         let mut flipped = Mesh::cube();
         flipped.triangles[0].swap(0, 1);
-        assert_eq!(edges(&flipped).iter().filter(|e| e.tangled).count(), 3);
+        assert_eq!(edges(&flipped).iter().filter(|e| e.is_non_manifold).count(), 3);
     }
 
     #[test]

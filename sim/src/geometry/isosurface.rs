@@ -1,8 +1,8 @@
 //! Closed mesh of the zero set of a smooth function.
 //!
-//! The method is naive surface nets (Gibson, "Constrained elastic surface nets", MICCAI 1998): one vertex in every cell
-//! for each sheet of the surface in it, and one quadrilateral across every grid edge that it crosses. Vertices are then
-//! relaxed along the surface, which makes triangles even, and projected onto it by Newton's step.
+//! The method is naive surface nets (Gibson, "Constrained elastic surface nets", MICCAI 1998). Every cell has one
+//! vertex for each sheet of the surface in it, and every grid edge that the surface crosses has one quadrilateral.
+//! Vertices are then relaxed along the surface, which makes triangles even, and projected onto it by Newton's step.
 
 use std::collections::BTreeMap;
 
@@ -19,19 +19,19 @@ const GRADIENT_STEP: f64 = 1e-3;
 /// outwards and their edges are about as long as a cell. Features finer than two cells are lost or pinched.
 pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(DVec3) -> f64 + Sync) -> Mesh {
     let size = ((greatest - least) / cell_m).ceil().as_ivec3() + IVec3::ONE;
-    let place = |p: IVec3| least + p.as_dvec3() * cell_m;
+    let position = |p: IVec3| least + p.as_dvec3() * cell_m;
     let index = |p: IVec3| (p.x + size.x * (p.y + size.y * p.z)) as usize;
     let grid =
         || (0..size.z).flat_map(move |z| (0..size.y).flat_map(move |y| (0..size.x).map(move |x| IVec3::new(x, y, z))));
     let mut values = vec![0.0; (size.x * size.y * size.z) as usize];
     on_all_cores(&mut values, |i, value| {
         let i = i as i32;
-        *value = function(place(IVec3::new(i % size.x, i / size.x % size.y, i / (size.x * size.y))));
+        *value = function(position(IVec3::new(i % size.x, i / size.x % size.y, i / (size.x * size.y))));
     });
     let value = |p: IVec3| values.get(index(p)).copied().unwrap_or(f64::INFINITY);
 
     let mut mesh = Mesh::default();
-    // For every crossed edge of a cell, by (cell, edge of the cell): the vertex of the sheet that crosses it.
+    // Vertex of the sheet that crosses an edge, by the index of the cell and that of the edge in the cell.
     let mut vertex_of = BTreeMap::new();
     for p in grid().filter(|p| p.cmplt(size - IVec3::ONE).all()) {
         let corners = std::array::from_fn(|corner| value(p + offset(corner)));
@@ -45,7 +45,7 @@ pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(
             for edge in sheet {
                 vertex_of.insert((index(p), edge), mesh.vertices.len() as u32);
             }
-            mesh.vertices.push(place(p) + middle * cell_m);
+            mesh.vertices.push(position(p) + middle * cell_m);
         }
     }
     for p in grid() {
@@ -80,8 +80,8 @@ fn offset(corner: usize) -> IVec3 {
     IVec3::new((corner & 1) as i32, (corner >> 1 & 1) as i32, (corner >> 2 & 1) as i32)
 }
 
-/// Corners of an edge of a cell: four edges along each axis, ordered by their place along the next axis and the one
-/// after.
+/// Corners of an edge of a cell: four edges along each axis, ordered by their coordinates along the next axis and the
+/// one after.
 fn ends(edge: usize) -> (usize, usize) {
     let axis = edge / 4;
     let from = (edge & 1) << ((axis + 1) % 3) | (edge >> 1 & 1) << ((axis + 2) % 3);
@@ -103,7 +103,7 @@ fn sheets(corners: &[f64; 8]) -> Vec<Vec<usize>> {
         let edges: Vec<usize> = crossed.iter().copied().filter(|&e| on_face(ends(e).0) && on_face(ends(e).1)).collect();
         for (i, &e) in edges.iter().enumerate() {
             for &f in edges.iter().skip(i + 1) {
-                // On a face that is crossed four times, crossings at the same inner corner belong together.
+                // On a face with four crossings, those at the same corner inside belong to one sheet.
                 let shared = |c: usize| inside[c] && (c == ends(f).0 || c == ends(f).1);
                 if edges.len() == 2 || shared(ends(e).0) || shared(ends(e).1) {
                     let (from, to) = (sheet_of[e], sheet_of[f]);
@@ -119,16 +119,17 @@ fn sheets(corners: &[f64; 8]) -> Vec<Vec<usize>> {
     sheets.into_values().collect()
 }
 
-/// Applies a function to every item and its index; the result does not depend on the number of threads. It does not use
-/// the shared thread pool: a body is made while a thread holds a lock for it, and waiting in the pool could block
-/// others.
-fn on_all_cores<T: Send>(items: &mut [T], each: impl Fn(usize, &mut T) + Sync) {
+/// Applies a function to every item and its index; the result does not depend on the number of threads.
+///
+/// It does not use the shared thread pool: a body is made while a thread holds a lock for it, and waiting in the pool
+/// could block others.
+fn on_all_cores<T: Send>(items: &mut [T], function: impl Fn(usize, &mut T) + Sync) {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let share = items.len().div_ceil(threads).max(1);
     std::thread::scope(|scope| {
         for (number, items) in items.chunks_mut(share).enumerate() {
-            let each = &each;
-            scope.spawn(move || items.iter_mut().enumerate().for_each(|(i, item)| each(number * share + i, item)));
+            let function = &function;
+            scope.spawn(move || items.iter_mut().enumerate().for_each(|(i, item)| function(number * share + i, item)));
         }
     });
 }
@@ -137,7 +138,7 @@ fn on_all_cores<T: Send>(items: &mut [T], each: impl Fn(usize, &mut T) + Sync) {
 fn relax(mesh: &mut Mesh, cell_m: f64, function: &(impl Fn(DVec3) -> f64 + Sync)) {
     let h = cell_m * GRADIENT_STEP;
     // Moves a vertex by Newton's step to the surface, and returns its normal there.
-    let settle = |vertex: &mut DVec3| {
+    let project = |vertex: &mut DVec3| {
         let value = function(*vertex);
         let slope = DVec3::AXES.map(|axis| (function(*vertex + axis * h) - value) / h);
         let slope = DVec3::from(slope);
@@ -147,7 +148,7 @@ fn relax(mesh: &mut Mesh, cell_m: f64, function: &(impl Fn(DVec3) -> f64 + Sync)
     };
     // Vertices with their normals.
     let mut all: Vec<(DVec3, DVec3)> = mesh.vertices.iter().map(|&vertex| (vertex, DVec3::ZERO)).collect();
-    on_all_cores(&mut all, |_, (vertex, normal)| *normal = settle(vertex));
+    on_all_cores(&mut all, |_, (vertex, normal)| *normal = project(vertex));
     for _ in 0..ROUNDS {
         // An inner edge belongs to two triangles and is visited in both directions: each neighbour is counted once.
         let mut sums = vec![(DVec3::ZERO, 0.0); all.len()];
@@ -162,12 +163,12 @@ fn relax(mesh: &mut Mesh, cell_m: f64, function: &(impl Fn(DVec3) -> f64 + Sync)
             let (sum, count) = sums[i];
             let step = if count > 0.0 { sum / count - *vertex } else { DVec3::ZERO };
             *vertex += step - *normal * step.dot(*normal);
-            *normal = settle(vertex);
+            *normal = project(vertex);
         });
     }
     on_all_cores(&mut all, |_, (vertex, _)| {
-        settle(vertex);
-        settle(vertex);
+        project(vertex);
+        project(vertex);
     });
     mesh.vertices = all.into_iter().map(|(vertex, _)| vertex).collect();
 }

@@ -3,8 +3,8 @@
 use glam::DVec3;
 use thiserror::Error;
 
-/// Largest accepted coordinate, m: beyond it, the f32 of traversal would not resolve a wavelength.
-pub const FARTHEST_M: f64 = 10_000.0;
+/// Largest accepted coordinate, m: beyond it, rays in f32 would not resolve a wavelength.
+pub const MAX_COORDINATE_M: f64 = 10_000.0;
 
 /// Error for an invalid mesh.
 #[derive(Debug, Error, PartialEq)]
@@ -20,8 +20,8 @@ pub enum MeshError {
         vertices: usize,
     },
     /// A vertex has no valid position.
-    #[error("vertex {vertex} is at {position}, expected finite coordinates of at most {FARTHEST_M} m")]
-    NoPlace {
+    #[error("vertex {vertex} is at {position}, expected finite coordinates of at most {MAX_COORDINATE_M} m")]
+    InvalidPosition {
         /// Index of the vertex.
         vertex: usize,
         /// Position, m.
@@ -49,23 +49,23 @@ impl Mesh {
     /// Checks that every index has a vertex and every vertex a valid position.
     ///
     /// # Errors
-    /// [`MeshError::NoSuchVertex`] and [`MeshError::NoPlace`].
+    /// [`MeshError::NoSuchVertex`] and [`MeshError::InvalidPosition`].
     pub fn check(&self) -> Result<(), MeshError> {
-        self.check_within(FARTHEST_M)
+        self.check_within(MAX_COORDINATE_M)
     }
 
-    /// Checks the same of a mesh whose coordinates are not yet in metres: they may have any finite value.
+    /// Checks a mesh whose coordinates are not yet in metres, and may have any finite value.
     ///
     /// # Errors
-    /// [`MeshError::NoSuchVertex`] and [`MeshError::NoPlace`].
+    /// [`MeshError::NoSuchVertex`] and [`MeshError::InvalidPosition`].
     pub(crate) fn check_unscaled(&self) -> Result<(), MeshError> {
         self.check_within(f64::MAX)
     }
 
-    fn check_within(&self, farthest: f64) -> Result<(), MeshError> {
-        let is_placed = |v: &DVec3| v.is_finite() && v.abs().max_element() <= farthest;
-        if let Some((vertex, &position)) = self.vertices.iter().enumerate().find(|(_, v)| !is_placed(v)) {
-            return Err(MeshError::NoPlace { vertex, position });
+    fn check_within(&self, max_coordinate: f64) -> Result<(), MeshError> {
+        let is_valid = |v: &DVec3| v.is_finite() && v.abs().max_element() <= max_coordinate;
+        if let Some((vertex, &position)) = self.vertices.iter().enumerate().find(|(_, v)| !is_valid(v)) {
+            return Err(MeshError::InvalidPosition { vertex, position });
         }
         let vertices = self.vertices.len();
         for (triangle, corners) in self.triangles.iter().enumerate() {
@@ -93,23 +93,23 @@ impl Mesh {
         (0..self.triangles.len()).filter_map(|t| self.corners(t))
     }
 
-    /// Mesh of triangles over the same vertices, with only those that they use, in order of use. Also returns the
-    /// original index of each vertex.
+    /// Mesh of other triangles over this mesh's vertices. It has only the vertices that they use, in order of first
+    /// use. Also returns the original index of each vertex.
     pub(crate) fn of_triangles(&self, triangles: impl IntoIterator<Item = [u32; 3]>) -> (Mesh, Vec<u32>) {
-        let mut numbers = vec![u32::MAX; self.vertices.len()];
-        let (mut made, mut from) = (Mesh::default(), Vec::new());
+        let mut new_indices = vec![u32::MAX; self.vertices.len()];
+        let (mut mesh, mut original_indices) = (Mesh::default(), Vec::new());
         for triangle in triangles {
-            made.triangles.push(triangle.map(|v| {
-                let number = &mut numbers[v as usize];
-                if *number == u32::MAX {
-                    *number = from.len() as u32;
-                    made.vertices.push(self.vertices[v as usize]);
-                    from.push(v);
+            mesh.triangles.push(triangle.map(|v| {
+                let new_index = &mut new_indices[v as usize];
+                if *new_index == u32::MAX {
+                    *new_index = original_indices.len() as u32;
+                    mesh.vertices.push(self.vertices[v as usize]);
+                    original_indices.push(v);
                 }
-                *number
+                *new_index
             }));
         }
-        (made, from)
+        (mesh, original_indices)
     }
 
     /// Sum of the triangles' areas, m^2.

@@ -1,5 +1,5 @@
-//! Surfaces as triangle meshes: merging of vertices ([`weld()`]), detection of defects ([`overlaps()`]), extraction of planes
-//! and edges ([`planes()`], [`edges()`]), and import of files ([`mod@import`]).
+//! Surfaces as triangle meshes: merging of vertices ([`weld()`]), detection of defects ([`overlaps()`]), extraction of
+//! planes and edges ([`planes()`], [`edges()`]), and import of files ([`mod@import`]).
 
 mod creases;
 mod edges;
@@ -20,7 +20,7 @@ mod weld;
 
 pub use edges::{Edge, edges, neighbours};
 pub use isosurface::isosurface;
-pub use mesh::{FARTHEST_M, Mesh, MeshError};
+pub use mesh::{MAX_COORDINATE_M, Mesh, MeshError};
 pub(crate) use normals::one_ring_normals;
 pub use orient::oriented;
 pub use overlaps::overlaps;

@@ -12,12 +12,12 @@ pub(crate) fn one_ring_normals(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Ve
         let (ab, bc, ca) = (b - a, c - b, a - c);
         let area_vector = ab.cross(-ca);
         let [ab, bc, ca] = [ab, bc, ca].map(DVec3::length_squared);
-        // The area vector is divided by the squares of the two sides that meet in a corner. A triangle without area has
-        // no weight.
+        // At a corner, the area vector is divided by the squares of the two sides that meet there. A triangle without
+        // area has no weight.
         let product = ab * bc * ca;
         let weighted = if product > 0.0 { area_vector * (1.0 / product) } else { DVec3::ZERO };
-        for (at, square) in corners.into_iter().zip([bc, ca, ab]) {
-            normals[at as usize] += weighted * square;
+        for (vertex, opposite_square) in corners.into_iter().zip([bc, ca, ab]) {
+            normals[vertex as usize] += weighted * opposite_square;
         }
     }
     normals.into_iter().map(DVec3::normalize_or_zero).collect()

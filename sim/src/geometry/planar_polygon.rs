@@ -7,8 +7,8 @@ use glam::DVec3;
 
 use super::{Mesh, Plane, polygon};
 
-/// Largest distance from the line through its neighbours at which a corner is removed, m. It is four times the rounding
-/// of an f32 at 4 m, and far below the height of the arcs in outlines of round objects.
+/// Largest distance of a removed corner from the line through its neighbours, m. It is four times the rounding of an
+/// f32 at 4 m, and far below the height of the arcs in outlines of round objects.
 const STRAIGHT_M: f64 = 2e-6;
 
 /// Polygon in a plane, with holes.
@@ -44,37 +44,38 @@ impl PlanarPolygon {
     /// Makes polygons from a plane's outlines: one, unless the plane is not connected. The list is empty if the
     /// outlines do not enclose the area of the plane's triangles, since edges of a damaged mesh do not close.
     pub fn of_plane(mesh: &Mesh, plane: &Plane) -> Vec<Self> {
-        let place = |v: &u32| mesh.vertices.get(*v as usize).copied();
-        let corners = |outline: &Vec<u32>| outline.iter().map(place).collect::<Option<Vec<DVec3>>>();
+        let position = |v: &u32| mesh.vertices.get(*v as usize).copied();
+        let corners = |outline: &Vec<u32>| outline.iter().map(position).collect::<Option<Vec<DVec3>>>();
         let loops: Vec<Vec<DVec3>> = plane.outlines.iter().filter_map(corners).collect();
         let (outer, inner): (Vec<_>, Vec<_>) =
             loops.into_iter().partition(|corners| polygon::normal(corners).dot(plane.normal) > 0.0);
         let mut found: Vec<Self> =
             outer.iter().filter_map(|corners| Self::in_plane(corners, plane.normal, plane.offset_m)).collect();
         for hole in &inner {
-            let corners = flattened(hole, plane.normal, plane.offset_m);
+            let corners = simplified(hole, plane.normal, plane.offset_m);
             let Some(&first) = corners.first() else { continue };
-            let holds = |p: &&mut Self| p.clearance(first).distance_m >= -STRAIGHT_M;
-            let owner = found.iter_mut().filter(holds).min_by(|p, q| p.area_m2().total_cmp(&q.area_m2()));
+            let encloses = |p: &&mut Self| p.clearance(first).distance_m >= -STRAIGHT_M;
+            let owner = found.iter_mut().filter(encloses).min_by(|p, q| p.area_m2().total_cmp(&q.area_m2()));
             if let Some(owner) = owner {
                 owner.holes.push(corners);
             }
         }
         let area_m2: f64 = found.iter().map(Self::area_m2).sum();
-        let around_m: f64 = found.iter().flat_map(Self::edges).map(|[a, b]| a.distance(b)).sum();
-        if (area_m2 - plane.area_m2).abs() <= 1e-6 * plane.area_m2 + 4.0 * STRAIGHT_M * around_m {
+        let perimeter_m: f64 = found.iter().flat_map(Self::edges).map(|[a, b]| a.distance(b)).sum();
+        if (area_m2 - plane.area_m2).abs() <= 1e-6 * plane.area_m2 + 4.0 * STRAIGHT_M * perimeter_m {
             found
         } else {
             Vec::new()
         }
     }
 
+    /// Makes a polygon in a plane; `None` if the outline has no area.
     fn in_plane(outline: &[DVec3], normal: DVec3, offset_m: f64) -> Option<Self> {
         // This form of the test rejects NaN.
         if !(normal.length_squared() > 0.5 && offset_m.is_finite()) {
             return None;
         }
-        let outline = flattened(outline, normal, offset_m);
+        let outline = simplified(outline, normal, offset_m);
         (!outline.is_empty()).then_some(PlanarPolygon { outline, holes: Vec::new(), normal, offset_m })
     }
 
@@ -95,7 +96,7 @@ impl PlanarPolygon {
         self.loops().flat_map(polygon::sides)
     }
 
-    /// Unit vector in the plane from an edge into the polygon; zero for an invalid index.
+    /// Unit vector in the plane and across an edge, into the polygon; zero for an invalid index.
     pub fn inwards(&self, edge: usize) -> DVec3 {
         self.edges().nth(edge).map_or(DVec3::ZERO, |[a, b]| self.normal.cross((b - a).normalize_or_zero()))
     }
@@ -108,7 +109,7 @@ impl PlanarPolygon {
     /// Returns whether a point of the plane is in the polygon. A point on an edge shared by two polygons of a plane is
     /// in exactly one of them.
     pub fn contains(&self, point: DVec3) -> bool {
-        let [i, j] = self.kept_axes();
+        let [i, j] = self.projection_axes();
         let (x, y) = (point[i], point[j]);
         let mut inside = false;
         for [a, b] in self.edges() {
@@ -122,14 +123,14 @@ impl PlanarPolygon {
         inside
     }
 
-    /// Distance of a point of the plane to the nearest edge.
+    /// Nearest edge to a point of the plane, and the distance.
     pub fn clearance(&self, point: DVec3) -> Clearance {
         let point = point - self.normal * self.height_m(point);
         let mut nearest = Clearance { distance_m: f64::INFINITY, edge: 0 };
         for (edge, [a, b]) in self.edges().enumerate() {
             let along = b - a;
-            let part = ((point - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
-            let distance_m = point.distance(a + along * part);
+            let fraction = ((point - a).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+            let distance_m = point.distance(a + along * fraction);
             if distance_m < nearest.distance_m {
                 nearest = Clearance { distance_m, edge };
             }
@@ -152,7 +153,7 @@ impl PlanarPolygon {
 
     /// Triangles that cover the polygon, counter-clockwise when the normal points to the viewer, m.
     pub fn triangulate(&self) -> Vec<[DVec3; 3]> {
-        let [i, j] = self.kept_axes();
+        let [i, j] = self.projection_axes();
         let corners: Vec<DVec3> = self.loops().flatten().copied().collect();
         let mut starts: Vec<u32> = Vec::with_capacity(self.holes.len());
         let mut start = self.outline.len();
@@ -178,36 +179,37 @@ impl PlanarPolygon {
         largest.map_or_else(|| polygon::centroid(&self.outline), |[a, b, c]| (a + b + c) / 3.0)
     }
 
-    /// The two axes that remain when the plane is projected along the axis with the longest normal component, in the
-    /// order that keeps the winding.
-    fn kept_axes(&self) -> [usize; 2] {
+    /// The two axes that remain when the plane is projected along the axis of the largest component of its normal.
+    /// Their order keeps the winding.
+    fn projection_axes(&self) -> [usize; 2] {
         let axis = self.normal.abs().max_position();
         let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
         if self.normal[axis] > 0.0 { [i, j] } else { [j, i] }
     }
 }
 
-/// Projects corners onto a plane and removes those without a turn; empty if fewer than three remain.
-fn flattened(corners: &[DVec3], normal: DVec3, offset_m: f64) -> Vec<DVec3> {
+/// Projects corners onto a plane and removes those at which the outline does not turn; empty if fewer than three
+/// remain.
+fn simplified(corners: &[DVec3], normal: DVec3, offset_m: f64) -> Vec<DVec3> {
     let mut corners: Vec<DVec3> = corners.iter().map(|&c| c - normal * (c.dot(normal) - offset_m)).collect();
-    let mut kept = usize::MAX;
-    while corners.len() < kept {
-        kept = corners.len();
-        let mut at = 0;
-        while corners.len() >= 3 && at < corners.len() {
+    let mut count_before = usize::MAX;
+    while corners.len() < count_before {
+        count_before = corners.len();
+        let mut index = 0;
+        while corners.len() >= 3 && index < corners.len() {
             let count = corners.len();
-            if is_straight(corners[(at + count - 1) % count], corners[at], corners[(at + 1) % count]) {
-                corners.remove(at);
+            if is_straight(corners[(index + count - 1) % count], corners[index], corners[(index + 1) % count]) {
+                corners.remove(index);
             } else {
-                at += 1;
+                index += 1;
             }
         }
     }
     if corners.len() < 3 { Vec::new() } else { corners }
 }
 
-/// Returns whether a corner between two others lies on their line. An edge that goes out and back on a line is also
-/// straight.
+/// Returns whether a corner lies on the line through its neighbours. A corner at which the outline turns back on itself
+/// does, too.
 fn is_straight(before: DVec3, corner: DVec3, after: DVec3) -> bool {
     let across = after - before;
     let length_m = across.length();
@@ -225,7 +227,7 @@ mod tests {
     use super::*;
     use crate::geometry::planes;
 
-    /// Corners around a place at increasing angles, at distances between two bounds.
+    /// Corners around a centre at increasing angles, at distances between two bounds.
     fn star(rng: &mut Xoshiro256PlusPlus, centre: DVec3, radii_m: [f64; 2], corners: usize) -> Vec<DVec3> {
         (0..corners)
             .map(|i| {
@@ -272,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn points_are_in_random_polygons_where_they_are_in_their_triangles() {
+    fn points_are_in_random_polygons_exactly_if_they_are_in_their_triangles() {
         for seed in 0..300 {
             let (polygon, map) = random_polygon(seed);
             let triangles = polygon.triangulate();
@@ -335,7 +337,7 @@ mod hard_cases {
     use crate::geometry::planes;
 
     #[test]
-    fn what_has_no_area_is_no_polygon() {
+    fn corners_without_area_make_no_polygon() {
         let line = [DVec3::ZERO, DVec3::X, DVec3::X * 2.0, DVec3::X * 0.5];
         assert_eq!(PlanarPolygon::from_corners(&line), None);
         assert_eq!(PlanarPolygon::from_corners(&[]), None);
@@ -357,7 +359,7 @@ mod hard_cases {
 
     /// Corners within straight lines, duplicate corners, and a needle out and back are removed.
     #[test]
-    fn corners_that_are_none_are_removed() {
+    fn corners_without_a_turn_are_removed() {
         let corners = [
             DVec3::ZERO,
             DVec3::X,
@@ -376,7 +378,7 @@ mod hard_cases {
     /// Two sheets that meet in one corner are two polygons. The area of a hole that touches the outline in a corner is
     /// subtracted.
     #[test]
-    fn loops_that_touch_in_a_corner_enclose_what_they_should() {
+    fn loops_that_touch_in_a_corner_enclose_the_squares_of_their_mesh() {
         for left_out in [vec![4], vec![0, 4], vec![1, 3], vec![1, 3, 5, 7]] {
             let mesh = Mesh::sheet(3, &left_out);
             let found = planes(&mesh, 1e-6);
@@ -384,8 +386,8 @@ mod hard_cases {
                 found.planes.iter().flat_map(|plane| PlanarPolygon::of_plane(&mesh, plane)).collect();
             for i in 0..9u32 {
                 let middle = DVec3::new(f64::from(i % 3) + 0.47, f64::from(i / 3) + 0.52, 0.0);
-                let holders = polygons.iter().filter(|p| p.contains(middle)).count();
-                assert_eq!(holders, usize::from(!left_out.contains(&i)), "{left_out:?}: {middle}");
+                let count = polygons.iter().filter(|p| p.contains(middle)).count();
+                assert_eq!(count, usize::from(!left_out.contains(&i)), "{left_out:?}: {middle}");
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Merging of small coplanar triangles into large planar polygons.
+//! Planes of a mesh: groups of connected triangles that lie in one plane.
 
 use std::cmp::Reverse;
 
@@ -18,7 +18,7 @@ pub struct Plane {
     /// The triangles, ascending.
     pub triangles: Vec<u32>,
     /// Closed loops of vertices around the plane: counter-clockwise outside, clockwise around holes. All vertices are
-    /// kept, including those within straight lines, so that neighbours still fit.
+    /// kept, including those within straight lines, so that the outlines of neighbours still fit.
     pub outlines: Vec<Vec<u32>>,
 }
 
@@ -34,7 +34,7 @@ pub struct Planes {
 /// Groups triangles that are connected by edges and have all corners within a tolerance of the plane of the largest of
 /// them. 1 um is 0.003 rad of phase at 60 GHz and far above rounding; facets of a body differ by more.
 pub fn planes(mesh: &Mesh, tolerance_m: f64) -> Planes {
-    let next = neighbours(mesh);
+    let neighbours = neighbours(mesh);
     let mut by_area: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     by_area.sort_by_key(|&t| (Reverse(mesh.area_vector(t as usize).length_squared().to_bits()), t));
     let mut group_of: Vec<Option<u32>> = vec![None; mesh.triangles.len()];
@@ -54,11 +54,11 @@ pub fn planes(mesh: &Mesh, tolerance_m: f64) -> Planes {
         let group = groups.len() as u32;
         let mut members = vec![seed];
         group_of[seed as usize] = Some(group);
-        let mut reached = 0;
-        while let Some(&triangle) = members.get(reached) {
-            reached += 1;
-            for n in next[triangle as usize] {
-                // A side without a neighbour has no number.
+        let mut visited = 0;
+        while let Some(&triangle) = members.get(visited) {
+            visited += 1;
+            for n in neighbours[triangle as usize] {
+                // The index is out of range where a side has no neighbour.
                 if let Some(slot @ None) = group_of.get_mut(n as usize)
                     && lies_in(n)
                 {
@@ -81,6 +81,7 @@ pub fn planes(mesh: &Mesh, tolerance_m: f64) -> Planes {
     result
 }
 
+/// Plane of triangles that lie in one.
 fn plane(mesh: &Mesh, triangles: Vec<u32>) -> Plane {
     let sum: DVec3 = triangles.iter().map(|&t| mesh.area_vector(t as usize)).sum();
     let normal = sum.normalize_or_zero();
@@ -95,7 +96,7 @@ fn plane(mesh: &Mesh, triangles: Vec<u32>) -> Plane {
     }
 }
 
-/// Loops of the edges that belong to only one of some triangles.
+/// Outlines of some triangles: closed loops of the edges that belong to only one of them.
 fn outlines(mesh: &Mesh, triangles: &[u32]) -> Vec<Vec<u32>> {
     let mut sides: Vec<[u32; 2]> = triangles
         .iter()
@@ -106,12 +107,12 @@ fn outlines(mesh: &Mesh, triangles: &[u32]) -> Vec<Vec<u32>> {
     let inner = |&[a, b]: &[u32; 2]| sides.binary_search(&[b, a]).is_ok();
     let mut border: Vec<[u32; 2]> = sides.iter().filter(|s| !inner(s)).copied().collect();
     let mut loops = Vec::new();
-    while let Some([first, mut at]) = border.pop() {
+    while let Some([first, mut vertex]) = border.pop() {
         let mut outline = vec![first];
-        while at != first {
-            outline.push(at);
-            let Some(next) = border.iter().position(|&[from, _]| from == at) else { break };
-            [_, at] = border.remove(next);
+        while vertex != first {
+            outline.push(vertex);
+            let Some(next) = border.iter().position(|&[from, _]| from == vertex) else { break };
+            [_, vertex] = border.remove(next);
         }
         loops.push(outline);
     }

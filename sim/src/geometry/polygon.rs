@@ -32,13 +32,14 @@ pub(crate) fn doubled_area(outline: &[DVec2]) -> f64 {
 }
 
 /// Distance of a point from a segment between two points.
-pub(crate) fn distance_to_line(point: DVec2, [a, b]: [DVec2; 2]) -> f64 {
+pub(crate) fn distance_to_segment(point: DVec2, [a, b]: [DVec2; 2]) -> f64 {
     let along = b - a;
-    let part = ((point - a).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-    point.distance(a + along * part)
+    let fraction = ((point - a).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    point.distance(a + along * fraction)
 }
 
-/// Returns whether a point lies within a closed outline, by the parity of the sides on one side of it.
+/// Returns whether a point lies within a closed outline: whether a ray from it towards +x crosses an odd number of
+/// sides.
 pub(crate) fn encloses(outline: &[DVec2], p: DVec2) -> bool {
     let mut inside = false;
     for [a, b] in sides(outline) {
@@ -49,7 +50,7 @@ pub(crate) fn encloses(outline: &[DVec2], p: DVec2) -> bool {
     inside
 }
 
-/// Unit normal, by the right-hand rule along the corners; zero for no area.
+/// Unit normal, by the right-hand rule along the corners; zero for a polygon without area.
 pub fn normal(polygon: &[DVec3]) -> DVec3 {
     area_vector(polygon).normalize_or_zero()
 }
@@ -59,6 +60,7 @@ pub fn area_m2(polygon: &[DVec3]) -> f64 {
     area_vector(polygon).length()
 }
 
+/// Area times the unit normal, m^2.
 fn area_vector(polygon: &[DVec3]) -> DVec3 {
     let Some(&first) = polygon.first() else { return DVec3::ZERO };
     polygon.windows(2).map(|w| (w[0] - first).cross(w[1] - first) * 0.5).sum()
@@ -81,7 +83,7 @@ mod tests {
     const SQUARE: [DVec3; 4] = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
 
     #[test]
-    fn cuts_leave_the_area_that_they_should() {
+    fn clipping_leaves_the_area_on_the_side_of_the_normal() {
         let triangle = clipped(&SQUARE, DVec3::new(0.5, 0.5, 0.0), DVec3::new(1.0, 1.0, 0.0));
         assert!((area_m2(&triangle) - 0.5).abs() < 1e-15);
         assert!(clipped(&SQUARE, DVec3::splat(2.0), DVec3::X).is_empty());

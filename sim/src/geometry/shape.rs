@@ -66,26 +66,26 @@ pub fn cylinder(radius_m: f64, height_m: f64, edge_m: f64) -> Surface {
 }
 
 /// Concave spherical mirror: pole at the origin, centre of curvature on +x, with an aperture of this radius. Its rim is
-/// a polygon with the area of the circle: where the other contributions cancel, the area missing from an inscribed
-/// polygon would cause 0.3 dB.
+/// a polygon with the area of the circle. The area missing from an inscribed polygon would cause 0.3 dB where the other
+/// contributions cancel.
 pub fn mirror(radius_m: f64, aperture_radius_m: f64, edge_m: f64) -> Surface {
     let reach = (aperture_radius_m / radius_m).clamp(0.0, 1.0).asin();
     let rings = pieces(reach * radius_m, edge_m);
     let sectors = 6;
     // Ring i has 6 i vertices; the triangles between two rings are as even as possible.
     let mut surface = Surface { two_sided: true, ..Surface::default() };
-    let mut add = |tilt: f64, around: f64| {
-        let outwards = DVec3::new(0.0, around.cos(), around.sin()) * tilt.sin();
+    let mut add_vertex = |tilt: f64, azimuth: f64| {
+        let outwards = DVec3::new(0.0, azimuth.cos(), azimuth.sin()) * tilt.sin();
         surface.vertices.push(DVec3::new(radius_m * (1.0 - tilt.cos()), 0.0, 0.0) + outwards * radius_m);
         surface.normals.push(DVec3::new(tilt.cos(), 0.0, 0.0) - outwards);
     };
-    add(0.0, 0.0);
+    add_vertex(0.0, 0.0);
     for ring in 1..=rings {
-        let between = TAU / (sectors * ring) as f64;
-        // Geodesics between the rim's vertices lie within its circle, on average by two thirds of the maximum.
-        let outside = if ring == rings { reach.sin() * reach.cos() * between * between / 12.0 } else { 0.0 };
+        let spacing = TAU / (sectors * ring) as f64;
+        // Geodesics between the rim's vertices lie inside its circle, on average by two thirds of the maximum.
+        let excess = if ring == rings { reach.sin() * reach.cos() * spacing * spacing / 12.0 } else { 0.0 };
         for i in 0..sectors * ring {
-            add(reach * ring as f64 / rings as f64 + outside, between * i as f64);
+            add_vertex(reach * ring as f64 / rings as f64 + excess, spacing * i as f64);
         }
     }
     let first = |ring: usize| if ring == 0 { 0 } else { 1 + sectors * ring * (ring - 1) / 2 };
@@ -125,10 +125,10 @@ pub(crate) fn icosahedron() -> (Vec<DVec3>, Vec<[usize; 3]>) {
     for (x, y) in [(1.0, g), (-1.0, g), (1.0, -g), (-1.0, -g)] {
         corners.extend([DVec3::new(0.0, x, y), DVec3::new(x, y, 0.0), DVec3::new(y, 0.0, x)]);
     }
-    let near = |i: usize, j: usize| (corners[i].distance(corners[j]) - 2.0).abs() < 1e-6;
+    let are_adjacent = |i: usize, j: usize| (corners[i].distance(corners[j]) - 2.0).abs() < 1e-6;
     let mut triangles = Vec::with_capacity(20);
-    for (i, j) in (0..12).flat_map(|i| (i + 1..12).map(move |j| (i, j))).filter(|&(i, j)| near(i, j)) {
-        for k in (j + 1..12).filter(|&k| near(j, k) && near(k, i)) {
+    for (i, j) in (0..12).flat_map(|i| (i + 1..12).map(move |j| (i, j))).filter(|&(i, j)| are_adjacent(i, j)) {
+        for k in (j + 1..12).filter(|&k| are_adjacent(j, k) && are_adjacent(k, i)) {
             let is_left = corners[i].dot(corners[j].cross(corners[k])) > 0.0;
             triangles.push(if is_left { [i, j, k] } else { [i, k, j] });
         }
@@ -141,11 +141,11 @@ pub fn icosphere(semi_axes_m: DVec3, cuts: usize) -> Surface {
     let cuts = cuts.max(1);
     let (corners, faces) = icosahedron();
     let mut surface = Surface::default();
-    let mut known: HashMap<[i64; 3], u32> = HashMap::new();
+    let mut index_of: HashMap<[i64; 3], u32> = HashMap::new();
     let mut vertex = |point: DVec3| {
-        // Edges are cut from both of their faces, which gives the same point within rounding.
+        // A point on an edge is computed for both of its faces, with the same result within rounding.
         let key = (point * 1e9).to_array().map(|v| v.round() as i64);
-        *known.entry(key).or_insert_with(|| {
+        *index_of.entry(key).or_insert_with(|| {
             let unit = point.normalize();
             surface.vertices.push(unit * semi_axes_m);
             surface.normals.push((unit / semi_axes_m).normalize());
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sphere_is_closed_and_as_fine_as_asked() {
+    fn a_sphere_is_closed_and_as_fine_as_requested() {
         let sphere = icosphere(DVec3::splat(0.05), 32);
         assert_eq!(sphere.triangles.len(), 20 * 32 * 32);
         // Euler: V - E + F = 2 with E = 3 F / 2.

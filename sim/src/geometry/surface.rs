@@ -16,7 +16,7 @@ pub struct Surface {
     pub normals: Vec<DVec3>,
     /// Indices into the vertices, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// Whether the surface is a sheet that reflects on either side, and not the skin of a body.
+    /// Whether the surface is a sheet that reflects on both sides, and not the skin of a body.
     pub two_sided: bool,
 }
 
@@ -57,16 +57,16 @@ impl Surface {
         for corners in &self.triangles {
             let [Some(ab), Some(bc), Some(ca)] = [(0, 1), (1, 2), (2, 0)].map(|(i, j)| {
                 let ends = [corners[i].min(corners[j]), corners[i].max(corners[j])];
-                if let Some(&known) = middles.get(&ends) {
-                    return Some(known);
+                if let Some(&middle) = middles.get(&ends) {
+                    return Some(middle);
                 }
                 let (a, b) = (corner(ends[0])?, corner(ends[1])?);
-                let (place, normal) = halfway(a.0, a.1, b.0, b.1);
-                let number = finer.vertices.len() as u32;
-                finer.vertices.push(place);
+                let (position, normal) = halfway(a.0, a.1, b.0, b.1);
+                let index = finer.vertices.len() as u32;
+                finer.vertices.push(position);
                 finer.normals.push(normal);
-                middles.insert(ends, number);
-                Some(number)
+                middles.insert(ends, index);
+                Some(index)
             }) else {
                 continue;
             };
@@ -96,23 +96,23 @@ pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (
     let d = b - a;
     let chord = d.length_squared();
     let mean = normal_a + normal_b;
-    // Normal of a parabola over the edge: the mean, tilted back by the middle's slope as estimated from the ends'
-    // slopes.
-    let lean = if chord > 0.0 { d * (1.5 * d.dot(mean) / chord) } else { DVec3::ZERO };
-    (0.5 * (a + b) + bulge([a, b], [normal_a, normal_b]), (mean - lean).normalize_or(normal_a))
+    // Normal of a parabola over the edge: the mean normal, less the slope in the middle as estimated from the slopes at
+    // the ends.
+    let tilt = if chord > 0.0 { d * (1.5 * d.dot(mean) / chord) } else { DVec3::ZERO };
+    (0.5 * (a + b) + bulge([a, b], [normal_a, normal_b]), (mean - tilt).normalize_or(normal_a))
 }
 
-/// Parts of a triangle with some sides (from the first corner to the second, and so on) cut at their middles. A
-/// quadrangle is divided along its shorter diagonal.
+/// Divides a triangle whose sides may be cut at their middles. The sides are from the first corner to the second, and
+/// so on. A quadrangle that remains is divided along its shorter diagonal.
 pub(crate) fn split<T: Copy>(corners: [T; 3], middles: [Option<T>; 3], distance: impl Fn(T, T) -> f64) -> Vec<[T; 3]> {
-    // The triangle is rotated so that the first side is cut, and with two cut sides the last is not.
-    let turn = match middles.map(|middle| middle.is_some()) {
+    // Corners are counted from one at which the first side is cut and, of two cut sides, the last is not.
+    let first = match middles.map(|middle| middle.is_some()) {
         [true, _, false] | [true, true, true] | [false, false, false] => 0,
         [false, true, _] => 1,
         [_, false, true] => 2,
     };
-    let [a, b, c] = [0, 1, 2].map(|i| corners[(i + turn) % 3]);
-    match [0, 1, 2].map(|i| middles[(i + turn) % 3]) {
+    let [a, b, c] = [0, 1, 2].map(|i| corners[(i + first) % 3]);
+    match [0, 1, 2].map(|i| middles[(i + first) % 3]) {
         [Some(ab), Some(bc), Some(ca)] => vec![[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]],
         [Some(ab), Some(bc), None] if distance(ab, c) < distance(a, bc) => vec![[ab, b, bc], [a, ab, c], [ab, bc, c]],
         [Some(ab), Some(bc), None] => vec![[ab, b, bc], [a, ab, bc], [a, bc, c]],

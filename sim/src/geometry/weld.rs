@@ -6,8 +6,8 @@ use glam::DVec3;
 
 use super::mesh::{Mesh, MeshError};
 
-/// A triangle is dropped if twice its area is below this part of its longest edge squared: its normal would be rounding
-/// error.
+/// Least height of a triangle over its longest edge, as a part of that edge. Lower triangles are dropped, because their
+/// normals would be rounding errors.
 const LEAST_HEIGHT: f64 = 1e-12;
 
 /// Mesh after welding.
@@ -20,7 +20,9 @@ pub struct Welded {
 }
 
 /// Merges vertices within a tolerance, which is positive and finite. Each moves to the first of its group, so no vertex
-/// moves farther than the tolerance. Otherwise files without indices (STL) and texture seams are open at edges: rays
+/// moves farther than the tolerance.
+///
+/// Files without indices (STL) and texture seams have separate vertices along an edge. Unless these are merged, rays
 /// leak there and normals are wrong.
 ///
 /// # Errors
@@ -31,29 +33,29 @@ pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
     let cell = |v: DVec3| (v / tolerance_m).floor();
     let mut firsts: HashMap<[u64; 3], Vec<u32>> = HashMap::new();
     let key = |cell: DVec3| (cell + 0.0).to_array().map(f64::to_bits);
-    let mut became: Vec<u32> = Vec::with_capacity(mesh.vertices.len());
+    let mut merged_into: Vec<u32> = Vec::with_capacity(mesh.vertices.len());
     for (index, &vertex) in mesh.vertices.iter().enumerate() {
-        let home = cell(vertex);
+        let own_cell = cell(vertex);
         let near = (0..27).filter_map(|n| {
             let step = DVec3::new(f64::from(n % 3 - 1), f64::from(n / 3 % 3 - 1), f64::from(n / 9 - 1));
-            firsts.get(&key(home + step))
+            firsts.get(&key(own_cell + step))
         });
         let same = near
             .flatten()
             .filter(|&&f| mesh.vertices.get(f as usize).is_some_and(|p| p.distance(vertex) <= tolerance_m))
             .min();
         match same {
-            Some(&first) => became.push(first),
+            Some(&first) => merged_into.push(first),
             None => {
-                firsts.entry(key(home)).or_default().push(index as u32);
-                became.push(index as u32);
+                firsts.entry(key(own_cell)).or_default().push(index as u32);
+                merged_into.push(index as u32);
             }
         }
     }
 
     let (mut triangles, mut triangle_of) = (Vec::new(), Vec::new());
     for (index, corners) in mesh.triangles.iter().enumerate() {
-        let corners = corners.map(|c| became.get(c as usize).copied().unwrap_or(c));
+        let corners = corners.map(|c| merged_into.get(c as usize).copied().unwrap_or(c));
         if has_area(corners.map(|c| mesh.vertices.get(c as usize).copied().unwrap_or_default())) {
             triangles.push(corners);
             triangle_of.push(index as u32);
@@ -62,7 +64,7 @@ pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
     Ok(Welded { mesh: mesh.of_triangles(triangles).0, triangle_of })
 }
 
-/// Whether a triangle has an area, and with it a normal.
+/// Returns whether a triangle has an area, and therefore a normal.
 pub(super) fn has_area([a, b, c]: [DVec3; 3]) -> bool {
     let cross = (b - a).cross(c - a);
     let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
@@ -124,7 +126,7 @@ mod hard_cases {
         let mesh = Mesh { vertices: vec![DVec3::ZERO], triangles: vec![[0, 0, 7]] };
         assert_eq!(weld(&mesh, 1e-6), Err(MeshError::NoSuchVertex { triangle: 0, vertex: 7, vertices: 1 }));
         let mesh = Mesh { vertices: vec![DVec3::ZERO, DVec3::new(0.0, f64::NAN, 0.0)], triangles: vec![] };
-        assert!(matches!(weld(&mesh, 1e-6), Err(MeshError::NoPlace { vertex: 1, .. })));
+        assert!(matches!(weld(&mesh, 1e-6), Err(MeshError::InvalidPosition { vertex: 1, .. })));
         assert_eq!(weld(&Mesh::default(), 1e-6).expect("nothing is a mesh").mesh, Mesh::default());
     }
 }

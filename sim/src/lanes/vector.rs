@@ -1,5 +1,5 @@
-//! Vectors of one lane in double precision, for the bodies of loops over lanes. They are plain arrays, and every
-//! function is inlined.
+//! Operations on the vector of one lane in double precision, for the bodies of loops over lanes. Vectors are plain
+//! arrays, and every function is inlined.
 
 use super::WideRow3;
 
@@ -26,8 +26,8 @@ pub fn subtract(a: Vector, b: Vector) -> Vector {
 
 /// Product with a scalar.
 #[inline(always)]
-pub fn scale(a: Vector, by: f64) -> Vector {
-    [a[0] * by, a[1] * by, a[2] * by]
+pub fn scale(a: Vector, factor: f64) -> Vector {
+    [a[0] * factor, a[1] * factor, a[2] * factor]
 }
 
 /// Product component by component.
@@ -71,8 +71,8 @@ pub fn cross(a: Vector, b: Vector) -> Vector {
 /// Unit vector perpendicular to a unit vector (Duff and others, Building an Orthonormal Basis, Revisited, JCGT 6,
 /// 2017).
 #[inline(always)]
-pub fn tangent(to: Vector) -> Vector {
-    let sign = 1f64.copysign(to[2]);
-    let a = -1.0 / (sign + to[2]);
-    [to[0] * to[1] * a, sign + to[1] * to[1] * a, -to[1]]
+pub fn tangent(normal: Vector) -> Vector {
+    let sign = 1f64.copysign(normal[2]);
+    let a = -1.0 / (sign + normal[2]);
+    [normal[0] * normal[1] * a, sign + normal[1] * normal[1] * a, -normal[1]]
 }

@@ -1,11 +1,14 @@
 //! Paths that are reflected in an inner corner, once or to and fro.
 //!
-//! A path that is reflected near the corner's edge as often as there is room for ends at the edge: those that pass it on the
-//! other side meet the same facets in the opposite order. Where both orders have the same image, as in a right angle, one
-//! begins where the other ends. In any other corner they have two images, and each of them ends at the edge
-//! ([`CornerRun`]). Unfolded, all reflections of the run leave the edge in its place, so it is one edge beside a straight
-//! line. Mirrors across the edge, as floors are in the corners of walls, leave it there too. Within two degrees of a right
-//! angle, the sum differs from the exact field in a wedge by 0.002 of such an image's field, within five by 0.03.
+//! Near the corner's edge, a path is reflected as often as the corner's angle allows. Paths that pass the edge on one
+//! side meet both facets in one order, paths on the other side in the opposite order. Where both orders have the same
+//! image, as in a right angle, paths of one order begin where those of the other end. In any other corner they have two
+//! images, and the field of each ends at the edge ([`CornerRun`]).
+//!
+//! Unfolded, all reflections of the run leave the edge in its place, so that it is one edge beside a straight line.
+//! Mirrors across the edge, such as the floor below a corner of walls, leave it there, too. Within two degrees of a
+//! right angle, the sum differs from the exact field in a wedge by 0.002 of such an image's field, and within five
+//! degrees by 0.03.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -14,29 +17,31 @@ use glam::DVec3;
 use num_complex::Complex64;
 
 use super::corners::{Corners, side_on};
-use super::edges::SoftEdge;
+use super::edges::DiffractingEdge;
 use super::environment::Environment;
 use super::flat::{FacetId, Flat};
 use super::leg::Leg;
 
-/// Distance from an inner corner's edge at which a path that passes beyond it is taken to meet its facets, m.
+/// Distance from an inner corner's edge at which a path that passes beyond the edge is taken to meet the facets, m.
 const INSIDE_M: f64 = 1e-4;
-/// Cosine of the angle between two facets up to which they are perpendicular: both orders have the same image.
+/// Cosine of the angle between two facets up to which they are perpendicular, so that both orders have the same image.
 const RIGHT_ANGLE: f64 = 1e-12;
-/// Cosine from which on a corner is wider than a right angle for a single reflection. In a narrower one, what ends at the
-/// edge moves by less than a tenth of a millimetre in 10 m.
+/// Cosine between the normals from which on a corner is wider than a right angle for a single reflection. Below it, the
+/// boundary of that reflection's field is displaced by less than a tenth of a millimetre in 10 m.
 const WIDE: f64 = 1e-5;
 /// Sine of the angle between two facets up to which they do not meet in a corner.
 const PARALLEL: f64 = 1e-6;
 /// Sine of the angle between a mirror and the plane across an edge up to which it leaves the edge in its place.
 const ACROSS: f64 = 1e-5;
 
-/// Reflections by the facets of an inner corner within a sequence. They are two or more by both facets in turn, if no
-/// sequence of the same image has them in the opposite order, or a single one in a corner wider than a right angle.
+/// Reflections by the facets of an inner corner within a sequence. There are two kinds: two or more reflections by both
+/// facets in turn, if no sequence of the same image has them in the opposite order; or a single one in a corner wider
+/// than a right angle.
 #[derive(Debug, Clone)]
 pub(super) struct CornerRun {
-    /// Places of the first and of the last of these reflections in the sequence.
+    /// Index of the first of these reflections in the sequence.
     pub first: usize,
+    /// Index of the last of these reflections in the sequence.
     pub last: usize,
     /// Number of reflections.
     pub count: usize,
@@ -45,29 +50,29 @@ pub(super) struct CornerRun {
     inwards: DVec3,
 }
 
-/// Path past the edge of an inner corner.
+/// Passage of a path by the edge of an inner corner.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct PastCorner {
+pub(super) struct CornerPassage {
     /// Part of the field that passes on the other side of the edge than the path.
-    pub part: Complex64,
+    pub other_side_part: Complex64,
     /// Whether the path passes the edge's line on the side of the last facet.
     pub is_behind: bool,
     /// Whether the path passes beyond the edge itself, where there is no facet.
     pub is_beyond: bool,
     /// Normalised distance from the edge.
     pub nu: f64,
-    /// Displacement, m, of a path that passes beyond the edge, to the facets.
+    /// Displacement to the facets of a path that passes beyond the edge, m; zero for other paths.
     pub shift: DVec3,
 }
 
-/// Runs of the sequences that have some.
+/// Runs by sequence, of the sequences that have some.
 #[derive(Debug, Clone, Default)]
 pub(super) struct CornerRuns(HashMap<Vec<FacetId>, Vec<CornerRun>>);
 
 /// Inner corner of two facets: its edge and their angle.
 #[derive(Debug, Clone)]
 struct InnerCorner {
-    edge: SoftEdge,
+    edge: DiffractingEdge,
     angle_rad: f64,
 }
 
@@ -75,29 +80,30 @@ struct InnerCorner {
 struct Search<'a> {
     environment: &'a Environment,
     corners: &'a Corners,
-    known: HashMap<(FacetId, FacetId), Option<Arc<InnerCorner>>>,
+    /// Corners other than right angles, by pair of facets.
+    by_pair: HashMap<(FacetId, FacetId), Option<Arc<InnerCorner>>>,
     /// Corners wider than a right angle, by facet, with the facets on their other sides.
     wide: HashMap<FacetId, Vec<(FacetId, Arc<InnerCorner>)>>,
 }
 
 impl CornerRuns {
     /// Finds the runs of the sequences of images.
-    pub fn among<'a>(
+    pub fn in_images<'a>(
         environment: &Environment,
         corners: &Corners,
         images: impl Iterator<Item = &'a [Vec<FacetId>]>,
     ) -> Self {
-        let mut search = Search { environment, corners, known: HashMap::new(), wide: HashMap::new() };
-        let mut all = HashMap::new();
-        for of_image in images {
-            for sequence in of_image {
-                let runs = search.runs_of(sequence, of_image);
+        let mut search = Search { environment, corners, by_pair: HashMap::new(), wide: HashMap::new() };
+        let mut by_sequence = HashMap::new();
+        for sequences in images {
+            for sequence in sequences {
+                let runs = search.runs_of(sequence, sequences);
                 if !runs.is_empty() {
-                    all.insert(sequence.clone(), runs);
+                    by_sequence.insert(sequence.clone(), runs);
                 }
             }
         }
-        CornerRuns(all)
+        CornerRuns(by_sequence)
     }
 
     /// Returns the runs of a sequence.
@@ -107,91 +113,92 @@ impl CornerRuns {
 }
 
 impl CornerRun {
-    /// Returns how a path passes the edge, where it leaves the last facet on this straight line; `None` where the edge does
-    /// not matter.
-    pub fn past(&self, line: &Leg, environment: &Environment) -> Option<PastCorner> {
+    /// Passage by the edge of a path that leaves the last facet on this straight line; `None` where the edge does not
+    /// matter.
+    pub fn passage(&self, line: &Leg, environment: &Environment) -> Option<CornerPassage> {
         if !self.is_longest(line.direction) {
             return None;
         }
-        let passage = line.past(&self.corner.edge, self.inwards, environment.wavelength_m())?;
-        let (part, nu, is_behind) = (passage.part(environment.edge_reach()), passage.nu, passage.is_behind);
-        // A facet may go on beside the edge's ends.
-        let is_beyond = !is_behind && passage.along[0] <= 0.0 && passage.along[1] >= 0.0;
+        let passage = line.passage(&self.corner.edge, self.inwards, environment.wavelength_m())?;
+        let other_side_part = passage.diffracted_part(environment.edge_reach());
+        let is_behind = passage.is_behind;
+        // A facet may continue beside the edge's ends.
+        let is_beyond = !is_behind && passage.ends_along[0] <= 0.0 && passage.ends_along[1] >= 0.0;
         let shift = if is_beyond { -passage.outwards * (passage.clearance_m + INSIDE_M) } else { DVec3::ZERO };
-        Some(PastCorner { part, is_behind, is_beyond, nu, shift })
+        Some(CornerPassage { other_side_part, is_behind, is_beyond, nu: passage.nu, shift })
     }
 
-    /// Returns whether a path near the edge that leaves in this direction is reflected neither less nor more often.
-    /// Unfolded, it turns by half a circle about the edge.
+    /// Returns whether a path near the edge that leaves in this direction is reflected exactly as often as in this run.
+    /// Unfolded, a path past the edge turns by half a circle about it.
     fn is_longest(&self, direction: DVec3) -> bool {
         let along = self.corner.along();
         let across = (direction - along * direction.dot(along)).normalize_or_zero();
-        let leaves_rad = across.dot(self.inwards).clamp(-1.0, 1.0).acos();
+        let departure_rad = across.dot(self.inwards).clamp(-1.0, 1.0).acos();
         let angle_rad = self.corner.angle_rad;
-        let before_rad = leaves_rad + (self.count - 1) as f64 * angle_rad;
-        before_rad < std::f64::consts::PI && before_rad + angle_rad >= std::f64::consts::PI
+        let turned_rad = departure_rad + (self.count - 1) as f64 * angle_rad;
+        turned_rad < std::f64::consts::PI && turned_rad + angle_rad >= std::f64::consts::PI
     }
 }
 
 impl Search<'_> {
-    /// Finds the runs of a sequence whose opposite order is in no sequence of the same image.
-    fn runs_of(&mut self, sequence: &[FacetId], of_image: &[Vec<FacetId>]) -> Vec<CornerRun> {
+    /// Finds the runs of a sequence. `sequences` are all those of its image, sorted.
+    fn runs_of(&mut self, sequence: &[FacetId], sequences: &[Vec<FacetId>]) -> Vec<CornerRun> {
         let mut runs = Vec::new();
         let mut pairs: Vec<(FacetId, FacetId)> = Vec::new();
         for (number, &a) in sequence.iter().enumerate() {
             for &b in sequence.iter().skip(number + 1) {
                 let pair = (a.min(b), a.max(b));
-                if a != b && !pairs.contains(&pair) && self.corners.holds(a, b) {
+                if a != b && !pairs.contains(&pair) && self.corners.contains(a, b) {
                     pairs.push(pair);
                 }
             }
         }
         for pair in pairs {
             let Some(corner) = self.corner(pair) else { continue };
-            for places in self.in_turn(sequence, pair, &corner) {
-                let mut swapped = sequence.to_vec();
-                for &place in &places {
-                    swapped[place] = if swapped[place] == pair.0 { pair.1 } else { pair.0 };
+            for indices in self.alternations(sequence, pair, &corner) {
+                let mut opposite = sequence.to_vec();
+                for &index in &indices {
+                    opposite[index] = if opposite[index] == pair.0 { pair.1 } else { pair.0 };
                 }
-                // The sequences of an image are sorted.
-                if of_image.binary_search(&swapped).is_err() {
-                    runs.extend(InnerCorner::run(&corner, sequence, &places));
+                if sequences.binary_search(&opposite).is_err() {
+                    runs.extend(InnerCorner::run(&corner, sequence, &indices));
                 }
             }
         }
-        let to_and_fro = runs.len();
-        for (place, &facet) in sequence.iter().enumerate() {
+        let alternating = runs.len();
+        for (index, &facet) in sequence.iter().enumerate() {
             for (other, corner) in self.wide_corners(facet) {
                 let is_part = |run: &CornerRun| {
                     let facets = run.corner.edge.facets();
-                    facets.contains(&facet) && facets.contains(other) && (run.first..=run.last).contains(&place)
+                    facets.contains(&facet) && facets.contains(other) && (run.first..=run.last).contains(&index)
                 };
-                if !runs[..to_and_fro].iter().any(is_part) {
-                    runs.extend(InnerCorner::run(corner, sequence, &[place]));
+                if !runs[..alternating].iter().any(is_part) {
+                    runs.extend(InnerCorner::run(corner, sequence, &[index]));
                 }
             }
         }
         runs
     }
 
-    /// Places of the facets of a corner that a sequence meets in turn, with nothing but mirrors across its edge between.
-    fn in_turn(&self, sequence: &[FacetId], pair: (FacetId, FacetId), corner: &InnerCorner) -> Vec<Vec<usize>> {
+    /// Finds the parts of a sequence that meet the facets of a corner in turn, with nothing between but mirrors across
+    /// its edge. Returns the indices of these facets in the sequence.
+    fn alternations(&self, sequence: &[FacetId], pair: (FacetId, FacetId), corner: &InnerCorner) -> Vec<Vec<usize>> {
         let along = corner.along();
         let mut all: Vec<Vec<usize>> = vec![Vec::new()];
-        for (place, &facet) in sequence.iter().enumerate() {
-            let Some(places) = all.last_mut() else { continue };
+        for (index, &facet) in sequence.iter().enumerate() {
+            let Some(indices) = all.last_mut() else { continue };
             let is_across = |flat: &Flat| flat.normal.cross(along).length_squared() < ACROSS * ACROSS;
             if facet == pair.0 || facet == pair.1 {
-                if places.last().is_some_and(|&last| sequence[last] == facet) {
-                    all.push(vec![place]);
+                if indices.last().is_some_and(|&last| sequence[last] == facet) {
+                    all.push(vec![index]);
                 } else {
-                    places.push(place);
+                    indices.push(index);
                 }
             } else if !self.environment.flat(facet).is_some_and(is_across) {
                 all.push(Vec::new());
             }
         }
-        all.retain(|places| places.len() > 1);
+        all.retain(|indices| indices.len() > 1);
         all
     }
 
@@ -202,7 +209,7 @@ impl Search<'_> {
             let (a, b) = (environment.flat(pair.0)?, environment.flat(pair.1)?);
             if a.normal.dot(b.normal).abs() > RIGHT_ANGLE { InnerCorner::of(environment, pair) } else { None }
         };
-        self.known.entry(pair).or_insert_with(|| found().map(Arc::new)).clone()
+        self.by_pair.entry(pair).or_insert_with(|| found().map(Arc::new)).clone()
     }
 
     /// Corners wider than a right angle that a facet makes, each with the other facet.
@@ -232,26 +239,27 @@ impl InnerCorner {
         let (a, b) = (environment.flat(pair.0)?, environment.flat(pair.1)?);
         let (ends, inwards) = inner_edge(a, b)?;
         let along = (ends[1] - ends[0]).normalize_or_zero();
-        // Where another facet in the plane of one of them goes on beside the edge, the edge ends: each has its own part.
-        let goes_on = |end: DVec3, outwards: DVec3| {
-            let is_beside = |own: &Flat, into: DVec3| {
-                let place = end + (outwards + into) * INSIDE_M;
+        // The edge ends where another facet continues one of them beside the edge: that facet has its own part of the
+        // edge.
+        let may_continue = |end: DVec3, outwards: DVec3| {
+            let is_continued = |own: &Flat, into: DVec3| {
+                let beside = end + (outwards + into) * INSIDE_M;
                 let others = (0..environment.len() as FacetId).filter(|other| *other != pair.0 && *other != pair.1);
                 others.filter_map(|other| environment.flat(other)).any(|flat| {
                     flat.plane == own.plane
                         && flat.normal.dot(own.normal) > 0.0
                         && flat.reflects()
-                        && flat.contains(place)
+                        && flat.contains(beside)
                 })
             };
-            !is_beside(a, inwards[0]) && !is_beside(b, inwards[1])
+            !is_continued(a, inwards[0]) && !is_continued(b, inwards[1])
         };
         let sides = [(pair.0, a, inwards[0]), (pair.1, b, inwards[1])];
-        let edge = SoftEdge::of_corner(
+        let edge = DiffractingEdge::of_corner(
             ends,
             sides,
-            environment.soft_edges(),
-            [goes_on(ends[0], -along), goes_on(ends[1], along)],
+            environment.diffracting_edges(),
+            [may_continue(ends[0], -along), may_continue(ends[1], along)],
         );
         let angle_rad = inwards[0].dot(inwards[1]).clamp(-1.0, 1.0).acos();
         Some(InnerCorner { edge, angle_rad })
@@ -262,15 +270,15 @@ impl InnerCorner {
         (self.edge.ends[1] - self.edge.ends[0]).normalize_or_zero()
     }
 
-    /// Makes the run of a sequence at these places.
-    fn run(corner: &Arc<InnerCorner>, sequence: &[FacetId], places: &[usize]) -> Option<CornerRun> {
-        let (&first, &last) = (places.first()?, places.last()?);
+    /// Makes the run of a corner's reflections with these indices in a sequence.
+    fn run(corner: &Arc<InnerCorner>, sequence: &[FacetId], indices: &[usize]) -> Option<CornerRun> {
+        let (&first, &last) = (indices.first()?, indices.last()?);
         let inwards = corner.edge.inwards(*sequence.get(last)?);
-        Some(CornerRun { first, last, count: places.len(), corner: Arc::clone(corner), inwards })
+        Some(CornerRun { first, last, count: indices.len(), corner: Arc::clone(corner), inwards })
     }
 }
 
-/// Returns the common part of the edges of two facets before each other, and unit vectors from it into both; `None` if they
+/// Returns the common edge of two facets that are before each other, and unit vectors from it into both; `None` if they
 /// have none.
 fn inner_edge(a: &Flat, b: &Flat) -> Option<([DVec3; 2], [DVec3; 2])> {
     let ends = side_on(a, b).or_else(|| side_on(b, a))?;
@@ -280,10 +288,9 @@ fn inner_edge(a: &Flat, b: &Flat) -> Option<([DVec3; 2], [DVec3; 2])> {
         if into.dot(other.normal) < 0.0 { -into } else { into }
     };
     let (into_a, into_b) = (into(a, b), into(b, a));
-    // Whether the facets are on those sides of the edge.
     let middle = ends[0].midpoint(ends[1]);
-    let is_there = |own: &Flat, into: DVec3| own.contains(middle + into * INSIDE_M);
-    (is_there(a, into_a) && is_there(b, into_b)).then_some((ends, [into_a, into_b]))
+    let is_on_side = |own: &Flat, into: DVec3| own.contains(middle + into * INSIDE_M);
+    (is_on_side(a, into_a) && is_on_side(b, into_b)).then_some((ends, [into_a, into_b]))
 }
 
 #[cfg(test)]
@@ -301,8 +308,8 @@ mod tests {
     const K: f64 = 1_257.507_013_171_009;
 
     /// Exact field in a wedge of metal about a line source at 1 m from the edge and 0.7 rad from one side, at 1.3 m and
-    /// 0.75 rad, relative to that of the source in the open at 1 m without its phase: angle in degrees, real and imaginary
-    /// part. Series of Bessel functions of the orders `n pi / angle` (scipy 1.17).
+    /// 0.75 rad, relative to that of the source in the open at 1 m without its phase: angle in degrees, real and
+    /// imaginary part. Series of Bessel functions of the orders `n pi / angle` (scipy 1.17).
     const EXACT: [(f64, [f64; 2]); 18] = [
         (60.0, [3.46538, -1.51788]),
         (75.0, [2.59751, -1.04844]),
@@ -324,8 +331,9 @@ mod tests {
         (110.0, [2.13728, -2.11770]),
     ];
 
-    /// The same about a source at 1 m and at 1.3 m, at these angles from one side in degrees: near the edge, the path by
-    /// one wall ends.
+    /// Exact field of a source at 1 m at a point at 1.3 m, as in [`EXACT`]: angle of the wedge, angles of source and
+    /// point from one side, all in degrees, real and imaginary part. The path by one wall ends at the edge, near these
+    /// points.
     const EXACT_BY_ONE_WALL: [(f64, [f64; 2], [f64; 2]); 56] = [
         (92.00, [88.60, 89.40], [2.26500, -2.08370]),
         (92.00, [89.35, 90.15], [2.20641, -2.55030]),
@@ -385,7 +393,7 @@ mod tests {
         (179.99, [90.60, 91.40], [1.27489, -0.63745]),
     ];
 
-    fn at(length_m: f64, angle_rad: f64) -> DVec2 {
+    fn polar(length_m: f64, angle_rad: f64) -> DVec2 {
         length_m * DVec2::from_angle(angle_rad)
     }
 
@@ -396,11 +404,11 @@ mod tests {
             let corners = [from.extend(low), to.extend(low), to.extend(high), from.extend(high)];
             Facet::new(corners.to_vec(), Wall::Conductor)
         };
-        vec![wall(at(6.0, 0.0), DVec2::ZERO), wall(DVec2::ZERO, at(6.0, angle_deg.to_radians()))]
+        vec![wall(polar(6.0, 0.0), DVec2::ZERO), wall(DVec2::ZERO, polar(6.0, angle_deg.to_radians()))]
     }
 
-    /// Sum of the paths between two places, of those by a facet if that is given. The polarisation is upright.
-    fn sum(facets: Vec<Facet>, [from, to]: [DVec3; 2], by: Option<FacetId>) -> Complex64 {
+    /// Sum of the fields of all paths between two points, or of those by a facet. The polarisation is upright.
+    fn total_field(facets: Vec<Facet>, [from, to]: [DVec3; 2], by: Option<FacetId>) -> Complex64 {
         let antenna = Element {
             position: from,
             polarisation: DVec3::Z,
@@ -415,50 +423,51 @@ mod tests {
             by.is_none_or(|facet| sequences.iter().any(|sequence| sequence.contains(&facet)))
         };
         let by_image = |image: usize| {
-            let seen = paths.illuminate(&antenna, image, to);
-            let field = Complex64::new(seen.field.re.z, seen.field.im.z);
-            field * Complex64::from_polar(1.0 / seen.distance_m.sqrt(), -(K * seen.distance_m) % TAU)
+            let lit = paths.illuminate(&antenna, image, to);
+            let field = Complex64::new(lit.field.re.z, lit.field.im.z);
+            field * Complex64::from_polar(1.0 / lit.distance_m.sqrt(), -(K * lit.distance_m) % TAU)
         };
         (0..paths.images().len()).filter(is_by).map(by_image).sum()
     }
 
     /// Sum of all paths in a corner of two metal walls, from 1 m to 1.3 m from its edge.
     fn in_corner(angle_deg: f64, [from_rad, to_rad]: [f64; 2]) -> Complex64 {
-        let places = [at(1.0, from_rad), at(1.3, to_rad)].map(|place| place.extend(0.0));
-        sum(walls(angle_deg, [-4.0, 4.0]), places, None)
+        let points = [polar(1.0, from_rad), polar(1.3, to_rad)].map(|point| point.extend(0.0));
+        total_field(walls(angle_deg, [-4.0, 4.0]), points, None)
     }
 
-    /// The paths by a metal floor are those without it from the antenna's image. Regression test: a reflection at the floor
-    /// between those at both walls made the echo be missing, or there twice.
+    /// Paths by a metal floor have the field of paths without the floor from the antenna's image. Regression test: with
+    /// a reflection at the floor between those at both walls, the echo was missing or counted twice.
     #[test]
     fn a_floor_doubles_a_corner() {
         for angle_deg in [60.0, 80.0, 88.0, 89.5, 90.0, 90.1, 90.5, 92.0, 100.0, 135.0, 150.0_f64] {
-            for to in [at(1.3, 0.75), at(1.003, 0.705)] {
-                let places = [at(1.0, 0.7).extend(0.4), to.extend(0.4)];
+            for to in [polar(1.3, 0.75), polar(1.003, 0.705)] {
+                let points = [polar(1.0, 0.7).extend(0.4), to.extend(0.4)];
                 let mut facets = walls(angle_deg, [0.0, 4.0]);
-                let floor = [DVec2::ZERO, at(6.0, 0.0), at(6.0, angle_deg.to_radians())];
+                let floor = [DVec2::ZERO, polar(6.0, 0.0), polar(6.0, angle_deg.to_radians())];
                 facets.push(Facet::new(floor.map(|corner| corner.extend(0.0)).to_vec(), Wall::Conductor));
-                let found = sum(facets, places, Some(2));
-                let expected =
-                    sum(walls(angle_deg, [-4.0, 4.0]), [places[0] * DVec3::new(1.0, 1.0, -1.0), places[1]], None);
+                let found = total_field(facets, points, Some(2));
+                let mirrored = points[0] * DVec3::new(1.0, 1.0, -1.0);
+                let expected = total_field(walls(angle_deg, [-4.0, 4.0]), [mirrored, points[1]], None);
                 assert!((found - expected).norm() < 1e-3, "{angle_deg} degrees: {found:.4} instead of {expected:.4}");
             }
         }
     }
 
-    /// Regression test: the echo by both walls was missing or there twice where the corner is not exactly a right angle.
+    /// Regression test: the echo by both walls was missing or counted twice where the corner is not exactly a right
+    /// angle.
     #[test]
     fn the_field_in_a_corner_is_that_of_a_wedge() {
         for (angle_deg, [re, im]) in EXACT {
             let found = in_corner(angle_deg, [0.7, 0.75]);
-            let apart = (found - Complex64::new(re, im)).norm();
+            let error = (found - Complex64::new(re, im)).norm();
             // The rest is the error of Kirchhoff's approximation, and the edge's field beyond three Fresnel zones.
             let most = match (angle_deg - 90.0).abs() {
                 ..=2.0 => 0.002,
                 ..=5.0 => 0.02,
                 _ => 0.08,
             };
-            assert!(apart < most, "{angle_deg} degrees: {found:.4} instead of {re} {im}j");
+            assert!(error < most, "{angle_deg} degrees: {found:.4} instead of {re} {im}j");
         }
     }
 
@@ -467,15 +476,16 @@ mod tests {
     fn the_field_by_one_wall_of_a_corner_is_that_of_a_wedge() {
         for (angle_deg, angles_deg, [re, im]) in EXACT_BY_ONE_WALL {
             let found = in_corner(angle_deg, angles_deg.map(f64::to_radians));
-            let apart = (found - Complex64::new(re, im)).norm();
-            // In narrower corners, source and receiver are also near the other wall, and the path by both ends there too.
+            let error = (found - Complex64::new(re, im)).norm();
+            // In narrower corners, source and receiver are also near the other wall, and the path by both ends there
+            // too.
             let most = match angle_deg {
                 170.0.. => 0.006,
                 105.0.. => 0.025,
                 98.0.. => 0.045,
                 _ => 0.2,
             };
-            assert!(apart < most, "{angle_deg} degrees, {angles_deg:?}: {found:.4} instead of {re} {im}j");
+            assert!(error < most, "{angle_deg} degrees, {angles_deg:?}: {found:.4} instead of {re} {im}j");
         }
     }
 }

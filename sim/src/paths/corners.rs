@@ -1,5 +1,5 @@
-//! Pairs of facets that meet in a corner. Waves that meet both one after the other pass one aperture, which the edges of both
-//! bound.
+//! Pairs of facets that meet in a corner. A wave that both reflect one after the other passes one aperture, which the
+//! edges of both bound.
 
 use glam::DVec3;
 
@@ -10,13 +10,13 @@ use crate::geometry::polygon;
 /// Largest cosine between the normals of facets that make a corner.
 const MOST_COSINE: f64 = 0.99;
 
-/// Pairs of facets, of those that some sequence holds, that share an edge or a part of one.
+/// Pairs of facets that share an edge or a part of one and occur together in some sequence.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Corners(Vec<(FacetId, FacetId)>);
 
 impl Corners {
     /// Finds the pairs in these sequences.
-    pub fn among<'a>(environment: &Environment, sequences: impl Iterator<Item = &'a Vec<FacetId>>) -> Self {
+    pub fn in_sequences<'a>(environment: &Environment, sequences: impl Iterator<Item = &'a Vec<FacetId>>) -> Self {
         let mut all = Vec::new();
         for sequence in sequences {
             for (number, &facet) in sequence.iter().enumerate() {
@@ -26,14 +26,14 @@ impl Corners {
         all.sort_unstable();
         all.dedup();
         all.retain(|&(a, b)| match (environment.flat(a), environment.flat(b)) {
-            (Some(a), Some(b)) => meet(a, b),
+            (Some(a), Some(b)) => make_corner(a, b),
             _ => false,
         });
         Corners(all)
     }
 
     /// Returns whether two facets meet in a corner.
-    pub fn holds(&self, a: FacetId, b: FacetId) -> bool {
+    pub fn contains(&self, a: FacetId, b: FacetId) -> bool {
         self.0.binary_search(&in_order(a, b)).is_ok()
     }
 }
@@ -42,13 +42,13 @@ fn in_order(a: FacetId, b: FacetId) -> (FacetId, FacetId) {
     (a.min(b), a.max(b))
 }
 
-/// Returns whether a side of one facet lies on the other facet.
-fn meet(a: &Flat, b: &Flat) -> bool {
+/// Returns whether two facets make a corner: a side of one lies on the other, and they are not nearly parallel.
+fn make_corner(a: &Flat, b: &Flat) -> bool {
     a.normal.dot(b.normal).abs() < MOST_COSINE && (side_on(a, b).is_some() || side_on(b, a).is_some())
 }
 
-/// Returns a side of a facet whose middle lies on another facet, in the plane of that, if there is one: the part that it has
-/// in common with a side of the other facet on the same line, or the whole.
+/// Returns the side of a facet that lies in the plane of another facet and has its middle on that, if there is one. It
+/// is cut to the part in common with a side of the other facet on the same line, if there is such a side.
 pub(super) fn side_on(one: &Flat, other: &Flat) -> Option<[DVec3; 2]> {
     let lies_on = |p: DVec3, q: DVec3| {
         other.height(p).abs() < PLANAR_M && other.height(q).abs() < PLANAR_M && other.contains(0.5 * (p + q))

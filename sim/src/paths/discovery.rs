@@ -1,9 +1,9 @@
-//! Discovery of the facet sequences that paths from an antenna meet, by launching rays, and of the antenna images that
-//! these sequences make.
+//! Discovery of the facet sequences by which paths from an antenna are reflected, by launching rays, and of the antenna
+//! images that these sequences make.
 //!
-//! Rays are launched in the directions of a subdivided icosahedron. Where the corners of one of its triangles report
-//! different facets, the triangle is divided into four, repeatedly, so that rays concentrate at the ends of facets. A
-//! facet so small that all these rays miss it is hit by rays that are aimed at every facet. The result depends on
+//! Rays are launched in the directions of a subdivided icosahedron. Where the rays at the corners of one of its
+//! triangles hit different facets, the triangle is divided into four, repeatedly. Rays thus concentrate at the edges of
+//! facets. Further rays are aimed at every facet, for facets so small that all others miss them. The result depends on
 //! geometry alone, never on threads.
 
 use std::collections::{BTreeSet, HashMap};
@@ -27,7 +27,7 @@ const FIRST_HALVINGS: u32 = 4;
 const MERGE_M: f64 = 1e-9;
 /// Mirror matrices are merged if they differ less than this in all elements.
 const MERGE_MIRROR: f64 = 1e-10;
-/// Largest number of walls that a ray crosses on its way to the facets that mirror it.
+/// Largest number of walls that a ray crosses on its path.
 const MOST_CROSSED: u32 = 1;
 /// Direction that is parallel to no typical edge of a building.
 const ASKEW: DVec3 = DVec3::new(1.0, 0.754_877_666_2, 0.569_840_291_0);
@@ -64,9 +64,9 @@ pub struct DiscoveryReport {
     pub reached_limit: bool,
 }
 
-/// Facets that one ray meets, in order.
+/// Facets that reflect one ray, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-struct Chain {
+struct RaySequence {
     facets: [FacetId; MAX_ORDER],
     length: usize,
 }
@@ -108,11 +108,11 @@ pub struct ImagePaths {
 impl ImagePaths {
     /// Finds the paths that leave a point.
     pub fn discover(environment: Arc<Environment>, origin: DVec3, options: &LaunchOptions) -> Self {
-        let mut launch = Launch::new(&environment, origin, environment.below(origin), options);
+        let mut launch = Launch::new(&environment, origin, environment.facet_at(origin), options);
         launch.refine(options);
-        launch.aim(options.max_rays);
+        launch.aim_at_facets(options.max_rays);
         let (rays, reached_limit) = (launch.directions.len(), launch.reached_limit);
-        let sequences = completed(&environment, origin, launch.sequences());
+        let sequences = with_exchanged(&environment, origin, launch.sequences());
         let found = Self::with_sequences(environment, origin, sequences);
         ImagePaths { report: DiscoveryReport { rays, reached_limit, ..found.report }, ..found }
     }
@@ -126,15 +126,15 @@ impl ImagePaths {
         let mut all: BTreeSet<(usize, Vec<FacetId>)> = sequences.into_iter().map(|s| (s.len(), s)).collect();
         all.insert((0, Vec::new()));
         let count = all.len();
-        let images = merged(&environment, origin, all.into_iter().map(|(_, sequence)| sequence));
+        let images = make_images(&environment, origin, all.into_iter().map(|(_, sequence)| sequence));
         let report = DiscoveryReport { sequences: count, images: images.len(), ..DiscoveryReport::default() };
         let sequences = images.iter().flat_map(|image| &image.sequences);
-        let (mount, corners) = (environment.below(origin), Corners::among(&environment, sequences));
-        let runs = CornerRuns::among(&environment, &corners, images.iter().map(|image| image.sequences.as_slice()));
+        let (mount, corners) = (environment.facet_at(origin), Corners::in_sequences(&environment, sequences));
+        let runs = CornerRuns::in_images(&environment, &corners, images.iter().map(|image| image.sequences.as_slice()));
         ImagePaths { environment, images, mount, corners, runs, report }
     }
 
-    /// The images, the antenna itself first, then by order.
+    /// The images, the antenna itself first, sorted by order.
     pub fn images(&self) -> &[Image] {
         &self.images
     }
@@ -161,7 +161,7 @@ pub(super) fn is_possible(environment: &Environment, origin: DVec3, sequence: &[
             return false;
         }
         if let Some(before) = last.and_then(|facet| environment.flat(facet))
-            && !(sees(before, flat) && sees(flat, before))
+            && !(has_part_before(before, flat) && has_part_before(flat, before))
         {
             return false;
         }
@@ -171,30 +171,30 @@ pub(super) fn is_possible(environment: &Environment, origin: DVec3, sequence: &[
     true
 }
 
-/// Returns whether some corner of a facet lies before another's plane.
-fn sees(of: &Flat, other: &Flat) -> bool {
-    other.facet.corners.iter().any(|&corner| of.height(corner) > MERGE_M)
+/// Returns whether some corner of another facet lies before the plane of a facet.
+fn has_part_before(flat: &Flat, other: &Flat) -> bool {
+    other.facet.corners.iter().any(|&corner| flat.height(corner) > MERGE_M)
 }
 
-/// Adds the sequences that follow from those found. Reflections at perpendicular planes may change places without
-/// changing the image, and every prefix of a sequence is a sequence.
-fn completed(environment: &Environment, origin: DVec3, found: BTreeSet<Vec<FacetId>>) -> BTreeSet<Vec<FacetId>> {
-    let mut open: Vec<Vec<FacetId>> = found.iter().cloned().collect();
+/// Adds the sequences that follow from those found by exchange of neighbours. Successive reflections at perpendicular
+/// planes may be exchanged without changing the image. Every prefix of a sequence is a sequence, too.
+fn with_exchanged(environment: &Environment, origin: DVec3, found: BTreeSet<Vec<FacetId>>) -> BTreeSet<Vec<FacetId>> {
+    let mut pending: Vec<Vec<FacetId>> = found.iter().cloned().collect();
     let mut all = found;
-    while let Some(sequence) = open.pop() {
+    while let Some(sequence) = pending.pop() {
         for i in 1..sequence.len() {
-            let normal = |at: usize| sequence.get(at).and_then(|&facet| environment.normal(facet));
+            let normal = |index: usize| sequence.get(index).and_then(|&facet| environment.normal(facet));
             let (Some(a), Some(b)) = (normal(i - 1), normal(i)) else { continue };
             if a.dot(b).abs() > RIGHT_ANGLE {
                 continue;
             }
-            let mut swapped = sequence.clone();
-            swapped.swap(i - 1, i);
-            for length in [i, swapped.len()] {
-                let part = swapped.get(..length).unwrap_or_default().to_vec();
-                if !all.contains(&part) && is_possible(environment, origin, &part) {
-                    all.insert(part.clone());
-                    open.push(part);
+            let mut exchanged = sequence.clone();
+            exchanged.swap(i - 1, i);
+            for length in [i, exchanged.len()] {
+                let prefix = exchanged.get(..length).unwrap_or_default().to_vec();
+                if !all.contains(&prefix) && is_possible(environment, origin, &prefix) {
+                    all.insert(prefix.clone());
+                    pending.push(prefix);
                 }
             }
         }
@@ -203,19 +203,19 @@ fn completed(environment: &Environment, origin: DVec3, found: BTreeSet<Vec<Facet
 }
 
 /// Makes the images of sequences, which are ordered by length; coincident images are merged.
-fn merged(environment: &Environment, origin: DVec3, sequences: impl Iterator<Item = Vec<FacetId>>) -> Vec<Image> {
+fn make_images(environment: &Environment, origin: DVec3, sequences: impl Iterator<Item = Vec<FacetId>>) -> Vec<Image> {
     let mut all: Vec<Image> = sequences
         .map(|sequence| {
-            let (mut position, mut zero, mut mirror) = (origin, DVec3::ZERO, DMat3::IDENTITY);
+            let (mut position, mut shift, mut mirror) = (origin, DVec3::ZERO, DMat3::IDENTITY);
             for flat in sequence.iter().filter_map(|&facet| environment.flat(facet)) {
-                (position, zero, mirror) = (flat.mirrored(position), flat.mirrored(zero), flat.mirror() * mirror);
+                (position, shift, mirror) = (flat.mirrored(position), flat.mirrored(shift), flat.mirror() * mirror);
             }
-            Image { order: sequence.len(), position, mirror, shift: zero, sequences: vec![sequence] }
+            Image { order: sequence.len(), position, mirror, shift, sequences: vec![sequence] }
         })
         .collect();
     // In axis-aligned rooms thousands of images share a coordinate; along this direction only coincident images do.
-    let places: Vec<f64> = all.iter().map(|image| image.position.dot(ASKEW)).collect();
-    for group in groups(&places, 3.0 * MERGE_M, |i, j| is_same(&all[i], &all[j])) {
+    let coordinates: Vec<f64> = all.iter().map(|image| image.position.dot(ASKEW)).collect();
+    for group in groups(&coordinates, 3.0 * MERGE_M, |i, j| is_same(&all[i], &all[j])) {
         for &other in &group[1..] {
             let moved = std::mem::take(&mut all[other].sequences);
             all[group[0]].sequences.extend(moved);
@@ -229,23 +229,26 @@ fn merged(environment: &Environment, origin: DVec3, sequences: impl Iterator<Ite
     all
 }
 
+/// Returns whether two images coincide within tolerances.
 fn is_same(a: &Image, b: &Image) -> bool {
-    let apart = |p: DVec3, q: DVec3| (p - q).abs().max_element();
+    let distance = |p: DVec3, q: DVec3| (p - q).abs().max_element();
     let columns = |m: &DMat3| [m.x_axis, m.y_axis, m.z_axis];
     a.order == b.order
-        && apart(a.position, b.position) <= MERGE_M
-        && columns(&a.mirror).into_iter().zip(columns(&b.mirror)).all(|(p, q)| apart(p, q) <= MERGE_MIRROR)
+        && distance(a.position, b.position) <= MERGE_M
+        && columns(&a.mirror).into_iter().zip(columns(&b.mirror)).all(|(p, q)| distance(p, q) <= MERGE_MIRROR)
 }
 
 /// Launch of rays in all directions.
 struct Launch<'a> {
     environment: &'a Environment,
     origin: DVec3,
+    /// The facet on which the antenna is mounted, if any.
     mount: Option<FacetId>,
     max_order: usize,
     directions: Vec<DVec3>,
-    /// Facets met, per direction: by the ray that is reflected everywhere, and by rays that cross a wall.
-    chains: Vec<Vec<Chain>>,
+    /// Sequences by direction, as far as they are traced: of the ray that is reflected everywhere, and of rays that
+    /// cross a wall.
+    sequences: Vec<Vec<RaySequence>>,
     /// Triangles of directions that may be divided.
     triangles: Vec<[usize; 3]>,
     reached_limit: bool,
@@ -260,7 +263,7 @@ impl<'a> Launch<'a> {
             mount,
             max_order: options.max_order.min(MAX_ORDER),
             directions,
-            chains: Vec::new(),
+            sequences: Vec::new(),
             triangles,
             reached_limit: false,
         };
@@ -272,31 +275,31 @@ impl<'a> Launch<'a> {
         launch
     }
 
-    /// Divides triangles whose corners meet different facets.
+    /// Divides triangles with different sequences at their corners.
     fn refine(&mut self, options: &LaunchOptions) {
         for _ in 0..options.refinements {
-            let chains = &self.chains;
+            let sequences = &self.sequences;
             let differ = |t: &[usize; 3]| {
-                let [a, b, c] = t.map(|i| chains.get(i));
+                let [a, b, c] = t.map(|i| sequences.get(i));
                 a != b || b != c
             };
-            let marked: Vec<[usize; 3]> = self.triangles.iter().filter(|t| differ(t)).copied().collect();
-            if marked.is_empty() {
+            let to_divide: Vec<[usize; 3]> = self.triangles.iter().filter(|t| differ(t)).copied().collect();
+            if to_divide.is_empty() {
                 break;
             }
             // Each triangle has three new corners at most, and most of them are shared with a neighbour.
-            if self.directions.len() + 3 * marked.len() / 2 > options.max_rays {
+            if self.directions.len() + 3 * to_divide.len() / 2 > options.max_rays {
                 self.reached_limit = true;
                 break;
             }
-            self.divide(&marked);
+            self.divide(&to_divide);
             self.trace_new();
         }
     }
 
     /// Aims rays at the middle of each facet that faces the antenna and halfway from there to its corners, until
     /// `max_rays` is reached.
-    fn aim(&mut self, max_rays: usize) {
+    fn aim_at_facets(&mut self, max_rays: usize) {
         for facet in 0..self.environment.len() {
             let Some(flat) = self.environment.flat(facet as FacetId) else { continue };
             let corners = &flat.facet.corners;
@@ -315,7 +318,7 @@ impl<'a> Launch<'a> {
         self.trace_new();
     }
 
-    /// Replaces triangles by their quarters, and adds directions for the new corners.
+    /// Divides triangles into quarters, which replace all triangles of the launch. Adds directions for the new corners.
     fn divide(&mut self, triangles: &[[usize; 3]]) {
         let mut middles: HashMap<(usize, usize), usize> = HashMap::with_capacity(2 * triangles.len());
         let mut quarters = Vec::with_capacity(4 * triangles.len());
@@ -323,8 +326,8 @@ impl<'a> Launch<'a> {
             let mut middle = |i: usize, j: usize| {
                 let directions = &mut self.directions;
                 *middles.entry((i.min(j), i.max(j))).or_insert_with(|| {
-                    let at = |k: usize| directions.get(k).copied().unwrap_or(DVec3::X);
-                    let direction = (at(i) + at(j)).normalize_or(DVec3::X);
+                    let corner = |k: usize| directions.get(k).copied().unwrap_or(DVec3::X);
+                    let direction = (corner(i) + corner(j)).normalize_or(DVec3::X);
                     directions.push(direction);
                     directions.len() - 1
                 })
@@ -337,62 +340,64 @@ impl<'a> Launch<'a> {
 
     /// Traces the directions that have not been traced yet.
     fn trace_new(&mut self) {
-        let first = self.chains.len();
-        let new: Vec<Vec<Chain>> =
+        let first = self.sequences.len();
+        let new: Vec<Vec<RaySequence>> =
             self.directions.get(first..).unwrap_or_default().par_iter().map(|&d| self.trace(d)).collect();
-        self.chains.extend(new);
+        self.sequences.extend(new);
     }
 
     /// Traces a ray in a direction. If walls transmit waves, a further ray continues behind each wall that it meets.
-    fn trace(&self, direction: DVec3) -> Vec<Chain> {
-        let chain = Chain { facets: [FacetId::MAX; MAX_ORDER], length: 0 };
+    fn trace(&self, direction: DVec3) -> Vec<RaySequence> {
+        let sequence = RaySequence { facets: [FacetId::MAX; MAX_ORDER], length: 0 };
         if let Some(flat) = self.mount.and_then(|facet| self.environment.flat(facet))
             && flat.normal.dot(direction) <= 0.0
         {
-            return vec![chain];
+            return vec![sequence];
         }
         let mut found = Vec::with_capacity(1);
-        let walls_left = if self.environment.lets_through() { MOST_CROSSED } else { 0 };
-        let mut open = vec![Traced { from: self.origin, towards: direction, on: self.mount, chain, walls_left }];
-        while let Some(mut ray) = open.pop() {
-            while ray.chain.length < self.max_order {
-                let Some((facet, point)) = self.environment.first_hit(ray.from, ray.towards, ray.on) else { break };
+        let walls_left = if self.environment.has_transmission() { MOST_CROSSED } else { 0 };
+        let mut pending = vec![RayState { from: self.origin, direction, on: self.mount, sequence, walls_left }];
+        while let Some(mut ray) = pending.pop() {
+            while ray.sequence.length < self.max_order {
+                let Some((facet, point)) = self.environment.first_hit(ray.from, ray.direction, ray.on) else { break };
                 let Some(flat) = self.environment.flat(facet) else { break };
                 (ray.from, ray.on) = (point, Some(facet));
                 if ray.walls_left > 0 && flat.transmits {
-                    open.push(Traced { walls_left: ray.walls_left - 1, ..ray });
+                    pending.push(RayState { walls_left: ray.walls_left - 1, ..ray });
                 }
-                if let Some(slot) = ray.chain.facets.get_mut(ray.chain.length) {
+                if let Some(slot) = ray.sequence.facets.get_mut(ray.sequence.length) {
                     *slot = facet;
                 }
-                ray.chain.length += 1;
-                ray.towards -= flat.normal * (2.0 * flat.normal.dot(ray.towards));
+                ray.sequence.length += 1;
+                ray.direction -= flat.normal * (2.0 * flat.normal.dot(ray.direction));
             }
-            found.push(ray.chain);
+            found.push(ray.sequence);
         }
         found
     }
 
-    /// Sequences that rays met, and all prefixes of these.
+    /// Sequences of all rays, and all prefixes of these.
     fn sequences(&self) -> BTreeSet<Vec<FacetId>> {
-        let mut chains: Vec<Chain> = self.chains.iter().flatten().copied().collect();
-        chains.sort_unstable();
-        chains.dedup();
-        let begins = |chain: &Chain| {
-            let facets = chain.facets;
-            (0..=chain.length).map(move |length| facets.iter().take(length).copied().collect::<Vec<_>>())
+        let mut sequences: Vec<RaySequence> = self.sequences.iter().flatten().copied().collect();
+        sequences.sort_unstable();
+        sequences.dedup();
+        let prefixes = |sequence: &RaySequence| {
+            let facets = sequence.facets;
+            (0..=sequence.length).map(move |length| facets.iter().take(length).copied().collect::<Vec<_>>())
         };
-        chains.iter().flat_map(begins).collect()
+        sequences.iter().flat_map(prefixes).collect()
     }
 }
 
 /// State of a ray during tracing.
 #[derive(Debug, Clone, Copy)]
-struct Traced {
+struct RayState {
     from: DVec3,
-    towards: DVec3,
+    direction: DVec3,
+    /// Facet on which the ray begins, if any.
     on: Option<FacetId>,
-    chain: Chain,
+    /// Facets that have reflected the ray.
+    sequence: RaySequence,
     /// Number of walls that the ray may still cross.
     walls_left: u32,
 }

@@ -36,15 +36,15 @@ const GAUSS_16: [(f64, f64); 8] = [
 const SHORT: f64 = 1.5;
 const MEDIUM: f64 = 2.5;
 
-/// `(1/2 pi) int exp(-j pi r^2/2) dphi` along a part of a straight side, between two places on it. Places are measured
-/// from the foot of the perpendicular, which is `distance` away (not negative). They may have either sign and be
-/// infinite.
-pub fn side_between(distance: f64, [low, high]: [f64; 2]) -> Complex64 {
+/// Contribution of a part of a straight side: `(1/2 pi) int exp(-j pi r^2/2) dphi` between two positions on it.
+/// Positions are measured from the foot of the perpendicular, which is `distance` away (not negative). They may have
+/// either sign and be infinite.
+pub fn side_integral(distance: f64, [low, high]: [f64; 2]) -> Complex64 {
     let at_foot = half_plane(-distance);
     from_foot(distance, at_foot, high) - from_foot(distance, at_foot, low)
 }
 
-/// Same integral from the foot to a place, given the half-plane field at the distance of the foot.
+/// Same integral from the foot to a position, given the half-plane field at the distance of the foot.
 fn from_foot(distance: f64, at_foot: Complex64, along: f64) -> Complex64 {
     let (p, s) = (distance, along.abs());
     let part = if s.is_infinite() {
@@ -59,7 +59,7 @@ fn from_foot(distance: f64, at_foot: Complex64, along: f64) -> Complex64 {
     if along < 0.0 { -part } else { part }
 }
 
-/// Same integral for a place not farther along than the distance, where the integrand is smooth. With `t` along the
+/// Same integral for a position not farther along than the distance, where the integrand is smooth. With `t` along the
 /// side it is `exp(-j pi p^2/2) int_0^s exp(-j pi t^2/2) p / (p^2 + t^2) dt`.
 fn quadrature(p: f64, s: f64) -> Complex64 {
     if s == 0.0 {
@@ -70,13 +70,13 @@ fn quadrature(p: f64, s: f64) -> Complex64 {
         wave(square) * (p / (p * p + square))
     };
     let half = 0.5 * s;
-    let both = |&(x, weight): &(f64, f64)| (at(half * (1.0 - x)) + at(half * (1.0 + x))) * weight;
+    let symmetric_pair = |&(x, weight): &(f64, f64)| (at(half * (1.0 - x)) + at(half * (1.0 + x))) * weight;
     let sum: Complex64 = if s <= SHORT {
-        GAUSS_4.iter().map(both).sum()
+        GAUSS_4.iter().map(symmetric_pair).sum()
     } else if s <= MEDIUM {
-        GAUSS_8.iter().map(both).sum()
+        GAUSS_8.iter().map(symmetric_pair).sum()
     } else {
-        GAUSS_16.iter().map(both).sum()
+        GAUSS_16.iter().map(symmetric_pair).sum()
     };
     wave(p * p) * sum * (half / TAU)
 }
@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     /// Evaluates the definition by the midpoint rule over the angle.
-    fn slowly(p: f64, s: f64) -> Complex64 {
+    fn by_midpoint_rule(p: f64, s: f64) -> Complex64 {
         let steps = 200_000;
         let step = s.atan2(p) / f64::from(steps);
         let at = |i: i32| {
@@ -97,21 +97,21 @@ mod tests {
     }
 
     #[test]
-    fn sides_are_their_integrals() {
+    fn contributions_of_sides_are_their_integrals() {
         for (p, s) in [(0.3, 0.2), (0.3, 1.4), (1.2, 1.1), (1.2, 2.5), (0.05, 3.0), (3.0, 2.9), (2.0, 4.0), (4.2, 1.0)]
         {
-            let (fast, slow) = (side_between(p, [0.0, s]), slowly(p, s));
+            let (fast, slow) = (side_integral(p, [0.0, s]), by_midpoint_rule(p, s));
             assert!((fast - slow).norm() < 0.004, "{p} {s}: {fast} {slow}");
-            assert_eq!(side_between(p, [0.0, -s]), -fast);
+            assert_eq!(side_integral(p, [0.0, -s]), -fast);
         }
     }
 
     /// Tests every rule over all lengths for which it is used, within the reach of edges.
     #[test]
-    fn rules_of_few_places_are_the_integral() {
+    fn rules_of_few_nodes_are_the_integral() {
         for s in [0.1, 0.7, 1.49, 1.51, 2.0, 2.49, 2.51, 3.3, 4.24] {
             for p in [s, 1.2 * s, 3.0 * s] {
-                let (fast, slow) = (quadrature(p, s), slowly(p, s));
+                let (fast, slow) = (quadrature(p, s), by_midpoint_rule(p, s));
                 assert!((fast - slow).norm() < 1e-4, "{p} {s}: {fast} {slow}");
             }
         }
@@ -121,12 +121,12 @@ mod tests {
     #[test]
     fn endless_edges_are_half_planes() {
         for nu in [0.0, 0.4, 1.2, 3.0] {
-            let edge = side_between(nu, [f64::NEG_INFINITY, f64::INFINITY]);
+            let edge = side_integral(nu, [f64::NEG_INFINITY, f64::INFINITY]);
             assert!((1.0 - edge - half_plane(nu)).norm() < 1e-12, "{nu}");
         }
-        let crossing = side_between(1e-9, [-0.7, 2.0]);
+        let crossing = side_integral(1e-9, [-0.7, 2.0]);
         assert!((crossing - 0.5).norm() < 1e-6, "{crossing}");
-        let beyond = side_between(1e-9, [0.7, 2.0]);
+        let beyond = side_integral(1e-9, [0.7, 2.0]);
         assert!(beyond.norm() < 1e-6, "{beyond}");
     }
 }

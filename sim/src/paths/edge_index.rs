@@ -1,13 +1,13 @@
-//! Spatial index of edges: a tree of boxes, so that a path tests a few of thousands of edges.
+//! Spatial index of edges: a tree of boxes. With it, a path is tested against a few of thousands of edges.
 
 use glam::DVec3;
 
-use super::edges::SoftEdge;
+use super::edges::DiffractingEdge;
 
 /// Largest number of edges in a box that is not divided.
-const FEW: usize = 4;
+const LEAF_EDGES: usize = 4;
 /// Largest number of pending boxes in a search: the depth of a tree over 2^32 edges.
-const DEEPEST: usize = 64;
+const MOST_PENDING: usize = 64;
 
 /// Box around edges.
 #[derive(Debug, Clone, Copy)]
@@ -30,7 +30,7 @@ pub(super) struct EdgeIndex {
 
 impl EdgeIndex {
     /// Builds a tree over edges, which are identified by their numbers.
-    pub fn new(edges: &[SoftEdge]) -> Self {
+    pub fn new(edges: &[DiffractingEdge]) -> Self {
         let ends: Vec<[DVec3; 2]> = edges.iter().map(|edge| edge.ends).collect();
         let mut index = EdgeIndex { nodes: Vec::new(), order: (0..ends.len() as u32).collect() };
         if !ends.is_empty() {
@@ -41,20 +41,20 @@ impl EdgeIndex {
 
     /// Makes the box around some edges of the order, and the boxes within it.
     fn divide(&mut self, ends: &[[DVec3; 2]], first: usize, end: usize) {
-        let of = |edge: &u32| ends.get(*edge as usize).copied().unwrap_or([DVec3::ZERO; 2]);
+        let ends_of = |edge: &u32| ends.get(*edge as usize).copied().unwrap_or([DVec3::ZERO; 2]);
         let Some(part) = self.order.get_mut(first..end) else { return };
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        for [a, b] in part.iter().map(of) {
+        for [a, b] in part.iter().map(ends_of) {
             (low, high) = (low.min(a).min(b), high.max(a).max(b));
         }
         let number = self.nodes.len();
         self.nodes.push(Node { low, high, first: first as u32, count: (end - first) as u32 });
-        if end - first <= FEW {
+        if end - first <= LEAF_EDGES {
             return;
         }
         let axis = (high - low).max_position();
         let middle = |edge: &u32| {
-            let [a, b] = of(edge);
+            let [a, b] = ends_of(edge);
             a[axis] + b[axis]
         };
         part.sort_by(|p, q| middle(p).total_cmp(&middle(q)).then(p.cmp(q)));
@@ -70,15 +70,15 @@ impl EdgeIndex {
     /// Numbers of all edges whose boxes come within a distance, m, of a straight segment, ascending.
     pub fn near(&self, from: DVec3, to: DVec3, distance_m: f64, found: &mut Vec<u32>) {
         found.clear();
-        let grown = DVec3::splat(distance_m);
-        let per_m = (to - from).to_array().map(|way| (way.abs() >= 1e-12).then(|| 1.0 / way));
-        let mut open = [0u32; DEEPEST];
+        let margin = DVec3::splat(distance_m);
+        let per_m = (to - from).to_array().map(|component| (component.abs() >= 1e-12).then(|| 1.0 / component));
+        let mut pending = [0u32; MOST_PENDING];
         let mut count = usize::from(!self.nodes.is_empty());
         while count > 0 {
             count -= 1;
-            let number = open.get(count).copied().unwrap_or_default();
+            let number = pending.get(count).copied().unwrap_or_default();
             let Some(node) = self.nodes.get(number as usize) else { continue };
-            if !meets(node.low - grown, node.high + grown, from, &per_m) {
+            if !segment_meets_box(node.low - margin, node.high + margin, from, &per_m) {
                 continue;
             }
             if node.count > 0 {
@@ -87,7 +87,7 @@ impl EdgeIndex {
                 continue;
             }
             for next in [number + 1, node.first] {
-                if let Some(slot) = open.get_mut(count) {
+                if let Some(slot) = pending.get_mut(count) {
                     *slot = next;
                     count += 1;
                 }
@@ -99,8 +99,8 @@ impl EdgeIndex {
 
 /// Returns whether a straight segment from a point intersects a box. `per_m` holds the inverses of the segment's
 /// nonzero components.
-fn meets(low: DVec3, high: DVec3, from: DVec3, per_m: &[Option<f64>; 3]) -> bool {
-    let (mut enters, mut leaves) = (0.0f64, 1.0f64);
+fn segment_meets_box(low: DVec3, high: DVec3, from: DVec3, per_m: &[Option<f64>; 3]) -> bool {
+    let (mut entry, mut exit) = (0.0f64, 1.0f64);
     for (axis, per_m) in per_m.iter().enumerate() {
         let Some(per_m) = per_m else {
             if from[axis] < low[axis] || from[axis] > high[axis] {
@@ -109,9 +109,9 @@ fn meets(low: DVec3, high: DVec3, from: DVec3, per_m: &[Option<f64>; 3]) -> bool
             continue;
         };
         let (a, b) = ((low[axis] - from[axis]) * per_m, (high[axis] - from[axis]) * per_m);
-        (enters, leaves) = (enters.max(a.min(b)), leaves.min(a.max(b)));
+        (entry, exit) = (entry.max(a.min(b)), exit.min(a.max(b)));
     }
-    enters <= leaves
+    entry <= exit
 }
 
 #[cfg(test)]
@@ -124,19 +124,19 @@ mod tests {
     use crate::em::image::Wall;
 
     #[test]
-    fn all_edges_near_a_way_are_found() {
+    fn all_edges_near_a_segment_are_found() {
         let mut rng = Xoshiro256PlusPlus::seed_from_u64(4);
-        let mut place = || DVec3::from_array(std::array::from_fn(|_| rng.random_range(0.0..10.0)));
+        let mut position = || DVec3::from_array(std::array::from_fn(|_| rng.random_range(0.0..10.0)));
         let triangle = |at: DVec3| {
             let corners = [at, at + DVec3::X * 0.3, at + DVec3::new(0.1, 0.2, 0.15)];
             Facet::new(corners.to_vec(), Wall::Conductor)
         };
-        let facets: Vec<Facet> = (0..200).map(|_| triangle(place())).collect();
+        let facets: Vec<Facet> = (0..200).map(|_| triangle(position())).collect();
         let environment = Environment::new(facets, 1257.0).expect("facets");
-        let edges = environment.soft_edges();
+        let edges = environment.diffracting_edges();
         let (mut found, mut all) = (Vec::new(), 0);
         for _ in 0..50 {
-            let (from, to, distance_m) = (place(), place(), 0.3);
+            let (from, to, distance_m) = (position(), position(), 0.3);
             environment.edges_near(from, to, distance_m, &mut found);
             assert!(found.windows(2).all(|two| two[0] < two[1]));
             let (direction, length_m) = ((to - from).normalize(), from.distance(to));

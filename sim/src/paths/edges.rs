@@ -1,5 +1,5 @@
-//! Diffracting edges: free edges of sheets, outward corners, and seams of two walls in one plane. Seams of one wall do not
-//! diffract, because the next facet reflects what the previous one loses. Inner corners are in `corner_runs.rs`.
+//! Diffracting edges: free edges of sheets, outward corners, and seams of two walls in one plane. Seams of one wall do
+//! not diffract, because the next facet reflects what the previous one loses. Inner corners are in `corner_runs.rs`.
 
 use glam::DVec3;
 
@@ -16,17 +16,17 @@ const SAME_END_M: f64 = 1e-4;
 const FLAT: f64 = 1e-6;
 /// Sine of the angle between a path and a facet up to which the path lies in the facet's plane.
 const GRAZING: f64 = 1e-9;
-/// Extent of a facet across a path, over its own, up to which the path sees the facet edge-on.
+/// Extent of a facet across a path, as a part of its own extent, up to which the path sees the facet edge-on.
 const EDGE_ON: f64 = 1e-4;
 
 /// Edge that diffracts.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SoftEdge {
+pub struct DiffractingEdge {
     /// Ends, m.
     pub ends: [DVec3; 2],
-    /// Whether the edge continues beyond each end, as an edge between floor and ceiling does in their mirror images. An
-    /// end at which another soft edge begins does not continue.
-    pub goes_on: [bool; 2],
+    /// Whether the edge continues beyond each end, as an edge between floor and ceiling does in their mirror images. It
+    /// does not continue beyond an end at which another diffracting edge begins.
+    pub continues: [bool; 2],
     facets: Vec<FacetId>,
     planes: Vec<u32>,
     /// Unit vectors from the edge into each of its facets.
@@ -36,27 +36,28 @@ pub struct SoftEdge {
     reach_m: f64,
 }
 
-impl SoftEdge {
+impl DiffractingEdge {
     /// Edge of an inner corner, with its facets and the unit vectors from it into them. It continues beyond an end if
-    /// `may_go_on` says so and no soft edge of these facets begins there. `all` are the soft edges by their numbers.
+    /// `may_continue` allows it and no diffracting edge of these facets ends there. `all` are the diffracting edges by
+    /// their numbers.
     pub(super) fn of_corner(
         ends: [DVec3; 2],
         sides: [(FacetId, &Flat, DVec3); 2],
-        all: &[SoftEdge],
-        may_go_on: [bool; 2],
+        all: &[DiffractingEdge],
+        may_continue: [bool; 2],
     ) -> Self {
-        let soft = || sides.iter().flat_map(|side| &side.1.soft).filter_map(|&number| all.get(number as usize));
+        let edges = || sides.iter().flat_map(|(_, flat, _)| &flat.edges).filter_map(|&number| all.get(number as usize));
         let is_end = |end: DVec3| {
-            let meets = |other: &DVec3| other.distance_squared(end) < SAME_END_M * SAME_END_M;
-            soft().flat_map(|edge| &edge.ends).any(meets)
+            let is_same = |other: &DVec3| other.distance_squared(end) < SAME_END_M * SAME_END_M;
+            edges().flat_map(|edge| &edge.ends).any(is_same)
         };
-        SoftEdge {
+        DiffractingEdge {
             ends,
-            goes_on: [0, 1].map(|i| may_go_on[i] && !is_end(ends[i])),
-            facets: sides.iter().map(|side| side.0).collect(),
-            planes: sides.iter().map(|side| side.1.plane).collect(),
-            inwards: sides.iter().map(|side| side.2).collect(),
-            normals: sides.iter().map(|side| side.1.normal).collect(),
+            continues: [0, 1].map(|i| may_continue[i] && !is_end(ends[i])),
+            facets: sides.iter().map(|&(facet, ..)| facet).collect(),
+            planes: sides.iter().map(|(_, flat, _)| flat.plane).collect(),
+            inwards: sides.iter().map(|&(.., inwards)| inwards).collect(),
+            normals: sides.iter().map(|(_, flat, _)| flat.normal).collect(),
             middle: 0.5 * (ends[0] + ends[1]),
             reach_m: 0.5 * ends[0].distance(ends[1]),
         }
@@ -72,7 +73,7 @@ impl SoftEdge {
         self.planes.contains(&plane)
     }
 
-    /// Returns whether no point of the edge lies before a facet: it is beside no path that ends on the facet.
+    /// Returns whether no point of the edge lies before a facet. It is then beside no path that ends on the facet.
     pub(super) fn is_behind(&self, flat: &Flat) -> bool {
         self.ends.iter().all(|end| flat.height(*end) <= SAME_M)
     }
@@ -83,14 +84,14 @@ impl SoftEdge {
         self.inwards.get(number).copied().unwrap_or(DVec3::ZERO)
     }
 
-    /// Returns whether another facet begins at the edge before a facet with this normal, even if both are sheets whose backs
-    /// form a wedge.
+    /// Returns whether another facet begins at the edge before a facet with this normal. The backs of both may still
+    /// form a wedge, if both are sheets.
     pub(super) fn is_inner_before(&self, normal: DVec3) -> bool {
         self.inwards.iter().any(|inwards| inwards.dot(normal) > FLAT)
     }
 
-    /// Unit vector from the edge into that of its facets with the largest extent across a direction.
-    pub(super) fn widest(&self, direction: DVec3) -> DVec3 {
+    /// Unit vector from the edge into that of its facets that extends farthest across a direction.
+    pub(super) fn widest_inwards(&self, direction: DVec3) -> DVec3 {
         let across = direction.cross(self.ends[1] - self.ends[0]);
         let width = |inwards: &DVec3| inwards.dot(across).abs();
         let widest = self.inwards.iter().max_by(|a, b| width(a).total_cmp(&width(b)));
@@ -105,12 +106,12 @@ impl SoftEdge {
     /// Returns whether the edge lies on the outline of its facets, seen from a point along a direction. A free edge
     /// always does. A corner does if one of its facets is seen from the front and the other from behind. A corner of
     /// two sheets has no outline for a point between the sheets.
-    pub(super) fn is_outline(&self, from: DVec3, direction: DVec3) -> bool {
-        // A path in the plane of a facet sees both of its edges, whatever rounding makes of it.
-        let along =
+    pub(super) fn is_on_outline(&self, from: DVec3, direction: DVec3) -> bool {
+        // A path within rounding of a facet's plane counts as in the plane, and sees both of its edges.
+        let cosine =
             |normal: &DVec3| Some(direction.dot(*normal)).filter(|cosine| cosine.abs() > GRAZING).unwrap_or(0.0);
         match (self.normals.as_slice(), self.inwards.as_slice()) {
-            ([a, b], _) if a.dot(*b) > FLAT - 1.0 => along(a) * along(b) <= 0.0,
+            ([a, b], _) if a.dot(*b) > FLAT - 1.0 => cosine(a) * cosine(b) <= 0.0,
             ([_, _, _, ..], [first, others @ ..]) => {
                 let second = others.iter().find(|inwards| inwards.cross(*first).length_squared() > FLAT * FLAT);
                 second.is_none_or(|second| !self.is_between(first, second, from))
@@ -130,17 +131,17 @@ impl SoftEdge {
     /// Returns whether a point lies beyond an end at which the edge continues in mirror images.
     pub(super) fn is_beyond(&self, point: DVec3) -> bool {
         let [a, b] = self.ends;
-        let part = (point - a).dot(b - a) / a.distance_squared(b);
-        self.goes_on[0] && part < 0.0 || self.goes_on[1] && part > 1.0
+        let fraction = (point - a).dot(b - a) / a.distance_squared(b);
+        self.continues[0] && fraction < 0.0 || self.continues[1] && fraction > 1.0
     }
 
     /// Returns whether part of the edge may be within a distance, m, of a straight segment. This includes extensions
     /// beyond an end of an edge beside the segment.
     pub(super) fn is_near(&self, from: DVec3, direction: DVec3, length_m: f64, distance_m: f64) -> bool {
         let along = (self.middle - from).dot(direction).clamp(0.0, length_m);
-        let apart = self.middle.distance_squared(from + direction * along);
-        let reach = self.reach_m + distance_m;
-        if apart > reach * reach {
+        let apart_m2 = self.middle.distance_squared(from + direction * along);
+        let reach_m = self.reach_m + distance_m;
+        if apart_m2 > reach_m * reach_m {
             return false;
         }
         // Coordinates along the segment, from its origin.
@@ -151,48 +152,53 @@ impl SoftEdge {
         }
         let foot = a - direction * at_a;
         let step = b - direction * at_b - foot;
-        let part = (-foot.dot(step) / step.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-        (foot + step * part).length_squared() <= distance_m * distance_m
+        let fraction = (-foot.dot(step) / step.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        (foot + step * fraction).length_squared() <= distance_m * distance_m
     }
 }
 
+/// Side of a facet.
 struct Side {
     facet: FacetId,
     ends: [DVec3; 2],
+    /// Unit vector from the side into the facet.
     inwards: DVec3,
-    given: Option<bool>,
+    /// Whether the side diffracts, if its facet specifies that.
+    diffracts: Option<bool>,
 }
 
 /// All sides of facets that reflect.
 fn sides(flats: &[Flat]) -> Vec<Side> {
     let mut all = Vec::new();
     for (number, flat) in flats.iter().enumerate().filter(|(_, flat)| flat.reflects()) {
-        let mut add = |corners: &[DVec3], inward_sign: f64, given: &[bool]| {
+        let mut add = |corners: &[DVec3], inward_sign: f64, diffracting: &[bool]| {
             for (i, [a, b]) in polygon::sides(corners).enumerate() {
                 let inwards = flat.normal.cross((b - a).normalize_or_zero()) * inward_sign;
-                all.push(Side { facet: number as FacetId, ends: [a, b], inwards, given: given.get(i).copied() });
+                let diffracts = diffracting.get(i).copied();
+                all.push(Side { facet: number as FacetId, ends: [a, b], inwards, diffracts });
             }
         };
-        add(&flat.facet.corners, 1.0, &flat.facet.soft_edges);
+        add(&flat.facet.corners, 1.0, &flat.facet.diffracting_sides);
         for (i, hole) in flat.facet.holes.iter().enumerate() {
-            add(hole, if flat.is_positive(i) { -1.0 } else { 1.0 }, &[]);
+            add(hole, if flat.is_counter_clockwise(i) { -1.0 } else { 1.0 }, &[]);
         }
     }
     all
 }
 
+/// Groups sides that coincide, in either direction.
 fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
     let middles: Vec<f64> = sides.iter().map(|side| 0.5 * (side.ends[0].x + side.ends[1].x)).collect();
-    let meet = |p: DVec3, q: DVec3| p.distance_squared(q) < SAME_END_M * SAME_END_M;
+    let is_same = |p: DVec3, q: DVec3| p.distance_squared(q) < SAME_END_M * SAME_END_M;
     groups(&middles, SAME_END_M, |i, j| {
         let ([a, b], [c, d]) = (sides[i].ends, sides[j].ends);
-        meet(a, c) && meet(b, d) || meet(a, d) && meet(b, c)
+        is_same(a, c) && is_same(b, d) || is_same(a, d) && is_same(b, c)
     })
 }
 
 /// Kind of junction of two facets at an edge.
 #[derive(PartialEq)]
-enum Meeting {
+enum Junction {
     /// Free edge: the facets end there back to back.
     Sheet,
     /// Outward corner.
@@ -203,33 +209,36 @@ enum Meeting {
     Inner,
 }
 
-fn meeting(flats: &[Flat], a: &Side, b: &Side) -> Meeting {
-    let (Some(of_a), Some(of_b)) = (flats.get(a.facet as usize), flats.get(b.facet as usize)) else {
-        return Meeting::Inner;
+/// Kind of junction of two coincident sides.
+fn junction(flats: &[Flat], a: &Side, b: &Side) -> Junction {
+    let (Some(flat_a), Some(flat_b)) = (flats.get(a.facet as usize), flats.get(b.facet as usize)) else {
+        return Junction::Inner;
     };
-    let (rise_b, rise_a) = (b.inwards.dot(of_a.normal), a.inwards.dot(of_b.normal));
-    let is_plane = rise_a.abs() <= FLAT && rise_b.abs() <= FLAT;
+    // Rise of each facet over the plane of the other, before its front.
+    let (rise_b, rise_a) = (b.inwards.dot(flat_a.normal), a.inwards.dot(flat_b.normal));
+    let is_coplanar = rise_a.abs() <= FLAT && rise_b.abs() <= FLAT;
     let is_one_side = a.inwards.dot(b.inwards) > 0.0;
     if rise_a < -FLAT && rise_b < -FLAT {
-        Meeting::Outward
-    } else if is_plane && is_one_side && of_a.normal.dot(of_b.normal) < 0.0 {
-        Meeting::Sheet
-    } else if is_plane && !is_one_side && of_a.facet.wall != of_b.facet.wall {
-        Meeting::Seam
+        Junction::Outward
+    } else if is_coplanar && is_one_side && flat_a.normal.dot(flat_b.normal) < 0.0 {
+        Junction::Sheet
+    } else if is_coplanar && !is_one_side && flat_a.facet.wall != flat_b.facet.wall {
+        Junction::Seam
     } else {
-        Meeting::Inner
+        Junction::Inner
     }
 }
 
-/// Returns whether an edge stands on a facet of another plane, as the edge of a partition stands on the floor.
-fn stands_on_another(flats: &[Flat], sides: &[&Side]) -> bool {
+/// Returns whether an edge lies on a facet of another plane, as the lower edge of a partition lies on the floor.
+fn lies_on_another(flats: &[Flat], sides: &[&Side]) -> bool {
     let Some(first) = sides.first() else { return false };
     let middle = 0.5 * (first.ends[0] + first.ends[1]);
-    let own: Vec<u32> = sides.iter().filter_map(|s| flats.get(s.facet as usize)).map(|flat| flat.plane).collect();
+    let own_planes: Vec<u32> =
+        sides.iter().filter_map(|s| flats.get(s.facet as usize)).map(|flat| flat.plane).collect();
     flats.iter().any(|flat| {
         let on_plane = |p: DVec3| flat.height(p).abs() < SAME_M;
         flat.reflects()
-            && !own.contains(&flat.plane)
+            && !own_planes.contains(&flat.plane)
             && on_plane(first.ends[0])
             && on_plane(first.ends[1])
             && flat.contains(middle)
@@ -237,68 +246,71 @@ fn stands_on_another(flats: &[Flat], sides: &[&Side]) -> bool {
 }
 
 /// Returns whether an edge of these sides diffracts.
-fn is_soft(flats: &[Flat], sides: &[&Side]) -> bool {
-    if sides.iter().any(|side| side.given.is_some()) {
-        return sides.iter().any(|side| side.given == Some(true));
+fn is_diffracting(flats: &[Flat], sides: &[&Side]) -> bool {
+    if sides.iter().any(|side| side.diffracts.is_some()) {
+        return sides.iter().any(|side| side.diffracts == Some(true));
     }
-    let mut is_soft = false;
+    let mut is_diffracting = false;
     for (i, a) in sides.iter().enumerate() {
         for b in sides.iter().skip(i + 1) {
-            match meeting(flats, a, b) {
-                Meeting::Inner => return false,
-                Meeting::Outward | Meeting::Seam => is_soft = true,
-                Meeting::Sheet => {}
+            match junction(flats, a, b) {
+                Junction::Inner => return false,
+                Junction::Outward | Junction::Seam => is_diffracting = true,
+                Junction::Sheet => {}
             }
         }
     }
-    is_soft || !stands_on_another(flats, sides)
+    is_diffracting || !lies_on_another(flats, sides)
 }
 
-pub(super) fn soft_edges(flats: &[Flat]) -> Vec<SoftEdge> {
+/// Finds the diffracting edges of facets.
+pub(super) fn find_diffracting_edges(flats: &[Flat]) -> Vec<DiffractingEdge> {
     let sides = sides(flats);
     let mut groups = coincident(&sides);
     groups.iter_mut().for_each(|group| group.sort_unstable());
     groups.sort();
-    let mut edges: Vec<SoftEdge> = Vec::new();
+    let mut edges: Vec<DiffractingEdge> = Vec::new();
     for group in groups {
         let members: Vec<&Side> = group.iter().filter_map(|&i| sides.get(i)).collect();
-        let Some(first) = members.first().filter(|_| is_soft(flats, &members)) else { continue };
-        let of = |side: &&Side| flats.get(side.facet as usize);
-        edges.push(SoftEdge {
+        let Some(first) = members.first().filter(|_| is_diffracting(flats, &members)) else { continue };
+        let flat_of = |side: &&Side| flats.get(side.facet as usize);
+        edges.push(DiffractingEdge {
             ends: first.ends,
-            goes_on: [true; 2],
+            continues: [true; 2],
             facets: members.iter().map(|side| side.facet).collect(),
-            planes: members.iter().filter_map(of).map(|flat| flat.plane).collect(),
+            planes: members.iter().filter_map(flat_of).map(|flat| flat.plane).collect(),
             inwards: members.iter().map(|side| side.inwards).collect(),
-            normals: members.iter().filter_map(of).map(|flat| flat.normal).collect(),
+            normals: members.iter().filter_map(flat_of).map(|flat| flat.normal).collect(),
             middle: 0.5 * (first.ends[0] + first.ends[1]),
             reach_m: 0.5 * first.ends[0].distance(first.ends[1]),
         });
     }
-    let meets = meeting_ends(&edges);
-    for (edge, meets) in edges.iter_mut().zip(meets) {
-        edge.goes_on = meets.map(|meets| !meets);
+    let are_shared = shared_ends(&edges);
+    for (edge, is_shared) in edges.iter_mut().zip(are_shared) {
+        edge.continues = is_shared.map(|is_shared| !is_shared);
     }
     edges
 }
 
 /// Returns, for each end of each edge, whether another edge has an end there.
-fn meeting_ends(edges: &[SoftEdge]) -> Vec<[bool; 2]> {
-    let mut ends: Vec<(DVec3, usize, usize)> =
+fn shared_ends(edges: &[DiffractingEdge]) -> Vec<[bool; 2]> {
+    /// End of an edge: position, number of the edge, and index of the end.
+    type End = (DVec3, usize, usize);
+    let mut ends: Vec<End> =
         edges.iter().enumerate().flat_map(|(i, edge)| [(edge.ends[0], i, 0), (edge.ends[1], i, 1)]).collect();
-    ends.sort_by(|p, q| p.0.x.total_cmp(&q.0.x).then((p.1, p.2).cmp(&(q.1, q.2))));
-    let mut meets = vec![[false; 2]; edges.len()];
-    for (number, &(place, i, end)) in ends.iter().enumerate() {
-        let near = ends.iter().skip(number + 1).take_while(|other| other.0.x - place.x < SAME_END_M);
-        for &(other_place, j, other_end) in near {
-            if j != i && other_place.distance_squared(place) < SAME_END_M * SAME_END_M {
+    ends.sort_by(|(p, i, end), (q, j, other_end)| p.x.total_cmp(&q.x).then((i, end).cmp(&(j, other_end))));
+    let mut are_shared = vec![[false; 2]; edges.len()];
+    for (number, &(position, i, end)) in ends.iter().enumerate() {
+        let near = ends.iter().skip(number + 1).take_while(|(other, ..)| other.x - position.x < SAME_END_M);
+        for &(other_position, j, other_end) in near {
+            if j != i && other_position.distance_squared(position) < SAME_END_M * SAME_END_M {
                 for (edge, end) in [(i, end), (j, other_end)] {
-                    if let Some(slot) = meets.get_mut(edge).and_then(|ends| ends.get_mut(end)) {
+                    if let Some(slot) = are_shared.get_mut(edge).and_then(|ends| ends.get_mut(end)) {
                         *slot = true;
                     }
                 }
             }
         }
     }
-    meets
+    are_shared
 }

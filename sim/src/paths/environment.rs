@@ -3,13 +3,13 @@
 use glam::DVec3;
 
 use super::edge_index::EdgeIndex;
-use super::edges::{SoftEdge, soft_edges};
+use super::edges::{DiffractingEdge, find_diffracting_edges};
 pub use super::flat::{EnvironmentError, Facet, FacetId};
 use super::flat::{Flat, PLANAR_M};
 use super::groups::groups;
 use crate::em::wall::WallTables;
 use crate::geometry::Mesh;
-use crate::rays::{Ray, World};
+use crate::rays::{Ray, RayTracer};
 
 /// Facets whose planes are nearer to each other than this are coplanar, m.
 const COPLANAR_M: f64 = 1e-7;
@@ -23,7 +23,7 @@ const LEAST_REACH: f64 = std::f64::consts::SQRT_2;
 
 /// Facets and obstacles on the straight segment between two points.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Passing {
+pub(super) struct SegmentObstacles {
     /// Whether an opaque object blocks the segment.
     pub is_blocked: bool,
     /// Facets that transmit waves, one per plane.
@@ -34,13 +34,13 @@ pub(super) struct Passing {
 #[derive(Debug, Clone)]
 pub struct Environment {
     flats: Vec<Flat>,
-    soft_edges: Vec<SoftEdge>,
+    diffracting_edges: Vec<DiffractingEdge>,
     edge_index: EdgeIndex,
     /// Whether walls transmit waves.
     transmission: bool,
     /// Normalised clearance beyond which edges do not affect a path.
     edge_reach: f64,
-    world: World,
+    tracer: RayTracer,
     facet_of_triangle: Vec<FacetId>,
     /// Facets of each plane.
     planes: Vec<Vec<FacetId>>,
@@ -68,9 +68,8 @@ impl Environment {
         diffuse_share: f64,
     ) -> Result<Self, EnvironmentError> {
         let mut tables = WallTables::new(wavenumber_per_m, false, diffuse_share);
-        let flats: Result<Vec<Flat>, _> =
-            facets.into_iter().enumerate().map(|(i, f)| Flat::new(i, f, &mut tables)).collect();
-        let mut flats = flats?;
+        let prepared = facets.into_iter().enumerate().map(|(i, facet)| Flat::new(i, facet, &mut tables));
+        let mut flats: Vec<Flat> = prepared.collect::<Result<_, _>>()?;
         let planes = number_planes(&mut flats);
         let (mut mesh, mut groups, mut facet_of_triangle) = (Mesh::default(), Vec::new(), Vec::new());
         for (number, flat) in flats.iter().enumerate().filter(|(_, flat)| flat.reflects()) {
@@ -92,23 +91,23 @@ impl Environment {
             groups.push(planes.len() as u32);
             facet_of_triangle.push(FacetId::MAX);
         }
-        let world = World::new(mesh, &groups)?;
-        let soft_edges = soft_edges(&flats);
-        for (number, edge) in (0..).zip(&soft_edges) {
+        let tracer = RayTracer::new(mesh, &groups)?;
+        let diffracting_edges = find_diffracting_edges(&flats);
+        for (number, edge) in (0..).zip(&diffracting_edges) {
             for &facet in edge.facets() {
                 if let Some(flat) = flats.get_mut(facet as usize).filter(|flat| !edge.is_inner_before(flat.normal)) {
-                    flat.soft.push(number);
+                    flat.edges.push(number);
                 }
             }
         }
-        let edge_index = EdgeIndex::new(&soft_edges);
+        let edge_index = EdgeIndex::new(&diffracting_edges);
         Ok(Environment {
             flats,
-            soft_edges,
+            diffracting_edges,
             edge_index,
             transmission: false,
             edge_reach: MOST_REACH,
-            world,
+            tracer,
             facet_of_triangle,
             planes,
             wavenumber_per_m,
@@ -121,8 +120,8 @@ impl Environment {
         self
     }
 
-    /// Leaves out edges that change a field by less than this part. At a normalised clearance `nu` the edge of a
-    /// half-plane changes it by `1 / (pi sqrt(2) nu)` at most.
+    /// Leaves out edges that change a field by less than this part. At a normalised clearance `nu`, the edge of a
+    /// half-plane changes a field by `1 / (pi sqrt(2) nu)` at most.
     pub fn with_least_part(mut self, part: f64) -> Self {
         let reach = std::f64::consts::FRAC_1_PI * std::f64::consts::FRAC_1_SQRT_2 / part.max(1e-9);
         self.edge_reach = reach.clamp(LEAST_REACH, MOST_REACH);
@@ -135,7 +134,7 @@ impl Environment {
     }
 
     /// Returns whether walls transmit waves.
-    pub(super) fn lets_through(&self) -> bool {
+    pub(super) fn has_transmission(&self) -> bool {
         self.transmission
     }
 
@@ -169,11 +168,11 @@ impl Environment {
     }
 
     /// Edges that diffract.
-    pub fn soft_edges(&self) -> &[SoftEdge] {
-        &self.soft_edges
+    pub fn diffracting_edges(&self) -> &[DiffractingEdge] {
+        &self.diffracting_edges
     }
 
-    /// Numbers of soft edges that may come within a distance, m, of a straight segment, ascending.
+    /// Numbers of diffracting edges that may come within a distance, m, of a straight segment, ascending.
     pub(super) fn edges_near(&self, from: DVec3, to: DVec3, distance_m: f64, found: &mut Vec<u32>) {
         self.edge_index.near(from, to, distance_m, found);
     }
@@ -188,42 +187,44 @@ impl Environment {
         std::f64::consts::TAU / self.wavenumber_per_m
     }
 
+    /// A facet with the geometry of its plane.
     pub(super) fn flat(&self, facet: FacetId) -> Option<&Flat> {
         self.flats.get(facet as usize)
     }
 
     /// Facet on which a point lies, if any: an antenna may be mounted on a wall.
-    pub fn below(&self, point: DVec3) -> Option<FacetId> {
-        self.all_below(point).next()
+    pub fn facet_at(&self, point: DVec3) -> Option<FacetId> {
+        self.facets_at(point).next()
     }
 
     /// All facets on which a point lies: several at an edge.
-    pub fn all_below(&self, point: DVec3) -> impl Iterator<Item = FacetId> + '_ {
-        let holds = move |flat: &Flat| flat.reflects() && flat.height(point).abs() < PLANAR_M && flat.contains(point);
-        (0..).zip(&self.flats).filter(move |(_, flat)| holds(flat)).map(|(facet, _)| facet)
+    pub fn facets_at(&self, point: DVec3) -> impl Iterator<Item = FacetId> + '_ {
+        let contains =
+            move |flat: &Flat| flat.reflects() && flat.height(point).abs() < PLANAR_M && flat.contains(point);
+        (0..).zip(&self.flats).filter(move |(_, flat)| contains(flat)).map(|(facet, _)| facet)
     }
 
-    /// The facet beside which a point lies in its plane: the nearest of several.
-    pub fn beside(&self, point: DVec3) -> Option<FacetId> {
+    /// Facet in whose plane a point lies; of several, the one whose outline is nearest.
+    pub fn nearest_coplanar_facet(&self, point: DVec3) -> Option<FacetId> {
         let in_plane = |(_, flat): &(FacetId, &Flat)| flat.reflects() && flat.height(point).abs() < PLANAR_M;
-        let all = (0..).zip(&self.flats).filter(in_plane).map(|(facet, flat)| (facet, flat.off_sides_m(point)));
-        all.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(facet, _)| facet)
+        let all = (0..).zip(&self.flats).filter(in_plane).map(|(facet, flat)| (facet, flat.distance_to_sides_m(point)));
+        all.min_by(|(_, distance_m), (_, other_m)| distance_m.total_cmp(other_m)).map(|(facet, _)| facet)
     }
 
-    /// Makes a ray from a point that may lie on a facet.
-    fn ray(&self, ray: Ray, from: Option<FacetId>) -> Ray {
-        match from.and_then(|facet| self.flat(facet)) {
+    /// Returns a ray that excludes the plane of the facet on which it begins, if any.
+    fn leaving(&self, ray: Ray, on: Option<FacetId>) -> Ray {
+        match on.and_then(|facet| self.flat(facet)) {
             Some(flat) => ray.leaving(flat.plane, flat.normal),
             None => ray,
         }
     }
 
-    /// First facet that a ray meets, and the point, if the ray meets it from the front. `on` is the facet on which the
-    /// ray begins, if any.
+    /// First facet that a ray hits, and the point; `None` if there is none, or the ray hits it from behind. `on` is the
+    /// facet on which the ray begins, if any.
     pub fn first_hit(&self, from: DVec3, direction: DVec3, on: Option<FacetId>) -> Option<(FacetId, DVec3)> {
-        let hit = self.world.closest(&self.ray(Ray::new(from, direction), on))?;
-        let met = *self.facet_of_triangle.get(hit.triangle as usize)?;
-        let first = self.flat(met)?;
+        let hit = self.tracer.closest(&self.leaving(Ray::new(from, direction), on))?;
+        let facet = *self.facet_of_triangle.get(hit.triangle as usize)?;
+        let first = self.flat(facet)?;
         let along = -first.height(from) / first.normal.dot(direction);
         let point = from + direction * along;
         if !point.is_finite() {
@@ -231,30 +232,30 @@ impl Environment {
         }
         let faces = |flat: &Flat| flat.normal.dot(direction) < 0.0;
         if faces(first) {
-            return Some((met, point));
+            return Some((facet, point));
         }
-        // The other side of a sheet lies in the same place.
-        let others = self.planes.get(first.plane as usize)?;
-        let holds = |facet: &FacetId| self.flat(*facet).is_some_and(|f| f.reflects() && faces(f) && f.contains(point));
-        Some((others.iter().copied().find(holds)?, point))
+        // The other side of a sheet is a facet in the same plane.
+        let coplanar = self.planes.get(first.plane as usize)?;
+        let is_hit = |facet: &FacetId| self.flat(*facet).is_some_and(|f| f.reflects() && faces(f) && f.contains(point));
+        Some((coplanar.iter().copied().find(is_hit)?, point))
     }
 
     /// Distance from a point to the first surface in a direction, m.
     pub fn distance_m(&self, from: DVec3, direction: DVec3) -> Option<f64> {
-        self.world.closest(&Ray::new(from, direction)).map(|hit| hit.distance_m)
+        self.tracer.closest(&Ray::new(from, direction)).map(|hit| hit.distance_m)
     }
 
     /// Obstacles on the straight segment between two points. Each end may lie on a facet, whose plane is then ignored.
-    pub(super) fn passing(&self, ends: [DVec3; 2], on: [Option<FacetId>; 2]) -> Passing {
+    pub(super) fn obstacles_between(&self, ends: [DVec3; 2], on: [Option<FacetId>; 2]) -> SegmentObstacles {
         let ray = self.ray_between(ends, on);
-        let mut passing = Passing { is_blocked: self.world.blocked(&ray), crossed: Vec::new() };
-        if !(passing.is_blocked && self.transmission) {
-            return passing;
+        let mut obstacles = SegmentObstacles { is_blocked: self.tracer.blocked(&ray), crossed: Vec::new() };
+        if !(obstacles.is_blocked && self.transmission) {
+            return obstacles;
         }
         let plane_of = |facet: FacetId| self.flat(facet).map(|flat| flat.plane);
         let on_planes = on.map(|facet| facet.and_then(plane_of));
         let mut is_opaque = false;
-        for hit in self.world.all(&ray) {
+        for hit in self.tracer.all(&ray) {
             let facet = self.facet_of_triangle.get(hit.triangle as usize).copied().unwrap_or(FacetId::MAX);
             let Some(flat) = self.flat(facet) else {
                 is_opaque = true;
@@ -265,17 +266,19 @@ impl Environment {
             }
             is_opaque |= !flat.transmits;
             // Both sides of a sheet are one wall.
-            if flat.transmits && !passing.crossed.iter().any(|&other| plane_of(other) == Some(flat.plane)) {
-                passing.crossed.push(facet);
+            if flat.transmits && !obstacles.crossed.iter().any(|&other| plane_of(other) == Some(flat.plane)) {
+                obstacles.crossed.push(facet);
             }
         }
-        // A hit that only the ray's own proximity test finds lies in a crease, which transmits nothing.
-        passing.is_blocked = is_opaque || passing.crossed.is_empty();
-        passing
+        // `blocked` also counts hits nearer to the origin than f32 resolves, which `all` leaves out. They lie in a
+        // crease, which transmits nothing.
+        obstacles.is_blocked = is_opaque || obstacles.crossed.is_empty();
+        obstacles
     }
 
+    /// Ray between two points that excludes the planes of the facets on which it begins and ends.
     fn ray_between(&self, [from, to]: [DVec3; 2], on: [Option<FacetId>; 2]) -> Ray {
-        let ray = self.ray(Ray::between(from, to), on[0]);
+        let ray = self.leaving(Ray::between(from, to), on[0]);
         match on[1].and_then(|facet| self.flat(facet)) {
             Some(flat) => ray.reaching(flat.plane),
             None => ray,
@@ -317,16 +320,16 @@ mod tests {
     }
 
     #[test]
-    fn rays_meet_the_side_of_a_sheet_that_faces_them() {
+    fn rays_hit_the_side_of_a_sheet_that_faces_them() {
         let environment = Environment::new(vec![square(0.5, true), square(0.5, false)], 1257.0).expect("facets");
         let middle = DVec3::new(0.3, 0.4, 0.0);
         let up = environment.first_hit(middle, DVec3::Z, None).expect("a hit");
         let down = environment.first_hit(middle + DVec3::Z, -DVec3::Z, None).expect("a hit");
         assert_eq!((up.0, down.0), (1, 0));
         assert!((up.1 - DVec3::new(0.3, 0.4, 0.5)).length() < 1e-12);
-        assert!(environment.passing([middle, middle + DVec3::Z], [None; 2]).is_blocked);
-        assert!(!environment.passing([up.1, up.1 + DVec3::new(0.1, 0.0, 3.0)], [Some(0), None]).is_blocked);
-        assert_eq!(environment.soft_edges().len(), 4);
+        assert!(environment.obstacles_between([middle, middle + DVec3::Z], [None; 2]).is_blocked);
+        assert!(!environment.obstacles_between([up.1, up.1 + DVec3::new(0.1, 0.0, 3.0)], [Some(0), None]).is_blocked);
+        assert_eq!(environment.diffracting_edges().len(), 4);
     }
 
     #[test]
@@ -335,12 +338,12 @@ mod tests {
         let facet = Facet { holes: vec![ring(0.5)], ..Facet::new(ring(1.0), METAL) };
         let environment = Environment::new(vec![facet], 1257.0).expect("a facet");
         let ends = |x: f64| [DVec3::new(x, 0.1, 0.0), DVec3::new(x, 0.1, 2.0)];
-        let through = |x: f64| environment.passing(ends(x), [None; 2]).is_blocked;
-        assert!(!through(0.2) && through(0.7) && !through(1.2));
-        assert_eq!(environment.soft_edges().len(), 8);
+        let is_blocked = |x: f64| environment.obstacles_between(ends(x), [None; 2]).is_blocked;
+        assert!(!is_blocked(0.2) && is_blocked(0.7) && !is_blocked(1.2));
+        assert_eq!(environment.diffracting_edges().len(), 8);
     }
 
-    /// Glass is crossed once where both of its sides are met; metal and obstacles hide it.
+    /// A pane of glass is crossed once, although both of its sides are hit; metal and obstacles block the path.
     #[test]
     fn glass_lets_waves_through_and_obstacles_do_not() {
         let glass = Wall::Slab { permittivity: num_complex::Complex64::new(6.31, -0.26), thickness_m: 0.01 };
@@ -348,24 +351,25 @@ mod tests {
         let small = [DVec3::new(0.0, 0.0, 0.8), DVec3::new(0.5, 0.0, 0.8), DVec3::new(0.0, 0.5, 0.8)];
         let facets = [sheet(0.5, glass), sheet(1.5, METAL)].concat();
         let environment = Environment::with_obstacles(facets, &[small], 1257.0, 0.0).expect("facets");
-        let passed = |environment: &Environment, x: f64, high: f64| {
-            let passing = environment.passing([DVec3::new(x, 0.1, 0.0), DVec3::new(x, 0.1, high)], [None; 2]);
-            (passing.is_blocked, passing.crossed.len())
+        let obstacles = |environment: &Environment, x: f64, high: f64| {
+            let ends = [DVec3::new(x, 0.1, 0.0), DVec3::new(x, 0.1, high)];
+            let found = environment.obstacles_between(ends, [None; 2]);
+            (found.is_blocked, found.crossed.len())
         };
-        assert_eq!(passed(&environment, 0.7, 1.0), (true, 0));
+        assert_eq!(obstacles(&environment, 0.7, 1.0), (true, 0));
         let environment = environment.with_transmission(true);
-        assert_eq!(passed(&environment, 0.7, 0.4), (false, 0));
-        assert_eq!(passed(&environment, 0.7, 1.0), (false, 1));
-        assert_eq!(passed(&environment, 0.7, 2.0), (true, 1));
-        assert_eq!(passed(&environment, 0.1, 1.0), (true, 1));
+        assert_eq!(obstacles(&environment, 0.7, 0.4), (false, 0));
+        assert_eq!(obstacles(&environment, 0.7, 1.0), (false, 1));
+        assert_eq!(obstacles(&environment, 0.7, 2.0), (true, 1));
+        assert_eq!(obstacles(&environment, 0.1, 1.0), (true, 1));
     }
 
     #[test]
-    fn what_is_no_polygon_is_refused() {
+    fn facets_that_are_no_plane_polygons_are_refused() {
         let mut bent = square(0.0, true);
         bent.corners[2].z = 0.1;
         let line = Facet::new(vec![DVec3::ZERO, DVec3::X, DVec3::X * 2.0], METAL);
-        let flags = Facet { soft_edges: vec![true], ..square(0.0, true) };
+        let flags = Facet { diffracting_sides: vec![true], ..square(0.0, true) };
         for facet in [bent, line, flags] {
             assert!(Environment::new(vec![facet], 1257.0).is_err());
         }

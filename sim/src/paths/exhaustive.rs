@@ -13,9 +13,9 @@ pub fn all_sequences(environment: &Environment, origin: DVec3, max_order: usize)
     for _ in 0..max_order.min(MAX_ORDER) {
         let end = all.len();
         for number in first..end {
-            let Some(begin) = all.get(number).cloned() else { continue };
+            let Some(prefix) = all.get(number).cloned() else { continue };
             for facet in 0..environment.len() as FacetId {
-                let mut sequence = begin.clone();
+                let mut sequence = prefix.clone();
                 sequence.push(facet);
                 if is_possible(environment, origin, &sequence) {
                     all.push(sequence);

@@ -31,9 +31,9 @@ impl Environment {
         }
         let (mut facets, mut names) = (Vec::new(), Vec::new());
         for (face, edges) in surfaces.faces.iter().zip(&edges) {
-            for facet in facets_of(face, edges) {
+            for facet in front_facets(face, edges) {
                 if face.sides == Sides::Two {
-                    facets.push(turned(&facet));
+                    facets.push(reversed(&facet));
                     names.push(face.name.clone());
                 }
                 facets.push(facet);
@@ -46,11 +46,11 @@ impl Environment {
 }
 
 /// Facets of a face's front: one facet, or the face's triangles where its outlines cross.
-fn facets_of(face: &Face, edges: &[&FaceEdge]) -> Vec<Facet> {
+fn front_facets(face: &Face, edges: &[&FaceEdge]) -> Vec<Facet> {
     let polygon = &face.polygon;
     if is_simple(polygon) {
-        let (corners, soft_edges) = outline(polygon, edges);
-        return vec![Facet { corners, holes: polygon.holes.clone(), wall: face.wall, soft_edges }];
+        let (corners, diffracting_sides) = outline(polygon, edges);
+        return vec![Facet { corners, holes: polygon.holes.clone(), wall: face.wall, diffracting_sides }];
     }
     tracing::warn!(face = face.name, "its outlines cross: its triangles are taken one by one");
     let area_m2 = |[a, b, c]: &[DVec3; 3]| 0.5 * (*b - *a).cross(*c - *a).length();
@@ -65,36 +65,36 @@ fn is_simple(polygon: &PlanarPolygon) -> bool {
     }
     let u = polygon.normal.any_orthonormal_vector();
     let v = polygon.normal.cross(u);
-    let flat = |corners: &[DVec3]| corners.iter().map(|c| DVec2::new(c.dot(u), c.dot(v))).collect::<Vec<DVec2>>();
-    let holes: Vec<Vec<DVec2>> = polygon.holes.iter().map(|hole| flat(hole)).collect();
-    triangulate(&flat(&polygon.outline), &holes).is_some()
+    let in_plane = |corners: &[DVec3]| corners.iter().map(|c| DVec2::new(c.dot(u), c.dot(v))).collect::<Vec<DVec2>>();
+    let holes: Vec<Vec<DVec2>> = polygon.holes.iter().map(|hole| in_plane(hole)).collect();
+    triangulate(&in_plane(&polygon.outline), &holes).is_some()
 }
 
 /// Corners of a face's outline, with further corners where the adjoining object changes. Also whether the side from
 /// each corner to the next diffracts.
 fn outline(polygon: &PlanarPolygon, edges: &[&FaceEdge]) -> (Vec<DVec3>, Vec<bool>) {
-    let (mut corners, mut soft) = (Vec::new(), Vec::new());
+    let (mut corners, mut diffracting) = (Vec::new(), Vec::new());
     for (number, [from, to]) in polygon.edges().take(polygon.outline.len()).enumerate() {
         let along = (to - from).normalize_or_zero();
-        let place_m = |edge: &FaceEdge| (edge.ends[0] - from).dot(along);
+        let start_m = |edge: &FaceEdge| (edge.ends[0] - from).dot(along);
         let mut parts: Vec<&FaceEdge> = edges.iter().copied().filter(|edge| edge.edge == number).collect();
-        parts.sort_by(|a, b| place_m(a).total_cmp(&place_m(b)));
+        parts.sort_by(|a, b| start_m(a).total_cmp(&start_m(b)));
         corners.push(from);
-        soft.push(parts.first().is_some_and(|part| part.diffracts()));
-        for two in parts.windows(2) {
-            if let [before, part] = two
-                && !goes_on(&before.kind, &part.kind)
+        diffracting.push(parts.first().is_some_and(|part| part.diffracts()));
+        for pair in parts.windows(2) {
+            if let [before, part] = pair
+                && !is_same_edge(&before.kind, &part.kind)
             {
-                corners.push(from + along * place_m(part));
-                soft.push(part.diffracts());
+                corners.push(from + along * start_m(part));
+                diffracting.push(part.diffracts());
             }
         }
     }
-    (corners, soft)
+    (corners, diffracting)
 }
 
-/// Returns whether two parts of an edge are one edge for waves.
-fn goes_on(before: &EdgeKind, part: &EdgeKind) -> bool {
+/// Returns whether two successive parts of an edge diffract as one edge.
+fn is_same_edge(before: &EdgeKind, part: &EdgeKind) -> bool {
     match (before, part) {
         (EdgeKind::Wedge { other: a, .. }, EdgeKind::Wedge { other: b, .. }) => a == b,
         (EdgeKind::Seam { other: a }, EdgeKind::Seam { other: b }) => a == b,
@@ -105,13 +105,14 @@ fn goes_on(before: &EdgeKind, part: &EdgeKind) -> bool {
     }
 }
 
-/// Reverse side of a facet.
-fn turned(facet: &Facet) -> Facet {
+/// Facet on the reverse side of a facet.
+fn reversed(facet: &Facet) -> Facet {
     let corners = facet.corners.iter().rev().copied().collect();
     // The last side leads back to the first corner, in either direction.
-    let sides = facet.soft_edges.len();
-    let soft_edges = (0..sides).filter_map(|i| facet.soft_edges.get((2 * sides - 2 - i) % sides).copied()).collect();
-    Facet { corners, holes: facet.holes.clone(), wall: facet.wall, soft_edges }
+    let sides = facet.diffracting_sides.len();
+    let diffracting_sides =
+        (0..sides).filter_map(|i| facet.diffracting_sides.get((2 * sides - 2 - i) % sides).copied()).collect();
+    Facet { corners, holes: facet.holes.clone(), wall: facet.wall, diffracting_sides }
 }
 
 #[cfg(test)]
@@ -123,14 +124,14 @@ mod tests {
     #[test]
     fn the_other_side_of_a_facet_has_its_edges() {
         let corners = vec![DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
-        let soft_edges = vec![true, false, false, true];
-        let facet = Facet { corners, holes: Vec::new(), wall: Wall::Conductor, soft_edges };
-        let back = turned(&facet);
+        let diffracting_sides = vec![true, false, false, true];
+        let facet = Facet { corners, holes: Vec::new(), wall: Wall::Conductor, diffracting_sides };
+        let back = reversed(&facet);
         let sides = |facet: &Facet| -> Vec<([DVec3; 2], bool)> {
-            polygon::sides(&facet.corners).zip(facet.soft_edges.iter().copied()).collect()
+            polygon::sides(&facet.corners).zip(facet.diffracting_sides.iter().copied()).collect()
         };
-        for ([a, b], is_soft) in sides(&facet) {
-            assert!(sides(&back).contains(&([b, a], is_soft)), "{a} {b}: {back:?}");
+        for ([a, b], diffracts) in sides(&facet) {
+            assert!(sides(&back).contains(&([b, a], diffracts)), "{a} {b}: {back:?}");
         }
     }
 }

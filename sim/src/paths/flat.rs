@@ -8,8 +8,8 @@ use thiserror::Error;
 use super::triangulate::triangulate;
 use crate::em::image::{BoxRoom, Wall};
 use crate::em::wall::{WallTable, WallTables};
-use crate::geometry::polygon::{self, distance_to_line, doubled_area, encloses, sides};
-use crate::rays::WorldError;
+use crate::geometry::polygon::{self, distance_to_segment, doubled_area, encloses, sides};
+use crate::rays::RayTracerError;
 
 /// Largest distance of corners from their facet's plane, m: 1 um is 0.003 rad of phase at 60 GHz.
 pub(super) const PLANAR_M: f64 = 1e-6;
@@ -31,9 +31,9 @@ pub struct Facet {
     pub holes: Vec<Vec<DVec3>>,
     /// Material; [`Wall::Open`] means that there is no surface.
     pub wall: Wall,
-    /// For each side of the outline, from its corner to the next: whether it diffracts as a free edge or an outward
-    /// corner does. If empty, this is found from the geometry, as it is for sides of holes.
-    pub soft_edges: Vec<bool>,
+    /// Whether each side of the outline diffracts as a free edge or an outward corner does. The first side is from the
+    /// first corner to the second. If empty, this is found from the geometry, as it is for sides of holes.
+    pub diffracting_sides: Vec<bool>,
 }
 
 /// Error in facets from which no environment can be made.
@@ -47,25 +47,25 @@ pub enum EnvironmentError {
         /// Reason.
         why: &'static str,
     },
-    /// The list of soft edges is not as long as the outline.
-    #[error("facet {facet}: {given} soft edges for {sides} sides, expected one a side or none")]
-    SoftEdges {
+    /// The list of diffracting sides is not as long as the outline.
+    #[error("facet {facet}: {given} flags of diffraction for {sides} sides, expected one a side or none")]
+    DiffractingSides {
         /// Index of the facet.
         facet: usize,
         /// Number of sides of the outline.
         sides: usize,
-        /// Number of soft edges given.
+        /// Number of flags given.
         given: usize,
     },
     /// Rays cannot be traced among the facets.
     #[error(transparent)]
-    World(#[from] WorldError),
+    Rays(#[from] RayTracerError),
 }
 
 impl Facet {
-    /// Makes a facet without holes whose soft edges are found from the geometry.
+    /// Makes a facet without holes whose diffracting sides are found from the geometry.
     pub fn new(corners: Vec<DVec3>, wall: Wall) -> Self {
-        Facet { corners, holes: Vec::new(), wall, soft_edges: Vec::new() }
+        Facet { corners, holes: Vec::new(), wall, diffracting_sides: Vec::new() }
     }
 
     /// The six surfaces of a box room, numbered as its walls are.
@@ -92,11 +92,11 @@ pub(super) struct Flat {
     pub offset_m: f64,
     /// Plane number, shared by all facets in the same plane, of either side.
     pub plane: u32,
-    /// Indices of its soft edges, except inner corners before it.
-    pub soft: Vec<u32>,
+    /// Numbers of its diffracting edges, except those at which another facet begins before it.
+    pub edges: Vec<u32>,
     /// Coefficients of its wall.
     pub table: Arc<WallTable>,
-    /// Whether its wall transmits enough of a wave to be followed.
+    /// Whether its wall transmits so much of a wave that the transmitted path counts.
     pub transmits: bool,
     /// Centre and radius of a bounding sphere, m.
     pub middle: DVec3,
@@ -110,46 +110,50 @@ pub(super) struct Flat {
 }
 
 impl Flat {
+    /// Prepares a facet.
+    ///
+    /// # Errors
+    /// [`EnvironmentError`] if the facet is not a plane polygon, or its list of diffracting sides has another length.
     pub fn new(number: usize, facet: Facet, tables: &mut WallTables) -> Result<Self, EnvironmentError> {
-        let refused = |why| EnvironmentError::NoPolygon { facet: number, why };
-        let all = || facet.corners.iter().chain(facet.holes.iter().flatten());
+        let error = |why| EnvironmentError::NoPolygon { facet: number, why };
+        let all_corners = || facet.corners.iter().chain(facet.holes.iter().flatten());
         if facet.corners.len() < 3 || facet.holes.iter().any(|hole| hole.len() < 3) {
-            return Err(refused("an outline has fewer than three corners"));
+            return Err(error("an outline has fewer than three corners"));
         }
-        if !all().all(|c| c.is_finite()) {
-            return Err(refused("a corner is not finite"));
+        if !all_corners().all(|c| c.is_finite()) {
+            return Err(error("a corner is not finite"));
         }
-        if !facet.soft_edges.is_empty() && facet.soft_edges.len() != facet.corners.len() {
-            let (sides, given) = (facet.corners.len(), facet.soft_edges.len());
-            return Err(EnvironmentError::SoftEdges { facet: number, sides, given });
+        if !facet.diffracting_sides.is_empty() && facet.diffracting_sides.len() != facet.corners.len() {
+            let (sides, given) = (facet.corners.len(), facet.diffracting_sides.len());
+            return Err(EnvironmentError::DiffractingSides { facet: number, sides, given });
         }
         let normal = polygon::normal(&facet.corners);
         if normal == DVec3::ZERO {
-            return Err(refused("the outline has no area"));
+            return Err(error("the outline has no area"));
         }
         let offset_m = facet.corners.iter().map(|c| c.dot(normal)).sum::<f64>() / facet.corners.len() as f64;
-        if all().any(|c| (c.dot(normal) - offset_m).abs() > PLANAR_M) {
-            return Err(refused("a corner lies out of the plane of the others"));
+        if all_corners().any(|c| (c.dot(normal) - offset_m).abs() > PLANAR_M) {
+            return Err(error("a corner lies out of the plane of the others"));
         }
         let u = normal.any_orthonormal_vector();
         let axes = [u, normal.cross(u)];
-        let flat = |corners: &[DVec3]| -> Vec<DVec2> {
+        let in_plane = |corners: &[DVec3]| -> Vec<DVec2> {
             corners.iter().map(|c| DVec2::new(c.dot(axes[0]), c.dot(axes[1]))).collect()
         };
-        let outline = flat(&facet.corners);
+        let outline = in_plane(&facet.corners);
         let low = outline.iter().fold(DVec2::INFINITY, |low, &corner| low.min(corner));
         let high = outline.iter().fold(DVec2::NEG_INFINITY, |high, &corner| high.max(corner));
-        let holes = facet.holes.iter().map(|hole| flat(hole)).collect();
+        let holes = facet.holes.iter().map(|hole| in_plane(hole)).collect();
         let middle = facet.corners.iter().sum::<DVec3>() / facet.corners.len() as f64;
         let radius_m = facet.corners.iter().map(|corner| corner.distance(middle)).fold(0.0, f64::max);
-        let through = facet.wall.transmission(tables.wavenumber_per_m, 1.0).te.norm();
+        let transmission = facet.wall.transmission(tables.wavenumber_per_m, 1.0).te.norm();
         Ok(Flat {
             normal,
             offset_m,
             plane: 0,
-            soft: Vec::new(),
+            edges: Vec::new(),
             table: tables.of(facet.wall),
-            transmits: through > LEAST_TRANSMISSION,
+            transmits: transmission > LEAST_TRANSMISSION,
             middle,
             radius_m,
             axes,
@@ -176,24 +180,32 @@ impl Flat {
         DMat3::from_cols(DVec3::X - n * (2.0 * n.x), DVec3::Y - n * (2.0 * n.y), DVec3::Z - n * (2.0 * n.z))
     }
 
-    /// Returns whether the facet reflects waves at all.
+    /// Returns whether there is a surface, which reflects waves.
     pub fn reflects(&self) -> bool {
         self.facet.wall != Wall::Open
     }
 
+    /// Coordinates of a point along the axes, m.
+    fn plane_coordinates(&self, point: DVec3) -> DVec2 {
+        DVec2::new(point.dot(self.axes[0]), point.dot(self.axes[1]))
+    }
+
+    /// Sides of the outline and of the holes, in coordinates along the axes, m.
+    fn sides(&self) -> impl Iterator<Item = [DVec2; 2]> + '_ {
+        std::iter::once(&self.outline).chain(&self.holes).flat_map(|outline| sides(outline))
+    }
+
     /// Returns whether a point of the plane lies on the facet.
     pub fn contains(&self, point: DVec3) -> bool {
-        let p = DVec2::new(point.dot(self.axes[0]), point.dot(self.axes[1]));
-        let within = encloses(&self.outline, p) && !self.holes.iter().any(|hole| encloses(hole, p));
-        let mut all = std::iter::once(&self.outline).chain(&self.holes).flat_map(|outline| sides(outline));
-        within || all.any(|side| distance_to_line(p, side) < SEAM_M)
+        let p = self.plane_coordinates(point);
+        let is_inside = encloses(&self.outline, p) && !self.holes.iter().any(|hole| encloses(hole, p));
+        is_inside || self.sides().any(|side| distance_to_segment(p, side) < SEAM_M)
     }
 
     /// Distance of a point of the plane from the nearest side, m.
-    pub fn off_sides_m(&self, point: DVec3) -> f64 {
-        let p = DVec2::new(point.dot(self.axes[0]), point.dot(self.axes[1]));
-        let all = std::iter::once(&self.outline).chain(&self.holes).flat_map(|outline| sides(outline));
-        all.map(|side| distance_to_line(p, side)).fold(f64::INFINITY, f64::min)
+    pub fn distance_to_sides_m(&self, point: DVec3) -> f64 {
+        let p = self.plane_coordinates(point);
+        self.sides().map(|side| distance_to_segment(p, side)).fold(f64::INFINITY, f64::min)
     }
 
     /// Returns whether a point of the plane lies farther than a distance, m, from the bounding sphere.
@@ -203,7 +215,7 @@ impl Flat {
     }
 
     /// Returns whether a hole is counter-clockwise seen against the normal, as the outline is.
-    pub fn is_positive(&self, hole: usize) -> bool {
+    pub fn is_counter_clockwise(&self, hole: usize) -> bool {
         self.holes.get(hole).is_some_and(|hole| doubled_area(hole) > 0.0)
     }
 

@@ -1,4 +1,4 @@
-//! Quick test, without rays, of which points an image may light: vectorised over points.
+//! Fast test, without rays, of which points an image may light: vectorised over points.
 
 // Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
@@ -19,6 +19,7 @@ struct Mirror {
     axes: [Vector; 2],
     /// Lowest and highest coordinates along the axes, m.
     extent_m: [[f64; 2]; 2],
+    /// Position of the antenna's image, m.
     source: Vector,
     /// Distance of the antenna's image behind the plane, m.
     behind_m: f64,
@@ -38,29 +39,30 @@ impl Mirror {
 }
 
 compiled_for_levels! {
-    /// Adds 1 in lanes whose points may be lit by way of these mirrors, the last of which is met last.
+    /// Adds 1 in lanes whose points may be lit by these mirrors, in the order of the path.
     fn reflected_rows(mirrors: &[Mirror], points: &WideRow3, out: &mut WideRow) = reflected_rows_body;
 }
 
 #[inline(always)]
 fn reflected_rows_body(mirrors: &[Mirror], points: &WideRow3, out: &mut WideRow) {
-    let (mut targets, mut left) = (*points, [1.0; WIDE]);
+    let (mut targets, mut may_be_lit) = (*points, [1.0; WIDE]);
     for mirror in mirrors.iter().rev() {
         let (low, high) = (mirror.extent_m[0], mirror.extent_m[1]);
         for l in 0..WIDE {
             let target = wide_lane(&targets, l);
-            let over_m = dot(mirror.normal, target) - mirror.offset_m;
-            let met = add(target, scale(subtract(mirror.source, target), over_m / (over_m + mirror.behind_m)));
-            let (u, v) = (dot(mirror.axes[0], met), dot(mirror.axes[1], met));
-            let is_missed = (over_m < -2.0 * SEAM_M) | (u < low[0]) | (u > high[0]) | (v < low[1]) | (v > high[1]);
-            left[l] = if is_missed { 0.0 } else { left[l] };
-            targets[0][l] = met[0];
-            targets[1][l] = met[1];
-            targets[2][l] = met[2];
+            let height_m = dot(mirror.normal, target) - mirror.offset_m;
+            let to_source = subtract(mirror.source, target);
+            let point = add(target, scale(to_source, height_m / (height_m + mirror.behind_m)));
+            let (u, v) = (dot(mirror.axes[0], point), dot(mirror.axes[1], point));
+            let is_missed = (height_m < -2.0 * SEAM_M) | (u < low[0]) | (u > high[0]) | (v < low[1]) | (v > high[1]);
+            may_be_lit[l] = if is_missed { 0.0 } else { may_be_lit[l] };
+            targets[0][l] = point[0];
+            targets[1][l] = point[1];
+            targets[2][l] = point[2];
         }
     }
     for l in 0..WIDE {
-        out[l] += left[l];
+        out[l] += may_be_lit[l];
     }
 }
 
@@ -132,18 +134,18 @@ mod tests {
                 }
             }
             for image in 0..paths.images().len() {
-                let ways = |level: KernelLevel| {
-                    let mut ways = vec![[0.0; WIDE]; points.len()];
-                    paths.add_reached(level, image, antenna, &points, &mut ways);
-                    ways
+                let counts = |level: KernelLevel| {
+                    let mut counts = vec![[0.0; WIDE]; points.len()];
+                    paths.add_reached(level, image, antenna, &points, &mut counts);
+                    counts
                 };
-                assert_same_at_every_level(ways);
-                for (points, ways) in points.iter().zip(ways(KernelLevel::Portable)) {
-                    for (l, ways) in ways.into_iter().enumerate() {
+                assert_same_at_every_level(counts);
+                for (points, counts) in points.iter().zip(counts(KernelLevel::Portable)) {
+                    for (l, count) in counts.into_iter().enumerate() {
                         let is_lit = paths.is_lit(image, antenna, DVec3::from_array(wide_lane(points, l)));
-                        assert!(!is_lit || ways > 0.0, "{seed} {image} {l}");
+                        assert!(!is_lit || count > 0.0, "{seed} {image} {l}");
                         lit += usize::from(is_lit);
-                        reached += usize::from(ways > 0.0);
+                        reached += usize::from(count > 0.0);
                         all += 1;
                     }
                 }

@@ -1,14 +1,15 @@
-//! Paths between antennas and points by way of plane polygons. Rays find the surfaces that a path meets, and images
+//! Paths between antennas and points, reflected by plane polygons. Rays find the surfaces that a path meets, and images
 //! give the exact path.
 //!
-//! An [`Environment`] holds the polygons. [`ImagePaths::discover`] launches rays from an antenna and keeps every
-//! sequence of facets that a ray meets. Sequences with the same image of the antenna share an [`Image`].
-//! [`ImagePaths::illuminate`] unfolds a sequence in f64. It checks that the points of reflection lie on the facets and
-//! that the legs are free, and multiplies the reflection coefficients. Free edges and outward corners diffract to first
-//! order ([`edge_field`]): a path fades where its point of reflection leaves a facet or a corner obstructs it. Walls
-//! may transmit waves.
+//! An [`Environment`] has the polygons, which are called facets. [`ImagePaths::discover`] launches rays from an antenna
+//! and keeps every sequence of facets that reflects a ray. Sequences with the same image of the antenna share an
+//! [`Image`]. [`ImagePaths::illuminate`] unfolds a sequence in f64. It checks that the points of reflection lie on the
+//! facets and that the legs (the straight pieces between them) are free, and multiplies the reflection coefficients.
+//! Free edges and outward corners diffract to first order ([`edge_field`]). A path therefore fades where its point of
+//! reflection leaves a facet, or where a corner obstructs it. Walls may transmit waves.
 //!
-//! [`Surroundings`] are those of a scene: its polygons, or a box whose images are a lattice in closed form.
+//! [`Surroundings`] are what surrounds a scene's antennas: polygons, or a box whose images are a lattice in closed
+//! form.
 
 mod aperture;
 mod corner_runs;
@@ -35,7 +36,7 @@ mod tests;
 mod triangulate;
 
 pub use discovery::{DiscoveryReport, Image, ImagePaths, LaunchOptions, MAX_ORDER};
-pub use edges::SoftEdge;
+pub use edges::DiffractingEdge;
 pub use environment::{Environment, EnvironmentError, Facet, FacetId};
 pub use illuminate::{EdgesBeside, Obstruction};
 pub use surroundings::{PolygonRoom, Surroundings};

@@ -1,4 +1,4 @@
-//! Upper bounds, without rays, on the images that may illuminate a sphere about a place, and on their fields.
+//! Images that may illuminate a sphere, and upper bounds of their fields, without rays.
 
 use glam::{DMat3, DVec3};
 
@@ -6,24 +6,26 @@ use super::discovery::{Image, ImagePaths, MAX_ORDER};
 use super::environment::FacetId;
 use crate::em::image::Element;
 
-/// Cone from an antenna to a sphere.
+/// Cone from an antenna, or its image, to a sphere.
 struct Cone {
     antenna: DVec3,
+    /// Centre of the sphere, m.
     middle: DVec3,
+    /// Radius of the sphere, m.
     reach_m: f64,
 }
 
 impl ImagePaths {
-    /// Numbers of the images of at most `max_order` reflections that may illuminate points within a distance of a
-    /// place, ascending. The antenna itself is always included. Facets are replaced by their bounding spheres and
-    /// nothing is hidden, so the result includes all images that illuminate some of it.
+    /// Numbers of the images of at most `max_order` reflections that may illuminate points within `reach_m` of
+    /// `middle`, ascending. The antenna itself is always included. Facets are replaced by their bounding spheres and
+    /// nothing is hidden, so that the result includes all images that illuminate such a point.
     pub fn images_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64, max_order: usize) -> Vec<usize> {
         let cone = Cone { antenna, middle, reach_m };
         let images = self.images.iter().enumerate().take_while(|(_, image)| image.order <= max_order);
         images.filter(|(_, image)| self.image_may_light(image, &cone)).map(|(number, _)| number).collect()
     }
 
-    /// Returns whether an image may illuminate points within a distance of a place, as in [`ImagePaths::images_near`].
+    /// Returns whether an image may illuminate points within `reach_m` of `middle`, as in [`ImagePaths::images_near`].
     pub fn may_light(&self, image: usize, antenna: DVec3, middle: DVec3, reach_m: f64) -> bool {
         let cone = Cone { antenna, middle, reach_m };
         self.images.get(image).is_some_and(|image| self.image_may_light(image, &cone))
@@ -33,7 +35,7 @@ impl ImagePaths {
         image.order == 0 || image.sequences.iter().any(|sequence| self.sequence_may_light(sequence, cone))
     }
 
-    /// Returns whether waves by a sequence of facets may enter a sphere.
+    /// Returns whether waves that a sequence of facets reflects may enter the sphere of a cone.
     fn sequence_may_light(&self, sequence: &[FacetId], cone: &Cone) -> bool {
         let &Cone { antenna, middle, reach_m } = cone;
         let Some(images) = self.images_along(sequence, antenna) else { return false };
@@ -43,41 +45,42 @@ impl ImagePaths {
         }
         // Diffraction beside a facet extends over the first Fresnel zones at most.
         let wavelength_m = self.environment.wavelength_m();
-        let bent_m = self.environment.edge_reach() * 0.5 * (0.5 * wavelength_m * (length_m + reach_m)).sqrt();
+        let diffraction_m = self.environment.edge_reach() * 0.5 * (0.5 * wavelength_m * (length_m + reach_m)).sqrt();
         // A path beyond the edge of an inner corner goes by the edge.
-        let aside_m = if self.runs.of(sequence).is_empty() { 0.0 } else { bent_m };
-        let sine = reach_m / length_m;
-        let spread = (1.0 - sine * sine).sqrt();
-        let (mut target, mut off_m) = (middle, reach_m + aside_m);
+        let corner_m = if self.runs.of(sequence).is_empty() { 0.0 } else { diffraction_m };
+        let cone_sine = reach_m / length_m;
+        let cone_cosine = (1.0 - cone_sine * cone_sine).sqrt();
+        // Radius of the cone about the point of reflection, in the plane of the facet.
+        let (mut target, mut radius_m) = (middle, reach_m + corner_m);
         for (&facet, &source) in sequence.iter().zip(images.iter().skip(1)).rev() {
             let Some(flat) = self.environment.flat(facet) else { return false };
-            let (over, under) = (flat.height(target), flat.height(source));
-            if under >= 0.0 || over <= -off_m {
+            let (target_height, source_height) = (flat.height(target), flat.height(source));
+            if source_height >= 0.0 || target_height <= -radius_m {
                 return false;
             }
-            if over <= off_m {
+            if target_height <= radius_m {
                 return true;
             }
-            let way = target - source;
-            let cosine = (flat.normal.dot(way) / way.length()).abs().min(1.0);
+            let offset = target - source;
+            let cosine = (flat.normal.dot(offset) / offset.length()).abs().min(1.0);
             // Least cosine of incidence of any path in the cone.
-            let least = cosine * spread - (1.0 - cosine * cosine).sqrt() * sine;
-            if least <= 0.02 {
+            let least_cosine = cosine * cone_cosine - (1.0 - cosine * cosine).sqrt() * cone_sine;
+            if least_cosine <= 0.02 {
                 return true;
             }
-            target = target.lerp(source, over / (over - under));
-            off_m = (target.distance(source) * sine + aside_m) / least;
-            if flat.is_far(target, off_m + bent_m / least) {
+            target = target.lerp(source, target_height / (target_height - source_height));
+            radius_m = (target.distance(source) * cone_sine + corner_m) / least_cosine;
+            if flat.is_far(target, radius_m + diffraction_m / least_cosine) {
                 return false;
             }
         }
         true
     }
 
-    /// Largest factor by which edges increase a field: the edges of a small mirror, the size of a first Fresnel zone,
+    /// Largest factor by which edges increase a field: those of a small mirror, of the size of a first Fresnel zone,
     /// double it.
     pub fn most_by_edges(&self) -> f64 {
-        if self.environment.soft_edges().is_empty() { 1.0 } else { 2.0 }
+        if self.environment.diffracting_edges().is_empty() { 1.0 } else { 2.0 }
     }
 
     /// Upper bound of the magnitude of an image's field at all points within an angle of a direction from it, for
@@ -85,12 +88,12 @@ impl ImagePaths {
     pub fn most_free_field(&self, element: &Element, image: usize, direction: DVec3, spread_rad: f64) -> f64 {
         let Some(image) = self.images.get(image) else { return 0.0 };
         let departure = element.radar_from_world * (image.mirror.transpose() * direction);
-        let mirrored = image.sequences.iter().map(|s| self.most_mirrored(s, direction, spread_rad)).fold(0.0, f64::max);
-        element.pattern.most_within(departure, spread_rad) * mirrored
+        let reflections = image.sequences.iter().map(|s| self.most_reflections(s, direction, spread_rad));
+        element.pattern.most_within(departure, spread_rad) * reflections.fold(0.0, f64::max)
     }
 
     /// Upper bound of the product of a sequence's reflections.
-    fn most_mirrored(&self, sequence: &[FacetId], direction: DVec3, spread_rad: f64) -> f64 {
+    fn most_reflections(&self, sequence: &[FacetId], direction: DVec3, spread_rad: f64) -> f64 {
         let (mut most, mut later) = (1.0, DMat3::IDENTITY);
         for flat in sequence.iter().rev().filter_map(|&facet| self.environment.flat(facet)) {
             let cosine = direction.dot(later * flat.normal).abs();
@@ -148,9 +151,9 @@ mod tests {
                         let point = middle + aside.clamp_length_max(1.0) * reach_m;
                         let field = paths.illuminate(&antenna, image, point).field.magnitude();
                         assert!(field == 0.0 || near.contains(&image), "{seed} {image} {middle} {reach_m}: {field}");
-                        let left = paths.obstruction(image, antenna.position, point, None).left();
-                        let left = left.min(paths.most_by_edges());
-                        assert!(field <= free * left + 1e-9, "{seed} {image}: {field} {free} {left}");
+                        let relative = paths.obstruction(image, antenna.position, point, None).bound();
+                        let relative = relative.min(paths.most_by_edges());
+                        assert!(field <= free * relative + 1e-9, "{seed} {image}: {field} {free} {relative}");
                         lit += usize::from(field > 0.0);
                     }
                 }

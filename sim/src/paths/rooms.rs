@@ -8,7 +8,7 @@ use super::environment::Facet;
 use crate::em::image::Wall;
 use crate::geometry::polygon::sides;
 
-/// A slab of plasterboard, brick or concrete, by number.
+/// Slab of plasterboard, brick or concrete, by number.
 pub(super) fn slab(number: usize) -> Wall {
     let (re, im, thickness_m) = [(2.73, -0.12, 0.0125), (3.91, -0.02, 0.11), (5.24, -0.34, 0.2)][number % 3];
     Wall::Slab { permittivity: Complex64::new(re, im), thickness_m }

@@ -48,8 +48,8 @@ pub struct PolygonRoom {
     max_body_reflections: usize,
     /// Name of each facet.
     names: Vec<String>,
-    /// Facets that rays met, ascending.
-    met: Vec<FacetId>,
+    /// Facets that reflect paths, ascending.
+    reached_facets: Vec<FacetId>,
     /// Whether each piece of furniture has faces.
     has_faces: Vec<bool>,
 }
@@ -58,20 +58,20 @@ impl PolygonRoom {
     /// Finds the paths of a scene's surfaces.
     fn new(scene: &Scene, surfaces: &Surfaces, tx: &Element, least_part: f64) -> Result<Self, EnvironmentError> {
         let room = &scene.file().room;
-        let share = scene.file().room.diffuse_share;
-        let (environment, names) = Environment::of_surfaces(surfaces, scene.wavenumber_per_m(), share)?;
-        let is_many = environment.len() > MANY_FACETS;
+        let (environment, names) = Environment::of_surfaces(surfaces, scene.wavenumber_per_m(), room.diffuse_share)?;
+        let has_many_facets = environment.len() > MANY_FACETS;
         let environment = Arc::new(environment.with_transmission(room.transmission).with_least_part(least_part));
-        let asked = room.max_reflections.max(room.max_body_reflections) as usize;
+        let requested_order = room.max_reflections.max(room.max_body_reflections) as usize;
         let options = LaunchOptions {
-            max_order: if is_many { asked.min(MOST_REFLECTIONS_OF_MANY) } else { asked },
-            max_rays: if is_many { MOST_RAYS[1] } else { MOST_RAYS[0] },
+            max_order: if has_many_facets { requested_order.min(MOST_REFLECTIONS_OF_MANY) } else { requested_order },
+            max_rays: if has_many_facets { MOST_RAYS[1] } else { MOST_RAYS[0] },
             ..LaunchOptions::default()
         };
         let paths = ImagePaths::discover(environment, tx.position, &options);
-        let mut met: Vec<FacetId> = paths.images().iter().flat_map(|image| image.sequences.concat()).collect();
-        met.sort_unstable();
-        met.dedup();
+        let mut reached_facets: Vec<FacetId> =
+            paths.images().iter().flat_map(|image| image.sequences.concat()).collect();
+        reached_facets.sort_unstable();
+        reached_facets.dedup();
         let DiscoveryReport { rays, sequences, images, reached_limit } = paths.report();
         tracing::debug!(facets = names.len(), rays, sequences, images, reached_limit, "paths found by rays");
         Ok(PolygonRoom {
@@ -79,7 +79,7 @@ impl PolygonRoom {
             size_m: DVec3::from_array(room.size_m),
             max_body_reflections: room.max_body_reflections as usize,
             names,
-            met,
+            reached_facets,
             has_faces: scene.file().furniture.iter().map(|piece| surfaces.has_faces_of(piece)).collect(),
         })
     }
@@ -90,9 +90,16 @@ impl PolygonRoom {
         use super::environment::Facet;
         let environment = Environment::new(Facet::of_box(room), room.wavenumber_per_m).expect("facets");
         let paths = ImagePaths::discover(Arc::new(environment), antenna, &LaunchOptions::default());
-        let met = (0..6).filter(|&facet| room.walls.get(facet as usize) != Some(&Wall::Open)).collect();
+        let reached_facets = (0..6).filter(|&facet| room.walls.get(facet as usize) != Some(&Wall::Open)).collect();
         let names = WALL_NAMES.map(str::to_owned).to_vec();
-        PolygonRoom { paths, size_m: room.size_m, max_body_reflections: 2, names, met, has_faces: Vec::new() }
+        PolygonRoom {
+            paths,
+            size_m: room.size_m,
+            max_body_reflections: 2,
+            names,
+            reached_facets,
+            has_faces: Vec::new(),
+        }
     }
 
     /// The paths from the transmitter.
@@ -100,15 +107,15 @@ impl PolygonRoom {
         &self.paths
     }
 
-    /// Facets that rays from the transmitter met, ascending.
-    pub fn met(&self) -> &[FacetId] {
-        &self.met
+    /// Facets that reflect paths from the transmitter, ascending.
+    pub fn reached_facets(&self) -> &[FacetId] {
+        &self.reached_facets
     }
 
-    /// Corners of the path from an antenna to a point by an image, whether it is free or not; empty where there is
-    /// none.
-    pub fn way(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
-        self.paths.way(number(index), antenna, point)
+    /// Corners of the path from an antenna to a point by an image, whether obstacles block it or not; empty where there
+    /// is none ([`ImagePaths::possible_polyline`]).
+    pub fn possible_polyline(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
+        self.paths.possible_polyline(number(index), antenna, point)
     }
 
     /// Relative field of an antenna's image at a point past facets, edges and walls ([`ImagePaths::obstruction`]).
@@ -134,8 +141,8 @@ impl PolygonRoom {
         order < MOST_REFLECTIONS_OF_MANY || self.paths.environment().len() <= MANY_FACETS
     }
 
-    /// Upper bound of the magnitude of an image's field within a distance of a place, without obstructions; 0 where no
-    /// facet sends it there.
+    /// Upper bound of the magnitude of an image's field within `reach_m` of `middle`, without obstructions; 0 where no
+    /// facet reflects it there.
     pub fn most_free_field(&self, element: &Element, index: ImageIndex, middle: DVec3, reach_m: f64) -> f64 {
         let number = number(index);
         if !self.paths.may_light(number, element.position, middle, reach_m) {
@@ -147,7 +154,7 @@ impl PolygonRoom {
         self.paths.most_free_field(element, number, (middle - source) / distance_m, spread_rad)
     }
 
-    /// Antenna images that may light points within a distance of a place, the antenna itself first, sorted by order.
+    /// Antenna images that may light points within `reach_m` of `middle`, the antenna itself first, sorted by order.
     pub fn images_near(&self, antenna: DVec3, middle: DVec3, reach_m: f64) -> Vec<ImageIndex> {
         let near = self.paths.images_near(antenna, middle, reach_m, self.max_body_reflections);
         near.into_iter().map(|number| [number as i32, 0, 0]).collect()
@@ -158,14 +165,15 @@ impl PolygonRoom {
         self.paths.images().get(number(index)).map_or(antenna, |image| image.of(antenna))
     }
 
-    /// Pairs of such images with few enough reflections, as indices into the list.
+    /// Pairs of such images, as indices into the list. The echo of a body by a pair has no more reflections than the
+    /// scene allows.
     pub fn pairs_among(&self, images: &[ImageIndex]) -> Vec<[usize; 2]> {
         let order = |index: ImageIndex| self.paths.images().get(number(index)).map_or(0, |image| image.order);
         let mut pairs = Vec::with_capacity(2 * images.len());
-        for (p, &there) in images.iter().enumerate() {
+        for (p, &outward) in images.iter().enumerate() {
             // Images are sorted by order.
-            let fits = images.iter().take_while(|&&back| order(there) + order(back) <= self.max_body_reflections);
-            pairs.extend((0..fits.count()).map(|q| [p, q]));
+            let fitting = images.iter().take_while(|&&back| order(outward) + order(back) <= self.max_body_reflections);
+            pairs.extend((0..fitting.count()).map(|q| [p, q]));
         }
         pairs
     }
@@ -188,7 +196,7 @@ fn number(index: ImageIndex) -> usize {
     usize::try_from(index[0]).unwrap_or(0)
 }
 
-/// Returns whether surfaces are those of a box of a size and nothing else.
+/// Returns whether surfaces are `walls` sides of a box of this size and nothing else.
 fn is_box(surfaces: &Surfaces, size_m: DVec3, walls: usize) -> bool {
     let is_side = |corners: &[DVec3]| {
         (0..3).any(|axis| [0.0, size_m[axis]].iter().any(|at| corners.iter().all(|c| (c[axis] - at).abs() < IN_SIDE_M)))
@@ -303,28 +311,29 @@ impl Surroundings {
 
     /// Relative field past walls and furniture on the straight segment between two points. It is 1 in a box, whose
     /// walls hide nothing within.
-    pub fn straight(&self, from: DVec3, to: DVec3) -> f64 {
+    pub fn field_on_segment(&self, from: DVec3, to: DVec3) -> f64 {
         match self {
             Surroundings::Box(_) => 1.0,
-            Surroundings::Polygons(room) => room.paths.straight([from, to], [None; 2]),
+            Surroundings::Polygons(room) => room.paths.field_on_segment([from, to], [None; 2]),
         }
     }
 
-    /// Names of the walls or pieces of furniture on whose surface a point lies: several at an edge. Of a point beside a plane
-    /// face, where a path is diffracted, the name of that face.
+    /// Names of the walls or pieces of furniture on whose surface a point lies: several at an edge. For a point beside
+    /// a face, in its plane, the name of that face: a path may be diffracted there.
     pub fn surface_names(&self, point: DVec3) -> Vec<&str> {
         match self {
             Surroundings::Box(room) => {
                 let size_m = room.size_m;
-                let away = [point.x, size_m.x - point.x, point.y, size_m.y - point.y, point.z, size_m.z - point.z];
-                let all = away.into_iter().zip(WALL_NAMES);
-                all.filter(|(away_m, _)| away_m.abs() < ON_SURFACE_M).map(|(_, name)| name).collect()
+                let distances_m =
+                    [point.x, size_m.x - point.x, point.y, size_m.y - point.y, point.z, size_m.z - point.z];
+                let all = distances_m.into_iter().zip(WALL_NAMES);
+                all.filter(|(distance_m, _)| distance_m.abs() < ON_SURFACE_M).map(|(_, name)| name).collect()
             }
             Surroundings::Polygons(room) => {
                 let environment = room.paths.environment();
-                let mut facets: Vec<_> = environment.all_below(point).collect();
+                let mut facets: Vec<_> = environment.facets_at(point).collect();
                 if facets.is_empty() {
-                    facets.extend(environment.beside(point));
+                    facets.extend(environment.nearest_coplanar_facet(point));
                 }
                 facets.into_iter().filter_map(|facet| room.names.get(facet as usize)).map(String::as_str).collect()
             }

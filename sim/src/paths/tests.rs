@@ -26,11 +26,11 @@ fn environment(facets: Vec<Facet>) -> Arc<Environment> {
     Arc::new(Environment::new(facets, K).expect("facets"))
 }
 
-/// Field of the image by which a path of this length arrives.
-fn seen(paths: &ImagePaths, antenna: DVec3, point: DVec3, length_m: f64) -> f64 {
-    let arrives = |i: usize| paths.illuminate(&isotropic(antenna), i, point);
-    let fits = |i: &usize| (arrives(*i).distance_m - length_m).abs() < 1e-9;
-    (0..paths.images().len()).filter(fits).map(|i| arrives(i).field.magnitude()).fold(0.0, f64::max)
+/// Largest magnitude of the field of an image by which a path of this length arrives.
+fn field_by_length(paths: &ImagePaths, antenna: DVec3, point: DVec3, length_m: f64) -> f64 {
+    let illumination = |i: usize| paths.illuminate(&isotropic(antenna), i, point);
+    let has_length = |i: &usize| (illumination(*i).distance_m - length_m).abs() < 1e-9;
+    (0..paths.images().len()).filter(has_length).map(|i| illumination(i).field.magnitude()).fold(0.0, f64::max)
 }
 
 #[test]
@@ -50,17 +50,17 @@ fn a_box_of_facets_has_the_lattice_of_images_and_its_fields() {
     // Another element beside the one from which rays were launched has images of its own.
     let beside = Element { position: antenna.position + DVec3::new(0.0, 0.0031, -0.002), ..antenna };
     for index in lattice {
-        let place = room.image_position(index, antenna.position);
-        let found = paths.images().iter().position(|image| image.position.distance(place) < 1e-9);
+        let position = room.image_position(index, antenna.position);
+        let found = paths.images().iter().position(|image| image.position.distance(position) < 1e-9);
         let found = found.unwrap_or_else(|| panic!("no image {index:?}"));
         for _ in 0..20 {
-            let part = DVec3::from_array(std::array::from_fn(|_| rng.random_range(0.02..0.98)));
-            let point = part * room.size_m;
+            let fraction = DVec3::from_array(std::array::from_fn(|_| rng.random_range(0.02..0.98)));
+            let point = fraction * room.size_m;
             for element in [&antenna, &beside] {
                 let (ours, known) = (paths.illuminate(element, found, point), room.illuminate(element, index, point));
                 assert!(ours.source.distance(known.source) < 1e-9 && (ours.distance_m - known.distance_m).abs() < 1e-9);
-                let missed = (ours.field.re - known.field.re).length() + (ours.field.im - known.field.im).length();
-                assert!(missed < 1e-9 * known.field.magnitude().max(1e-3), "{index:?} {point}: {missed:e}");
+                let error = (ours.field.re - known.field.re).length() + (ours.field.im - known.field.im).length();
+                assert!(error < 1e-9 * known.field.magnitude().max(1e-3), "{index:?} {point}: {error:e}");
                 let receiver = Element { position: point, ..antenna };
                 let (a, b) = (ours.received(&receiver, K), known.received(&receiver, K));
                 assert!((a - b).norm() < 1e-9 * b.norm() + 1e-15);
@@ -98,27 +98,31 @@ fn a_small_plate_in_the_open_is_found_wherever_it_stands() {
         let paths = ImagePaths::discover(plate, DVec3::ZERO, &LaunchOptions::default());
         assert_eq!(paths.images().len(), 2, "{half_m} m at {middle}");
         assert!(paths.images()[1].position.distance(2.0 * middle) < 1e-9);
-        assert!(seen(&paths, DVec3::ZERO, 0.1 * towards, 2.0 * distance_m - 0.1) > 0.0, "{half_m} m at {middle}");
+        assert!(
+            field_by_length(&paths, DVec3::ZERO, 0.1 * towards, 2.0 * distance_m - 0.1) > 0.0,
+            "{half_m} m at {middle}"
+        );
     }
 }
 
 #[test]
-fn round_a_corner_one_is_seen_by_mirrors_alone() {
+fn around_a_corner_only_reflected_paths_arrive() {
     let antenna = DVec3::new(1.0, 0.3, 1.5);
     let paths = ImagePaths::discover(environment(l_corridor()), antenna, &LaunchOptions::default());
-    assert_eq!(paths.environment().soft_edges().len(), 1);
+    assert_eq!(paths.environment().diffracting_edges().len(), 1);
     let point = DVec3::new(7.0, 2.7, 1.5);
     // The straight segment passes 28 cm behind the corner.
     let straight = paths.illuminate(&isotropic(antenna), 0, point);
     assert!(straight.field.magnitude() < 10f64.powf(-30.0 / 20.0));
-    // One path is by the wall x = 8, which shows the antenna at x = 15; the other is by that wall and the wall y = 0.
+    // One path is by the wall x = 8, with the image of the antenna at x = 15; the other is by that wall and the wall y
+    // = 0.
     for (length_m, reflections) in [(8f64.hypot(2.4), 1), (8f64.hypot(3.0), 2)] {
-        let field = seen(&paths, antenna, point, length_m);
+        let field = field_by_length(&paths, antenna, point, length_m);
         assert!(field > 10f64.powf(-15.0 * f64::from(reflections) / 20.0), "{length_m} m: {field}");
     }
     // Three metres into the other arm neither arrives.
     let far = DVec3::new(7.0, 5.0, 1.5);
-    assert_eq!(seen(&paths, antenna, far, 8f64.hypot(4.7)), 0.0);
+    assert_eq!(field_by_length(&paths, antenna, far, 8f64.hypot(4.7)), 0.0);
 }
 
 #[test]
@@ -162,10 +166,10 @@ fn edges_that_are_left_out_change_little() {
             Complex64::new(field.re.z, field.im.z)
         };
         for (part, paths) in &some {
-            let apart = (field(paths) - field(&all.1)).norm();
-            assert!(apart <= *part, "{apart} for {part} at {point}");
-            most = most.max(apart);
-            changed += usize::from(apart > 0.0);
+            let change = (field(paths) - field(&all.1)).norm();
+            assert!(change <= *part, "{change} for {part} at {point}");
+            most = most.max(change);
+            changed += usize::from(change > 0.0);
         }
     }
     assert!(most > 0.05 && changed > 50, "{most} {changed}");
@@ -177,7 +181,7 @@ fn mirror(x0: f64, x1: f64, wall: Wall) -> Facet {
     Facet::new(corners.to_vec(), wall)
 }
 
-/// Field at (x, 0), along the polarisation y of an antenna at (-1, 0), by way of level mirrors 2 m below both.
+/// Field at (x, 0), along the polarisation y of an antenna at (-1, 0), by level mirrors 2 m below both.
 fn mirrored(facets: Vec<Facet>, x: f64) -> Complex64 {
     let antenna = Element { polarisation: DVec3::Y, ..isotropic(DVec3::new(-1.0, 0.0, 2.0)) };
     let sequences = (0..facets.len() as u32).map(|facet| vec![facet]);
@@ -207,18 +211,18 @@ fn a_mirror_fades_at_its_edge_and_not_at_a_seam() {
 }
 
 /// Parts of a field on the low and on the high side of a seam, and the normalised clearance. The path crosses the plane
-/// of the seam halfway, `met_m` to its high side, and goes 4 m across that plane and `along_m` along it.
-fn on_either_side(met_m: f64, along_m: f64) -> (f64, [Complex64; 2]) {
+/// of the seam halfway, `offset_m` to its high side, and goes 4 m across that plane and `along_m` along it.
+fn on_either_side(offset_m: f64, along_m: f64) -> (f64, [Complex64; 2]) {
     let (wavelength_m, length_m) = (std::f64::consts::TAU / K, 4f64.hypot(along_m));
     let (sine, cosine) = (along_m / length_m, 4.0 / length_m);
-    let (clearance_m, d1) = (met_m * cosine, 0.5 * length_m - met_m * sine);
+    let (clearance_m, d1) = (offset_m * cosine, 0.5 * length_m - offset_m * sine);
     let d2 = length_m - d1;
     let nu = clearance_m * (2.0 * (d1 + d2) / (wavelength_m * d1 * d2)).sqrt();
     (nu, [half_plane(-nu), half_plane(nu)])
 }
 
-/// Where the material of a mirror changes, the field goes over from that of the one wall to that of the other as fields
-/// beside half-planes do. It stepped there.
+/// Where the material of a mirror changes, the field changes from that of one wall to that of the other as fields
+/// beside half-planes do. Regression test: it had a step there.
 #[test]
 fn a_mirror_of_two_walls_has_no_step_at_their_seam() {
     let walls = [Wall::Conductor, slab(0)];
@@ -239,8 +243,8 @@ fn a_mirror_of_two_walls_has_no_step_at_their_seam() {
     assert!(compared > 30, "{compared}");
 }
 
-/// Direct field at (2, y) of an antenna at (-2, 0.1), 1.5 m over the floor, past walls that let waves through.
-fn through(facets: Vec<Facet>, y: f64) -> Complex64 {
+/// Direct field at (2, y) of an antenna at (-2, 0.1), 1.5 m over the floor, past walls that transmit.
+fn transmitted(facets: Vec<Facet>, y: f64) -> Complex64 {
     let antenna = isotropic(DVec3::new(-2.0, 0.1, 1.5));
     let environment = Environment::new(facets, K).expect("facets").with_transmission(true);
     let paths = ImagePaths::with_sequences(Arc::new(environment), antenna.position, Vec::<Vec<u32>>::new());
@@ -252,10 +256,10 @@ fn glass() -> Wall {
     Wall::Slab { permittivity: Complex64::new(6.31, -0.26), thickness_m: 0.006 }
 }
 
-/// Behind a pane beside metal, and behind two panes, the field is what each lets through as beside half-planes. Behind
-/// metal it was nothing right up to the pane.
+/// Behind a pane beside metal, and behind two panes, the field is the sum of what each transmits, as beside
+/// half-planes. Regression test: behind metal it was zero right up to the pane.
 #[test]
-fn a_wall_of_two_materials_lets_through_without_a_step() {
+fn a_wall_of_two_materials_transmits_without_a_step() {
     let part = |from: f64, to: f64, wall: Wall| sheet(DVec2::new(0.0, from), DVec2::new(0.0, to), 3.0, wall);
     for walls in [[Wall::Conductor, glass()], [glass(), Wall::Conductor], [slab(0), glass()], [glass(), slab(0)]] {
         let mut compared = 0;
@@ -265,8 +269,8 @@ fn a_wall_of_two_materials_lets_through_without_a_step() {
             if nu.abs() > 2.7 {
                 continue;
             }
-            let [low, high] = walls.map(|wall| through(part(-4.0, 4.0, wall).to_vec(), y));
-            let both = through([part(-4.0, 0.0, walls[0]), part(0.0, 4.0, walls[1])].concat(), y);
+            let [low, high] = walls.map(|wall| transmitted(part(-4.0, 4.0, wall).to_vec(), y));
+            let both = transmitted([part(-4.0, 0.0, walls[0]), part(0.0, 4.0, walls[1])].concat(), y);
             let expected = low * parts[0] + high * parts[1];
             assert!((both - expected).norm() < 0.02, "{walls:?} {nu}: {both} {expected}");
             compared += 1;
@@ -275,7 +279,7 @@ fn a_wall_of_two_materials_lets_through_without_a_step() {
     }
 }
 
-/// Asserts that a field has no step along a line, whose places are a millimetre apart, and returns its extremes.
+/// Asserts that a field has no step along a line, at points a millimetre apart, and returns its extremes.
 fn assert_no_step(what: &str, from_y: f64, to_y: f64, field: impl Fn(f64) -> Complex64) -> [f64; 2] {
     let count = ((to_y - from_y) / 0.001).round() as u32;
     let mut extremes = [f64::INFINITY, 0.0];
@@ -290,7 +294,7 @@ fn assert_no_step(what: &str, from_y: f64, to_y: f64, field: impl Fn(f64) -> Com
     extremes
 }
 
-/// A door leaf that stands open towards the antenna, on a wall of another material: there is no step at the hinge.
+/// An open door leaf points towards the antenna, on a wall of another material: there is no step at the hinge.
 #[test]
 fn a_hinge_gives_no_step() {
     let wood = Wall::Slab { permittivity: Complex64::new(1.99, -0.11), thickness_m: 0.04 };
@@ -298,24 +302,24 @@ fn a_hinge_gives_no_step() {
     let wall = sheet(DVec2::new(0.0, -4.0), hinge, 3.0, slab(0));
     let leaf = sheet(hinge, DVec2::new(-0.64, 0.64), 3.0, wood);
     // In a floor plan a hinge is a wedge of the air behind it.
-    let all = [wall, leaf].concat().into_iter().map(|facet| Facet { soft_edges: vec![true; 4], ..facet });
+    let all = [wall, leaf].concat().into_iter().map(|facet| Facet { diffracting_sides: vec![true; 4], ..facet });
     let facets: Vec<Facet> = all.collect();
-    let [least, most] = assert_no_step("hinge", -0.9, 0.9, |y| through(facets.clone(), y));
+    let [least, most] = assert_no_step("hinge", -0.9, 0.9, |y| transmitted(facets.clone(), y));
     assert!(least < 0.25 && most > 0.4, "{least} {most}");
 }
 
-/// A box that lets waves through, as a wooden cupboard does: beside it, behind its side and behind its back there are no
-/// steps. Behind a corner the field stepped by what the side leaves.
+/// Beside a box that transmits, such as a wooden cupboard, behind its side and behind its back there are no steps.
+/// Regression test: behind a corner the field had a step of what the side transmits.
 ///
-/// In the plane of the side, y = 0.3, a step is left: what passes the front corner grazes the side there and passes the
-/// back corner, and edges in a row are not solved together.
+/// In the plane of the side, y = 0.3, a step remains. The field that passes the front corner grazes the side there and
+/// passes the back corner, and successive edges are not solved together.
 #[test]
 fn a_box_that_transmits_gives_no_step() {
     // Clockwise, so that its faces look outwards.
     let outline = [[-0.25, -0.3], [-0.25, 0.3], [0.25, 0.3], [0.25, -0.3]].map(DVec2::from_array);
     let facets: Vec<Facet> =
         extruded(&outline, 3.0).into_iter().map(|facet| Facet { wall: slab(0), ..facet }).collect();
-    let at = |y: f64| through(facets.clone(), y);
+    let at = |y: f64| transmitted(facets.clone(), y);
     let behind = assert_no_step("behind the back", 0.1, 0.299, at);
     let beside = assert_no_step("behind the side and beside the box", 0.301, 1.5, at);
     assert!(behind[0] < 0.4 && beside[1] > 1.0, "{behind:?} {beside:?}");
@@ -330,13 +334,13 @@ fn a_partition_shadows_and_mirrors() {
     facets.extend(sheet(DVec2::new(0.0, 2.0), DVec2::new(0.0, 0.0), 2.5, Wall::Conductor));
     let antenna = DVec3::new(-2.0, 0.6, 1.2);
     let paths = ImagePaths::discover(environment(facets), antenna, &LaunchOptions::default());
-    assert_eq!(paths.environment().soft_edges().len(), 1);
+    assert_eq!(paths.environment().diffracting_edges().len(), 1);
     let at = |point: DVec3| paths.illuminate(&isotropic(antenna), 0, point).field.magnitude();
     assert_eq!(at(DVec3::new(2.0, 1.2, 1.2)), 0.0);
     assert!((at(DVec3::new(2.0, -1.6, 1.2)) - 1.0).abs() < 0.1);
     assert!((at(DVec3::new(2.0, -0.6, 1.2)) - 0.5).abs() < 0.01);
     // The mirror image at x = 2 is seen before the partition.
-    let mirrored = seen(&paths, antenna, DVec3::new(-1.0, 1.0, 1.2), 3f64.hypot(0.4));
+    let mirrored = field_by_length(&paths, antenna, DVec3::new(-1.0, 1.0, 1.2), 3f64.hypot(0.4));
     assert!((mirrored - 1.0).abs() < 1e-6, "{mirrored}");
 }
 
@@ -355,15 +359,15 @@ fn the_same_is_found_on_any_number_of_threads() {
 
 /// Power at a point by all images.
 fn power(paths: &ImagePaths, antenna: &Element, point: DVec3) -> f64 {
-    let of = |i: usize| {
+    let by_image = |i: usize| {
         let arrival = paths.illuminate(antenna, i, point);
         (arrival.field.magnitude() / arrival.distance_m).powi(2)
     };
-    (0..paths.images().len()).map(of).sum()
+    (0..paths.images().len()).map(by_image).sum()
 }
 
-/// 200 rooms (stars, L shapes, and both with a partition): power that rays miss of every sequence of up to three
-/// facets.
+/// Power that rays miss in 200 rooms (stars, L shapes, and both with a partition): that of all sequences of up to three
+/// facets that they do not find.
 #[test]
 fn rays_miss_less_than_40_db_of_the_power() {
     let options = LaunchOptions { max_order: 3, refinements: 3, max_rays: 40_000 };
@@ -382,23 +386,24 @@ fn rays_miss_less_than_40_db_of_the_power() {
         let antenna = isotropic(DVec3::new(rng.random_range(-0.2..0.2), rng.random_range(-0.2..0.2), 1.3));
         let paths = ImagePaths::discover(Arc::clone(&facets), antenna.position, &options);
         let found: Vec<&Vec<u32>> = paths.images().iter().flat_map(|image| &image.sequences).collect();
-        let left = all_sequences(&facets, antenna.position, 3).into_iter().filter(|s| !found.contains(&s));
-        let unseen = ImagePaths::with_sequences(Arc::clone(&facets), antenna.position, left);
-        let (mut of_room, mut of_unseen) = (0.0, 0.0);
+        let missing = all_sequences(&facets, antenna.position, 3).into_iter().filter(|s| !found.contains(&s));
+        let missed_paths = ImagePaths::with_sequences(Arc::clone(&facets), antenna.position, missing);
+        let (mut found_power, mut missed_power) = (0.0, 0.0);
         for _ in 0..10 {
-            let place = DVec2::new(rng.random_range(-5.0..5.0), rng.random_range(-5.0..5.0));
-            if !encloses(&outline, place) || place.length() < 0.5 {
+            let on_plan = DVec2::new(rng.random_range(-5.0..5.0), rng.random_range(-5.0..5.0));
+            if !encloses(&outline, on_plan) || on_plan.length() < 0.5 {
                 continue;
             }
-            let point = place.extend(rng.random_range(0.3..2.0));
+            let point = on_plan.extend(rng.random_range(0.3..2.0));
             // The first image is the antenna itself, which is among those found.
             let straight = paths.illuminate(&antenna, 0, point);
-            of_unseen += power(&unseen, &antenna, point) - (straight.field.magnitude() / straight.distance_m).powi(2);
-            of_room += power(&paths, &antenna, point);
+            missed_power +=
+                power(&missed_paths, &antenna, point) - (straight.field.magnitude() / straight.distance_m).powi(2);
+            found_power += power(&paths, &antenna, point);
         }
-        all += of_room + of_unseen;
-        missed += of_unseen;
-        worst = worst.max(of_unseen / (of_room + of_unseen).max(1e-12));
+        all += found_power + missed_power;
+        missed += missed_power;
+        worst = worst.max(missed_power / (found_power + missed_power).max(1e-12));
     }
     assert!(missed < 1e-4 * all, "missed {:.1} dB, in the worst room {:.1} dB", db(missed / all), db(worst));
 }

@@ -115,7 +115,7 @@ fn welded(mesh: &Mesh, weights: &[Vec<(usize, f64)>]) -> Result<BoundMesh, FileE
 /// orientation.
 fn separate_tangled(bound: &mut BoundMesh) {
     let mut tangled: BTreeSet<(u32, u32)> = BTreeSet::new();
-    for edge in edges(&bound.mesh).iter().filter(|e| e.tangled) {
+    for edge in edges(&bound.mesh).iter().filter(|e| e.is_non_manifold) {
         let [a, b] = edge.vertices;
         tangled.insert(undirected(a, b));
     }
@@ -220,7 +220,7 @@ mod tests {
         soup.triangles.push([0, 1, soup.vertices.len() as u32 - 1]);
         let weights = vec![vec![(0, 1.0)]; soup.vertices.len()];
         let refined = refine(&soup, &weights, &identity_pose()).expect("a good mesh");
-        assert!(edges(&refined.mesh).iter().all(|e| !e.tangled));
+        assert!(edges(&refined.mesh).iter().all(|e| !e.is_non_manifold));
         assert!(refined.open_edges > 0, "the fin and its neighbours are loose");
     }
 }

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-/// Straight ray through the world.
+/// Straight ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ray {
     /// Start point, m.
@@ -11,13 +11,13 @@ pub struct Ray {
     pub direction: DVec3,
     /// Largest distance of an intersection, m.
     pub length_m: f64,
-    /// Coplanar groups of triangles on which the ray begins and ends; it does not meet them. The origin stays on its
+    /// Coplanar groups of triangles on which the ray begins and ends; it does not hit them. The origin stays on its
     /// surface: 10 um beside it would be 0.025 rad at 60 GHz.
-    pub except: [Option<u32>; 2],
-    /// Unit normal of the surface on which the ray begins, to the side to which it goes; zero for a free place. Only
-    /// the f32 rounding of the origin is kept on this side: if rounded below a floor, a grazing ray would pass below
-    /// the wall.
-    pub side: DVec3,
+    pub end_groups: [Option<u32>; 2],
+    /// Unit normal of the surface on which the ray begins, on the side to which the ray goes; zero for a point in the
+    /// air. It keeps the f32 rounding of the origin on this side. An origin rounded below a floor would let a grazing
+    /// ray pass below the wall.
+    pub side_normal: DVec3,
 }
 
 /// Intersection of a ray with a surface.
@@ -27,7 +27,7 @@ pub struct Hit {
     pub triangle: u32,
     /// Distance along the ray in f32, m; accurate enough to order surfaces.
     pub distance_m: f64,
-    /// Whether the triangle faces the ray, so that it is met from outside.
+    /// Whether the triangle faces the ray, so that the ray hits it from outside.
     pub front: bool,
 }
 
@@ -38,8 +38,8 @@ impl Ray {
             origin,
             direction: towards.normalize_or_zero(),
             length_m: f64::INFINITY,
-            except: [None; 2],
-            side: DVec3::ZERO,
+            end_groups: [None; 2],
+            side_normal: DVec3::ZERO,
         }
     }
 
@@ -50,14 +50,14 @@ impl Ray {
 
     /// Returns the same ray, beginning on a coplanar group with this normal of either sign.
     pub fn leaving(mut self, group: u32, normal: DVec3) -> Self {
-        self.except[0] = Some(group);
-        self.side = normal.normalize_or_zero() * self.direction.dot(normal).signum();
+        self.end_groups[0] = Some(group);
+        self.side_normal = normal.normalize_or_zero() * self.direction.dot(normal).signum();
         self
     }
 
     /// Returns the same ray, ending on a coplanar group.
     pub fn reaching(mut self, group: u32) -> Self {
-        self.except[1] = Some(group);
+        self.end_groups[1] = Some(group);
         self
     }
 
@@ -66,8 +66,8 @@ impl Ray {
         self.origin + self.direction * distance_m
     }
 
-    /// Distance from the origin that f32 cannot resolve, m. A ray from a free place meets nothing nearer. A ray that
-    /// leaves a surface meets only facing triangles there.
+    /// Distance from the origin that f32 cannot resolve, m. A ray from a point in the air hits nothing nearer. A ray
+    /// that leaves a surface hits only facing triangles there.
     pub fn nearest_m(&self) -> f64 {
         4e-6 * (1.0 + self.origin.abs().max_element())
     }

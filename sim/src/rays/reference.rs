@@ -28,7 +28,7 @@ pub fn plane(ray: &Ray, [a, b, c]: [DVec3; 3]) -> Option<(f64, [f64; 3])> {
     (distance.is_finite() && weights.iter().all(|w| w.is_finite())).then_some((distance, weights))
 }
 
-/// All triangles that a ray meets, including hits on their edges, by distance and then index.
+/// All triangles that a ray hits, including hits on their edges, by distance and then index.
 pub fn all(ray: &Ray, mesh: &Mesh) -> Vec<Intersection> {
     let mut all: Vec<Intersection> = (0..mesh.triangles.len())
         .filter_map(|t| Some((t, plane(ray, mesh.corners(t)?)?)))

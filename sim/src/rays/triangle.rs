@@ -8,14 +8,14 @@ pub(super) type Corners = [Vec3A; 3];
 
 /// Intersection of a ray with a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Meeting {
+pub(super) struct Intersection {
     pub distance: f32,
-    /// Weights of the corners, not yet divided by their sum; negative if the triangle is met from behind.
+    /// Weights of the corners, not yet divided by their sum; negative if the ray comes from behind.
     pub weights: Vec3A,
 }
 
-/// Coordinates in which a ray runs along z through the origin: permuted so that z is its longest component, then
-/// sheared.
+/// Transform to coordinates in which a ray runs along z through the origin. Axes are permuted so that z is the longest
+/// component of its direction, then sheared.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shear {
     pub axes: [usize; 3],
@@ -55,7 +55,7 @@ impl Shear {
     /// Corners in ray coordinates: across (x, y) and along (z). The same corner gives the same numbers in every
     /// triangle.
     #[inline(always)]
-    pub fn see(&self, corners: &Corners) -> [Vec3A; 3] {
+    pub fn transformed(&self, corners: &Corners) -> [Vec3A; 3] {
         let [kx, ky, kz] = self.axes;
         let z = corners[kz] - self.origin[2];
         let x = (corners[kx] - self.origin[0]) - self.shear_x * z;
@@ -66,8 +66,8 @@ impl Shear {
     /// Intersection with the triangle, at a distance of at most `farthest`, and behind the origin by at most the
     /// resolution of f32.
     #[inline(always)]
-    pub fn meet(&self, corners: &Corners, farthest: f32) -> Option<Meeting> {
-        let [x, y, z] = self.see(corners);
+    pub fn intersect(&self, corners: &Corners, farthest: f32) -> Option<Intersection> {
+        let [x, y, z] = self.transformed(corners);
         // Weight of the edge opposite each corner, from P to Q: Qx Py - Qy Px, which the edge's other triangle computes
         // negated.
         let mut weights = x.zxy() * y.yzx() - y.zxy() * x.yzx();
@@ -77,23 +77,24 @@ impl Shear {
             if positive != 0 && negative != 0 {
                 return None;
             }
-            weights = decide(x, y)?;
+            weights = exact_weights(x, y)?;
         }
         // The order of the sum is the same on every processor.
         let sum = (weights.x + weights.y) + weights.z;
         let moment = weights * z;
         let distance = ((moment.x + moment.y) + moment.z) * self.scale_z / sum;
         // This form of the test treats NaN as a miss.
-        (distance >= -self.nearest && distance <= farthest).then_some(Meeting { distance, weights })
+        (distance >= -self.nearest && distance <= farthest).then_some(Intersection { distance, weights })
     }
 }
 
-/// Weights in f64, for the case that in f32 no two differ in sign and some are zero. Products of two f32 are exact in
-/// f64 and their difference has the right sign. Where that is zero too, the ray meets the edge itself. It is then
-/// treated as passing at (h, h^2), h infinitesimal: `h (Qy - Py) + h^2 (Px - Qx)` changes sign with the edge's
-/// direction.
+/// Weights of the corners in f64, where in f32 no two differ in sign and some are zero; `None` for a miss.
+///
+/// Products of two f32 are exact in f64, and their difference has the right sign. Where that is zero too, the ray hits
+/// the edge itself. The ray is then treated as passing at (h, h^2), h infinitesimal: `h (Qy - Py) + h^2 (Px - Qx)`
+/// changes sign with the edge's direction.
 #[cold]
-fn decide(x: Vec3A, y: Vec3A) -> Option<Vec3A> {
+fn exact_weights(x: Vec3A, y: Vec3A) -> Option<Vec3A> {
     let (x, y) = (x.as_dvec3(), y.as_dvec3());
     let exact = x.zxy() * y.yzx() - y.zxy() * x.yzx();
     let mut positive = 0;
@@ -104,8 +105,7 @@ fn decide(x: Vec3A, y: Vec3A) -> Option<Vec3A> {
     if positive != 0 && positive != 3 {
         return None;
     }
-    // The weights are scaled, as they may be too small for f32. A triangle seen edge-on has no area to weigh the
-    // corners with.
+    // The weights are scaled, because they may be too small for f32. All are zero for a triangle seen edge-on.
     let largest = exact.abs().max_element();
     (largest > 0.0).then(|| (exact / largest).as_vec3a())
 }
@@ -123,22 +123,22 @@ mod tests {
     }
 
     #[test]
-    fn a_triangle_is_met_where_it_is_from_the_side_it_faces() {
+    fn a_triangle_is_hit_at_its_distance_from_both_sides() {
         let triangle = corners([0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [1.0, 0.0, 2.0]);
         let up = shear(Vec3A::new(0.25, 0.25, 0.0), Vec3A::Z);
-        let met = up.meet(&triangle, 9.0).expect("it is above");
-        assert_eq!(met.distance, 2.0);
-        assert!(met.weights.x > 0.0, "normal is -z, the ray sees its front");
-        let w = met.weights / met.weights.element_sum();
+        let hit = up.intersect(&triangle, 9.0).expect("it is above");
+        assert_eq!(hit.distance, 2.0);
+        assert!(hit.weights.x > 0.0, "normal is -z, the ray sees its front");
+        let w = hit.weights / hit.weights.element_sum();
         assert_eq!(w.to_array(), [0.5, 0.25, 0.25]);
-        assert_eq!(up.meet(&triangle, 1.9), None);
+        assert_eq!(up.intersect(&triangle, 1.9), None);
         let down = shear(Vec3A::new(0.25, 0.25, 5.0), -Vec3A::Z);
-        assert!(down.meet(&triangle, 9.0).expect("it is below").weights.x < 0.0);
+        assert!(down.intersect(&triangle, 9.0).expect("it is below").weights.x < 0.0);
     }
 
-    /// Rays at a fan's hub, along each of its edges and beside them always meet exactly one triangle.
+    /// Rays at the hub of a fan and at points of its spokes hit exactly one triangle.
     #[test]
-    fn a_fan_is_met_once_at_its_hub_and_along_its_spokes() {
+    fn a_fan_is_hit_once_at_its_hub_and_along_its_spokes() {
         for axis in [Vec3A::X, Vec3A::Y, Vec3A::Z, Vec3A::new(1.0, 1.0, 1.0), Vec3A::new(-3.0, 2.0, 0.5)] {
             let (u, v) = axis.normalize().any_orthonormal_pair();
             for spokes in 3..12 {
@@ -149,10 +149,10 @@ mod tests {
                 let aims = (0..spokes).map(|i| Vec3A::from(rim(i)) * 0.5).chain([Vec3A::ZERO]);
                 for aim in aims {
                     let shear = shear(aim - axis * 4.0, axis);
-                    let met = (0..spokes)
-                        .filter(|&i| shear.meet(&corners([0.0; 3], rim(i), rim((i + 1) % spokes)), 1e9).is_some())
+                    let hits = (0..spokes)
+                        .filter(|&i| shear.intersect(&corners([0.0; 3], rim(i), rim((i + 1) % spokes)), 1e9).is_some())
                         .count();
-                    assert_eq!(met, 1, "{spokes} spokes, axis {axis}, aim {aim}");
+                    assert_eq!(hits, 1, "{spokes} spokes, axis {axis}, aim {aim}");
                 }
             }
         }

@@ -7,7 +7,7 @@ mod cells;
 use glam::{DVec2, DVec3};
 
 use super::{Scene, plan};
-use crate::geometry::polygon::{distance_to_line, encloses, sides};
+use crate::geometry::polygon::{distance_to_segment, encloses, sides};
 use crate::people::route::Block;
 use crate::scene_file::{FurnitureFile, OpeningFile, PartitionFile, PlanFile};
 use cells::{CellKind, Cells};
@@ -74,7 +74,7 @@ pub(crate) fn is_outside(scene: &Scene, position: [f64; 2]) -> bool {
     let is_in_box = (0..2).all(|axis| (0.0..=room.size_m[axis]).contains(&position[axis]));
     let is_in_plan = |plan: &PlanFile| {
         let (corners, position) = (plan::corners(plan), DVec2::from_array(position));
-        encloses(&corners, position) || sides(&corners).any(|side| distance_to_line(position, side) <= SAME_M)
+        encloses(&corners, position) || sides(&corners).any(|side| distance_to_segment(position, side) <= SAME_M)
     };
     if !(is_in_box && room.plan.as_ref().is_none_or(is_in_plan)) {
         return true;

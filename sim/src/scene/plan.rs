@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 use super::Outline;
 use super::check::{InvalidValue, check_material, check_range, invalid};
 use super::draft::{Draft, ROOM, closed_wall};
-use crate::geometry::polygon::{self, distance_to_line};
+use crate::geometry::polygon::{self, distance_to_segment};
 use crate::geometry::{Mesh, PlanarPolygon, planes};
 use crate::scene_file::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, SceneFile, SurfaceFile};
 
@@ -46,7 +46,7 @@ pub(super) fn check_places(file: &SceneFile) -> Result<(), InvalidValue> {
     let wall_clearance_m = |[x, y]: [f64; 2]| floor.clearance(DVec3::new(x, y, 0.0)).distance_m;
     let is_within = |position: [f64; 2]| wall_clearance_m(position) >= -SAME_M;
     let [x, y, _] = file.radar.position_m;
-    let partition_distance_m = |partition: &PartitionFile| distance_to_line(DVec2::new(x, y), ends(partition));
+    let partition_distance_m = |partition: &PartitionFile| distance_to_segment(DVec2::new(x, y), ends(partition));
     let clearance_m = plan.partition.iter().map(partition_distance_m).fold(wall_clearance_m([x, y]), f64::min);
     if clearance_m < LEAST_RADAR_DISTANCE_M {
         let expected = "a place within [room.plan], 1 cm or more from its walls and partitions";
@@ -178,12 +178,16 @@ fn check_outline(plan: &PlanFile) -> Result<(), InvalidValue> {
             let is_closing = i == 0 && j + 1 == walls.len();
             let do_meet = match (is_next, is_closing) {
                 // The sides share a corner. They must not fold back onto each other.
-                (true, _) => distance_to_line(other[1], wall) < SAME_M || distance_to_line(wall[0], other) < SAME_M,
-                (_, true) => distance_to_line(other[0], wall) < SAME_M || distance_to_line(wall[1], other) < SAME_M,
+                (true, _) => {
+                    distance_to_segment(other[1], wall) < SAME_M || distance_to_segment(wall[0], other) < SAME_M
+                }
+                (_, true) => {
+                    distance_to_segment(other[0], wall) < SAME_M || distance_to_segment(wall[1], other) < SAME_M
+                }
                 _ => {
                     lines_cross(wall, other)
-                        || other.iter().any(|&end| distance_to_line(end, wall) < SAME_M)
-                        || wall.iter().any(|&end| distance_to_line(end, other) < SAME_M)
+                        || other.iter().any(|&end| distance_to_segment(end, wall) < SAME_M)
+                        || wall.iter().any(|&end| distance_to_segment(end, other) < SAME_M)
                 }
             };
             if do_meet {

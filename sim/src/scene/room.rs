@@ -25,7 +25,7 @@ use crate::geometry::import::{ImportError, LengthUnit, Part, UpAxis, import};
 use crate::geometry::polygon::bounds;
 use crate::geometry::{Mesh, edges, overlaps, planes, weld};
 use crate::material::{Material, OPEN};
-use crate::math::Sets;
+use crate::math::DisjointSets;
 use crate::scene_file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
 
 /// Distance within which vertices are merged, and within which triangles belong to a plane, m. Modelling programs store
@@ -442,7 +442,7 @@ fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, freq
 
 /// Returns the connected sets of the triangles for which `is_counted` holds. Triangles are connected by vertices.
 fn shells(mesh: &Mesh, is_counted: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
-    let mut sets = Sets::new(mesh.vertices.len());
+    let mut sets = DisjointSets::new(mesh.vertices.len());
     let counted = || (0u32..).zip(&mesh.triangles).filter(|(t, _)| is_counted(*t));
     for (_, triangle) in counted() {
         let [a, b, c] = triangle.map(|v| v as usize);

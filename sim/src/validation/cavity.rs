@@ -2,8 +2,8 @@
 //!
 //! The wave enters through the aperture as if there were no rim (Kirchhoff), which excites the modes of the guide. Each
 //! mode that propagates travels to the conducting end and back, and its aperture field radiates. This is the reference
-//! of Ling, Chou and Lee, "Shooting and bouncing rays: calculating the RCS of an arbitrarily shaped cavity", IEEE Trans.
-//! Antennas Propag. 37 (2), 1989. Fields on the outside of the walls are not included.
+//! of Ling, Chou and Lee, "Shooting and bouncing rays: calculating the RCS of an arbitrarily shaped cavity", IEEE
+//! Trans. Antennas Propag. 37 (2), 1989. Fields on the outside of the walls are not included.
 
 use std::f64::consts::{PI, TAU};
 
@@ -16,15 +16,16 @@ use crate::em::triangle::sinc;
 /// `int cos(m pi (u/L + 1/2)) e^{jqu} du` over `-L/2..L/2`, and the same with the sine.
 fn cosine_and_sine(m: usize, length_m: f64, q_per_m: f64) -> [Complex64; 2] {
     let wavenumber = m as f64 * PI / length_m;
-    let turned = |sign: f64| {
-        let across = length_m * sinc(0.5 * length_m * (q_per_m + sign * wavenumber));
-        Complex64::from_polar(across, sign * 0.5 * m as f64 * PI)
+    // Integral of the exponential with this sign, of which cosine and sine are the half sum and the half difference.
+    let exponential = |sign: f64| {
+        let magnitude = length_m * sinc(0.5 * length_m * (q_per_m + sign * wavenumber));
+        Complex64::from_polar(magnitude, sign * 0.5 * m as f64 * PI)
     };
-    let (up, down) = (turned(1.0), turned(-1.0));
-    [0.5 * (up + down), (up - down) / Complex64::new(0.0, 2.0)]
+    let (positive, negative) = (exponential(1.0), exponential(-1.0));
+    [0.5 * (positive + negative), (positive - negative) / Complex64::new(0.0, 2.0)]
 }
 
-/// Largest number of modes that are summed: a second's work.
+/// Largest number of modes that are summed, which takes about a second.
 const MOST_MODES: f64 = 1e7;
 
 /// Cross-section of a conducting cavity of this width (y), height (z) and depth, open towards +x, for a far radar, m^2.
@@ -41,10 +42,10 @@ pub fn cross_section_m2(setup: &Setup, width_m: f64, height_m: f64, depth_m: f64
     let highest = |length_m: f64| (k * length_m / PI) as usize;
     (highest(width_m) as f64 * highest(height_m) as f64 <= MOST_MODES).then_some(())?;
     let mut reaction = Complex64::ZERO;
-    let upright: Vec<_> = (0..=highest(height_m)).map(|n| cosine_and_sine(n, height_m, k * towards.z)).collect();
+    let along_z: Vec<_> = (0..=highest(height_m)).map(|n| cosine_and_sine(n, height_m, k * towards.z)).collect();
     for m in 0..=highest(width_m) {
         let [cos_y, sin_y] = cosine_and_sine(m, width_m, k * towards.y);
-        for (n, &[cos_z, sin_z]) in upright.iter().enumerate() {
+        for (n, &[cos_z, sin_z]) in along_z.iter().enumerate() {
             let (across, up) = (m as f64 * PI / width_m, n as f64 * PI / height_m);
             let cutoff_square = across * across + up * up;
             let along_square = k * k - cutoff_square;

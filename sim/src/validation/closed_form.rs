@@ -15,15 +15,15 @@ use crate::geometry::polygon;
 
 /// Reference value and its source.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Known {
+pub struct ReferenceValue {
     /// Cross-section, m^2.
     pub sigma_m2: f64,
     /// Name of the formula.
     pub source: &'static str,
 }
 
-/// Reference value of a target, if one is known.
-pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
+/// Reference value of a target's cross-section, if there is one.
+pub fn reference_value(target: &Target, setup: &Setup) -> Option<ReferenceValue> {
     let d = setup.towards();
     let far = setup.range_m.is_none();
     let (sigma_m2, source) = match *target {
@@ -83,9 +83,10 @@ pub fn known(target: &Target, setup: &Setup) -> Option<Known> {
         }
         Target::Surface { .. } => return None,
     };
-    Some(Known { sigma_m2, source })
+    Some(ReferenceValue { sigma_m2, source })
 }
 
+/// `None` unless the target is a conductor.
 fn conductor(setup: &Setup) -> Option<()> {
     (setup.boundary == Wall::Conductor).then_some(())
 }
@@ -96,7 +97,7 @@ fn plate_far(setup: &Setup, width_m: f64, height_m: f64) -> f64 {
     setup.aperture_m2(width_m * height_m * d.x * sinc(k * width_m * d.y) * sinc(k * height_m * d.z))
 }
 
-/// Largest number of panels along a side of a plate. Of larger plates the quadrature takes minutes.
+/// Largest number of panels along a side of a plate. For larger plates, the quadrature takes minutes.
 const MOST_PANELS: f64 = 2000.0;
 
 /// Number of panels of about a radian along a side of a plate.
@@ -139,12 +140,12 @@ pub fn trihedral_aperture_m2(edge_m: f64, outline: Outline, towards: DVec3) -> f
         ],
     };
     let projected: Vec<DVec3> = corners.iter().map(|&c| c * edge_m).map(|c| c - towards * towards.dot(c)).collect();
-    let mut shared: Vec<DVec3> = projected.iter().map(|&c| -c).collect();
+    let mut intersection: Vec<DVec3> = projected.iter().map(|&c| -c).collect();
     for [a, b] in polygon::sides(&projected) {
         // Corners run counter-clockwise seen from the octant.
-        shared = polygon::clipped(&shared, a, towards.cross(b - a));
+        intersection = polygon::clipped(&intersection, a, towards.cross(b - a));
     }
-    polygon::area_m2(&shared)
+    polygon::area_m2(&intersection)
 }
 
 /// Cross-section of a cylinder near the plane across the axis; `None` elsewhere in the near field.
@@ -179,16 +180,16 @@ fn ellipsoid(setup: &Setup, semi_axes_m: DVec3) -> Option<f64> {
             let body = Ellipsoid { centre: DVec3::ZERO, axes: DMat3::IDENTITY, semi_axes_m };
             let reference = Target::Ellipsoid { semi_axes_m }.reference_point(d);
             let radar = reference + d * range_m;
-            let nearest = body.specular_point(radar, radar, None)?;
+            let specular = body.specular_point(radar, radar, None)?;
             // Gaussian and mean curvature of an ellipsoid (Goldman, "Curvature formulas for implicit curves and
-            // surfaces").
-            let p = nearest.point;
+            // surfaces", Computer Aided Geometric Design 22(7), 2005).
+            let p = specular.point;
             let gradient = (p / (semi_axes_m * semi_axes_m)).length();
             let product = semi_axes_m.element_product();
             let gaussian = 1.0 / (product * gradient * gradient).powi(2);
             let mean =
                 (semi_axes_m.length_squared() - p.length_squared()) / (2.0 * product * product * gradient.powi(3));
-            let range = nearest.distances_m.0;
+            let range = specular.distances_m.0;
             let det_j = gaussian + 2.0 * mean / range + 1.0 / (range * range);
             Some(PI / det_j * (range_m / range).powi(4))
         }

@@ -10,18 +10,19 @@ use crate::geometry::Surface;
 /// Largest number of parts of a facet's edge.
 const MOST_CUTS: f64 = 2048.0;
 
+/// Longest edge of a triangle, m.
 fn longest_edge_m(a: DVec3, b: DVec3, c: DVec3) -> f64 {
     a.distance(b).max(b.distance(c)).max(c.distance(a))
 }
 
-/// Returns the smallest patches that [`integrate`] makes of all facets, m.
+/// Returns the smallest `patch_m` that [`integrate`] can meet for all facets.
 pub fn finest_patch_m(surface: &Surface) -> f64 {
     let corners = (0..surface.triangles.len()).filter_map(|t| surface.corners(t));
     corners.map(|[(a, _), (b, _), (c, _)]| longest_edge_m(a, b, c)).fold(0.0, f64::max) / MOST_CUTS
 }
 
-/// Sums the integrand over patches whose edges are at most `patch_m`, or [`finest_patch_m`], each with the value at its middle. The patches of
-/// a facet lie on the curved surface defined by its corners' normals.
+/// Sums the integrand over patches, each with the value at its middle. Their edges are at most `patch_m`, but not below
+/// [`finest_patch_m`]. The patches of a facet lie on the curved surface defined by its corners' normals.
 pub fn integrate(
     surface: &Surface,
     wavenumber_per_m: f64,
@@ -43,15 +44,15 @@ pub fn integrate(
         let size = 1.0 / cuts as f64;
         for i in 0..cuts {
             for j in 0..cuts - i {
-                let mut patch = |shift: f64| {
+                let mut add_patch = |shift: f64| {
                     let (point, normal) = at((i as f64 + shift) * size, (j as f64 + shift) * size);
                     let sample = sample(point, normal.normalize_or(na));
                     sum.facets += 1;
                     sum.value += sample.amplitude * Complex64::from_polar(area, -wavenumber_per_m * sample.length_m);
                 };
-                patch(1.0 / 3.0);
+                add_patch(1.0 / 3.0);
                 if i + j + 1 < cuts {
-                    patch(2.0 / 3.0);
+                    add_patch(2.0 / 3.0);
                 }
             }
         }

@@ -13,8 +13,8 @@ pub fn fresnel_integral(x: f64) -> Complex64 {
     if x < 0.0 { -value } else { value }
 }
 
+/// Power series `x sum (j pi x^2/2)^n / (n! (2n + 1))`.
 fn fresnel_series(x: f64) -> Complex64 {
-    // Power series: x sum (j pi x^2/2)^n / (n! (2n + 1)).
     let step = Complex64::new(0.0, FRAC_PI_2 * x * x);
     let mut term = Complex64::from(x);
     let mut sum = term;
@@ -29,6 +29,7 @@ fn fresnel_series(x: f64) -> Complex64 {
     sum
 }
 
+/// Continued fraction of the complementary error function, by Lentz's algorithm.
 fn fresnel_fraction(x: f64) -> Complex64 {
     let square = PI * x * x;
     let mut b = Complex64::new(1.0, -square);
@@ -64,19 +65,19 @@ pub fn knife_edge(nu: f64) -> Complex64 {
 /// its edge. Both angles are measured from the screen's lit face. The field is the electric field along the edge
 /// (`soft`, zero on the screen) or otherwise the magnetic field. The phase is zero at the edge.
 pub fn half_plane(k_rho: f64, angle_rad: f64, incidence_rad: f64, soft: bool) -> Complex64 {
-    let part = |angle: f64| {
+    let wave = |angle: f64| {
         // e^{j pi/4}/sqrt(pi) int_a^inf exp(-j t^2) dt is the knife edge at nu = a sqrt(2/pi).
         let a = -(2.0 * k_rho).sqrt() * (0.5 * angle).cos();
         Complex64::from_polar(1.0, k_rho * angle.cos()) * knife_edge(a * (2.0 / PI).sqrt())
     };
-    let (incident, reflected) = (part(angle_rad - incidence_rad), part(angle_rad + incidence_rad));
+    let (incident, reflected) = (wave(angle_rad - incidence_rad), wave(angle_rad + incidence_rad));
     if soft { incident - reflected } else { incident + reflected }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::paths::edge_field::side_between;
+    use crate::paths::edge_field::side_integral;
 
     fn db(v: Complex64) -> f64 {
         20.0 * v.norm().log10()
@@ -127,8 +128,8 @@ mod tests {
                             half_plane(k_rho, face, incidence, soft),
                             half_plane(k_rho, face + inward, incidence, soft),
                         );
-                        let fault = if soft { on.norm() } else { (off - on).norm() / (1e-6 * k_rho) };
-                        assert!(fault < if soft { 1e-12 } else { 1e-2 }, "{soft} {incidence} {k_rho} {face}: {fault}");
+                        let error = if soft { on.norm() } else { (off - on).norm() / (1e-6 * k_rho) };
+                        assert!(error < if soft { 1e-12 } else { 1e-2 }, "{soft} {incidence} {k_rho} {face}: {error}");
                     }
                 }
             }
@@ -155,7 +156,7 @@ mod tests {
                 let free = Complex64::from_polar(1.0, k_rho * (angle - incidence).cos());
                 let exact = 0.5 * (both[0] + both[1]) / free;
                 let nu = (4.0 * k_rho / PI).sqrt() * (0.5 * past).sin();
-                let edge = side_between(nu.abs(), [f64::NEG_INFINITY, f64::INFINITY]);
+                let edge = side_integral(nu.abs(), [f64::NEG_INFINITY, f64::INFINITY]);
                 let by_outline = if nu > 0.0 { edge } else { 1.0 - edge };
                 for scene in [of_scenes(-nu), by_outline] {
                     assert!((scene - exact).norm() < 0.005, "{behind_m} m, {past} rad: {scene} {exact}");

@@ -35,12 +35,13 @@ pub struct Integral {
     pub value: Complex64,
     /// Number of facets that were evaluated.
     pub facets: usize,
-    /// Largest phase deviation, rad, that was left uncut. It is less than the tolerance; the margin shows whether a
-    /// finer tolerance would have changed the result.
-    pub bend_rad: f64,
+    /// Largest phase deviation of an edge that was not cut, rad. It is less than the tolerance. A finer tolerance above
+    /// it would not change the result.
+    pub deviation_rad: f64,
 }
 
-/// Largest depth of cutting an edge: to a millionth part. Facets under a near radar are that much smaller than a plate.
+/// Largest number of times that an edge is halved: to a millionth part. Facets under a near radar are that much smaller
+/// than a plate.
 const MAX_DEPTH: u32 = 20;
 /// Least slope of the phase anywhere on an edge, rad over its length, beyond which the facet's contribution is far from
 /// stationary. Its phase deviation then matters less, by the square of the ratio.
@@ -54,11 +55,12 @@ pub struct Accuracy {
     /// Wavenumber, 1/m.
     pub wavenumber_per_m: f64,
     /// Largest deviation, rad, of the phase in the middle of an edge from the mean of its ends. The facet is then
-    /// integrated as the four triangles of its middles, less their mean residual: half a radian leaves some hundredths
-    /// of a decibel.
+    /// integrated as four triangles between its corners and the middles of its edges, less their mean residual. Half a
+    /// radian leaves some hundredths of a decibel.
     pub tolerance_rad: f64,
 }
 
+/// Point of the surface with its integrand.
 #[derive(Clone, Copy)]
 struct Corner {
     point: DVec3,
@@ -67,7 +69,7 @@ struct Corner {
 }
 
 impl Corner {
-    /// Change of the path length over the whole of an edge if it went on as it does here, m.
+    /// Change of the path length over an edge, m, if its slope were the one at this corner everywhere.
     fn slope_m(&self, edge: DVec3) -> f64 {
         self.sample.gradient.dot(edge - self.normal * self.normal.dot(edge))
     }
@@ -102,25 +104,26 @@ impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
         let (point, normal) = halfway(a.point, a.normal, b.point, b.normal);
         let corner = Corner { point, normal, sample: (self.sample)(point, normal) };
         let k = self.accuracy.wavenumber_per_m;
-        let bend = k * (corner.sample.length_m - 0.5 * (a.sample.length_m + b.sample.length_m));
-        // The difference between the ends alone would not do: an edge that begins at the stationary point and leads far
-        // away has a large one, and most of its contribution comes from its beginning.
+        let deviation = k * (corner.sample.length_m - 0.5 * (a.sample.length_m + b.sample.length_m));
+        // The difference between the ends does not suffice. It is large for an edge that leads from the stationary
+        // point far away, but most of that edge's contribution comes from its beginning.
         let edge = b.point - a.point;
         let slopes_m = [a.slope_m(edge), b.slope_m(edge), b.sample.length_m - a.sample.length_m];
         let has_one_sign = slopes_m.iter().all(|slope| *slope > 0.0) || slopes_m.iter().all(|slope| *slope < 0.0);
         let least_m = slopes_m.into_iter().fold(f64::INFINITY, |least, slope| least.min(slope.abs()));
         let least_slope = if has_one_sign { k * least_m } else { 0.0 };
-        let weighed = bend.abs() / (1.0 + (least_slope / STATIONARY_RAD).powi(2));
-        let bent = weighed > self.accuracy.tolerance_rad.max(ROUNDING * k * corner.sample.length_m.abs());
+        let weighted = deviation.abs() / (1.0 + (least_slope / STATIONARY_RAD).powi(2));
+        let is_curved = weighted > self.accuracy.tolerance_rad.max(ROUNDING * k * corner.sample.length_m.abs());
         // At the shadow boundary, facets are no larger than a wavelength.
-        let edge_of_light = a.sample.lit != b.sample.lit && k * a.point.distance(b.point) > std::f64::consts::TAU;
-        let cut = depth < MAX_DEPTH && (bent || edge_of_light);
-        if !cut {
-            self.sum.bend_rad = self.sum.bend_rad.max(weighed);
+        let is_half_lit = a.sample.lit != b.sample.lit && k * a.point.distance(b.point) > std::f64::consts::TAU;
+        let is_cut = depth < MAX_DEPTH && (is_curved || is_half_lit);
+        if !is_cut {
+            self.sum.deviation_rad = self.sum.deviation_rad.max(weighted);
         }
-        (corner, cut)
+        (corner, is_cut)
     }
 
+    /// Integrates a facet, or the parts into which it is cut.
     fn facet(&mut self, [a, b, c]: [&Corner; 3], depth: u32) {
         if !(a.sample.lit || b.sample.lit || c.sample.lit) {
             return;
@@ -137,14 +140,14 @@ impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
         }
     }
 
-    /// Integrates a facet that is not cut further as the four triangles of its middles, whose samples are already
-    /// known.
+    /// Integrates a facet that is not cut further, as four triangles between its corners and the middles of its edges.
+    /// All samples are already known.
     fn leaf(&mut self, [a, b, c]: [&Corner; 3], [ab, bc, ca]: [&Corner; 3]) {
-        let ends = a.sample.length_m + b.sample.length_m + c.sample.length_m;
-        let between = ab.sample.length_m + bc.sample.length_m + ca.sample.length_m;
+        let at_corners = a.sample.length_m + b.sample.length_m + c.sample.length_m;
+        let at_middles = ab.sample.length_m + bc.sample.length_m + ca.sample.length_m;
         // The residual of the path over the linear one in each quarter has a mean of a twelfth of the deviation in the
         // middles.
-        let residual = (between - ends) / 12.0;
+        let residual = (at_middles - at_corners) / 12.0;
         for [p, q, r] in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
             self.sum.facets += 1;
             let k = self.accuracy.wavenumber_per_m;

@@ -3,13 +3,14 @@
 //!
 //! The facets, the possible sequences, and the fields after reflections are computed as in scenes ([`crate::paths`]).
 //! The part of the last facet that a sequence illuminates is a polygon: the facet clipped by the (mirrored) facets
-//! before it as seen from the last image. Every current counts each field of geometrical optics once: the sequences 1-2
-//! and 2-1 of a dihedral are two integrals, and fields scattered by physical optics are not reflected again.
+//! before it, as seen from the last image. Currents are excited by each field of geometrical optics once. The sequences
+//! 1-2 and 2-1 of a dihedral are two integrals, and fields scattered by physical optics are not reflected again.
 //!
-//! Currents radiate to both sides of a facet. Behind it they extinguish the wave that the facet intercepts, so a facet
-//! hides what lies behind it from the receiver. From the transmitter, facets hide each other only by facing away, and
-//! behind an aperture if one is given: the method suits corners and cavities, and not rooms with furniture. Every
-//! sequence is tried: the rays that find sequences in scenes are traced in single precision, from antennas that are near.
+//! Currents radiate to both sides of a facet. Behind it they extinguish the wave that the facet intercepts, so that the
+//! facet hides objects behind it from the receiver. It does not hide other facets from the transmitter. Only facets
+//! that face away, or lie outside the view through the aperture if there is one, are not illuminated. The method
+//! therefore suits corners and cavities, and not rooms with furniture. Every sequence is tried, because the rays that
+//! find sequences in scenes are traced in single precision, from near antennas.
 
 use glam::{DMat3, DVec3};
 
@@ -43,16 +44,16 @@ pub struct Sequence {
     source: Endpoint,
     /// Mirror matrix of the transmitter's vectors.
     mirror: DMat3,
-    /// Length that path lengths to a far source omit, m.
-    longer_m: f64,
+    /// Length that is missing in path lengths to a far source, m.
+    missing_m: f64,
     /// The lit part of the last facet.
     lit: Surface,
 }
 
 impl Images {
     /// Makes facets from convex polygons of a material, counter-clockwise seen from the reflecting side, and every
-    /// illuminated sequence of at most `max_bounces` facets. If there is an `aperture`, a convex polygon, the wave reaches
-    /// facets only through it.
+    /// illuminated sequence of at most `max_bounces` facets. If there is an `aperture`, a convex polygon, the wave
+    /// reaches facets only through it.
     ///
     /// # Errors
     /// If a face is not a plane polygon, or the environment of scenes refuses the faces.
@@ -90,13 +91,13 @@ impl Images {
     pub fn integrate(&self, sequence: &Sequence, accuracy: Accuracy) -> Integral {
         let before = sequence.facets.split_last().map(|(_, before)| before).unwrap_or_default();
         integrate(&sequence.lit, accuracy, |point, normal| {
-            let there = sequence.source.leg(point);
-            let there = Leg { length_m: there.length_m + sequence.longer_m, ..there };
+            let outward = sequence.source.leg(point);
+            let outward = Leg { length_m: outward.length_m + sequence.missing_m, ..outward };
             let reflected = |direction| {
                 let launched = transverse(sequence.mirror * self.radar.polarisation, direction);
                 self.environment.reflected(before, &[], direction, Phasor3::real(launched))
             };
-            self.radar.scattered(point, normal, there, reflected, &self.boundary, accuracy.wavenumber_per_m)
+            self.radar.scattered(point, normal, outward, reflected, &self.boundary, accuracy.wavenumber_per_m)
         })
     }
 }
@@ -110,7 +111,7 @@ impl Sequence {
         facets: Vec<FacetId>,
     ) -> Option<Self> {
         let (last, before) = facets.split_last()?;
-        let (mut source, mut mirror, mut longer_m) = (end, DMat3::IDENTITY, 0.0);
+        let (mut source, mut mirror, mut missing_m) = (end, DMat3::IDENTITY, 0.0);
         // Aperture and facets that the wave has passed, in the same mirrored space.
         let mut windows: Vec<Vec<DVec3>> = aperture.into_iter().collect();
         for &facet in before {
@@ -120,20 +121,20 @@ impl Sequence {
             windows.iter_mut().flatten().for_each(|corner| *corner = image(*corner));
             windows.push(corners.clone());
             if let Endpoint::Far(towards) = source {
-                longer_m -= 2.0 * normal.dot(towards) * normal.dot(on_plane);
+                missing_m -= 2.0 * normal.dot(towards) * normal.dot(on_plane);
             }
             source = source.mirrored(on_plane, normal);
-            let of_axis = |axis: DVec3| axis - normal * (2.0 * normal.dot(axis));
-            mirror = DMat3::from_cols(of_axis(DVec3::X), of_axis(DVec3::Y), of_axis(DVec3::Z)) * mirror;
+            let mirrored = |axis: DVec3| axis - normal * (2.0 * normal.dot(axis));
+            mirror = DMat3::from_cols(mirrored(DVec3::X), mirrored(DVec3::Y), mirrored(DVec3::Z)) * mirror;
         }
         let corners = environment.facet(*last)?.corners.clone();
         let lit = windows.iter().fold(corners, |lit, window| through_window(lit, window, &source));
         let lit = fan(&lit, environment.normal(*last)?);
-        (!lit.triangles.is_empty()).then_some(Sequence { source, mirror, longer_m, lit, facets })
+        (!lit.triangles.is_empty()).then_some(Sequence { source, mirror, missing_m, lit, facets })
     }
 }
 
-/// A convex polygon as triangles.
+/// Surface of a convex polygon, as a fan of triangles.
 fn fan(corners: &[DVec3], normal: DVec3) -> Surface {
     Surface {
         vertices: corners.to_vec(),
@@ -143,18 +144,18 @@ fn fan(corners: &[DVec3], normal: DVec3) -> Surface {
     }
 }
 
-/// Clips a convex polygon to the part behind a convex window that an endpoint sees through it.
+/// Clips a convex polygon to the part that an endpoint sees through a convex window.
 fn through_window(polygon: Vec<DVec3>, window: &[DVec3], endpoint: &Endpoint) -> Vec<DVec3> {
     let normal = polygon::normal(window);
     let middle = polygon::centroid(window);
     let away = if endpoint.side(middle, normal) > 0.0 { -normal } else { normal };
-    let mut left = polygon::clipped(&polygon, middle, away);
+    let mut visible = polygon::clipped(&polygon, middle, away);
     for [a, b] in polygon::sides(window) {
         let side = (b - a).cross(endpoint.leg(a).towards);
         let inwards = if side.dot(middle - a) < 0.0 { -side } else { side };
-        left = polygon::clipped(&left, a, inwards);
+        visible = polygon::clipped(&visible, a, inwards);
     }
-    left
+    visible
 }
 
 /// The two square faces of a dihedral whose edge is on the z axis, opening towards +x and +y.
@@ -250,7 +251,7 @@ mod hard_cases {
 
     /// For a radar infinitely far, the sum over all orders does not depend on the corner's position.
     #[test]
-    fn a_corner_s_place_does_not_matter_from_afar() {
+    fn a_corner_s_position_does_not_matter_for_a_far_radar() {
         let towards = DVec3::new(0.6, 0.7, 0.4).normalize();
         let sum = |shift: DVec3| -> Complex64 {
             let mut faces = trihedral(0.1, true);
@@ -258,8 +259,8 @@ mod hard_cases {
             let found = images(faces, Endpoint::Far(towards), 3);
             found.sequences().iter().map(|sequence| found.integrate(sequence, ACCURACY).value).sum()
         };
-        let (here, there) = (sum(DVec3::ZERO), sum(DVec3::new(0.31, -0.27, 0.53)));
-        assert!((here.norm() / there.norm() - 1.0).abs() < 1e-9, "{here} {there}");
+        let (original, shifted) = (sum(DVec3::ZERO), sum(DVec3::new(0.31, -0.27, 0.53)));
+        assert!((original.norm() / shifted.norm() - 1.0).abs() < 1e-9, "{original} {shifted}");
     }
 
     /// Rays as launched in scenes find every sequence by which a corner a metre away illuminates more than a twentieth
@@ -279,10 +280,10 @@ mod hard_cases {
         }
     }
 
-    /// A window in front of a near endpoint halves a polygon at twice its distance; for a far endpoint the size is
-    /// unchanged.
+    /// The visible part is twice as wide as the window at twice its distance from a near endpoint, and as wide as the
+    /// window for a far endpoint.
     #[test]
-    fn windows_throw_shadows_of_the_right_size() {
+    fn windows_clip_to_the_right_size() {
         let square = [DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::Y];
         let window = [0.4, 0.6, 0.6, 0.4].iter().zip([0.4, 0.4, 0.6, 0.6]).map(|(x, y)| DVec3::new(*x, y, 1.0));
         let window: Vec<DVec3> = window.collect();

@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 
 use num_complex::Complex64;
 
-/// Monostatic cross-section, m^2, of a sphere in a plane wave; `permittivity` is `eps' - j eps''`, `None` a perfect
-/// conductor.
+/// Monostatic cross-section, m^2, of a sphere in a plane wave. `permittivity` is `eps' - j eps''`, or `None` for a
+/// perfect conductor.
 ///
 /// `sigma = lambda^2/(4 pi) |sum (-1)^n (2n + 1)(a_n - b_n)|^2` with the coefficients of Bohren and Huffman,
 /// "Absorption and Scattering of Light by Small Particles", section 4.8, in their `e^{-iwt}`. The spherical Bessel

@@ -8,9 +8,9 @@
 //! A [`Target`] in a [`Setup`] becomes a [`Problem`] for one [`Method`] (meshes are made, normals found), which is then
 //! solved to a tolerance. Far from the target the cross-section is the textbook's. Near it, the cross-section is the
 //! one that a radar at that range would report: `4 pi (k/2 pi)^2 |I|^2 R^4`. The range is measured to the target's
-//! reference point: the middle of a plate or of an aperture, the corner of a dihedral or trihedral, the pole of a mirror,
-//! and the surface under the radar of a round body. The radar transmits and receives with one antenna of unit field in
-//! every direction.
+//! reference point: the middle of a plate or of an aperture, the corner of a dihedral or trihedral, the pole of a
+//! mirror, and the surface under the radar of a round body. The radar transmits and receives with one antenna of unit
+//! field in every direction.
 
 pub mod cavity;
 pub mod closed_form;
@@ -33,7 +33,7 @@ use thiserror::Error;
 use crate::em::image::Wall;
 use crate::geometry::Surface;
 use crate::paths::EnvironmentError;
-pub use closed_form::{Known, known};
+pub use closed_form::{ReferenceValue, reference_value};
 use endpoint::Endpoint;
 pub use problem::{Outcome, Problem};
 use radar::Radar;

@@ -28,10 +28,11 @@ const STRAIGHT_RAD: f64 = 1e-9;
 const MOST_BOUNCES: usize = 3;
 /// Distance that represents infinity, in sizes of a round body.
 const FAR: f64 = 1e7;
-/// Sines of the angles from the specular point up to which a skin counts fully and beyond which it would not count. A
-/// single body must be more accurate than people ([`IntegrationSettings::for_tolerance`]), so its window is wider.
-/// Where the radius of curvature is a few wavelengths, the first Fresnel zone ends at such angles: with no contribution
-/// from 0.97 on, the end of a limb is 0.26 dB too weak.
+/// Sines of the angles from the specular point up to which a skin counts fully and beyond which it would not count.
+///
+/// A single body must be more accurate than people ([`IntegrationSettings::for_tolerance`]), so that its window is
+/// wider. Where the radius of curvature is a few wavelengths, the first Fresnel zone ends at such angles. Without
+/// contributions from 0.97 on, the end of a limb is 0.26 dB too weak.
 const WINDOW: [f64; 2] = [0.5, 1.2];
 /// Factor on the ease of its quadrature rules, which makes them more exact.
 const EASE: f32 = 0.5;
@@ -39,8 +40,8 @@ const EASE: f32 = 0.5;
 const CONDUCTOR: Complex64 = Complex64::new(1.0, -1e12);
 /// Largest number of times that facets are halved to meet a tolerance.
 const ROUNDS: usize = 7;
-/// Number of facets, a second's work, from which on an integral that has an error estimate is not repeated with finer
-/// ones.
+/// Number of facets from which on an integral that has an error estimate is not repeated with finer ones. They take
+/// about a second.
 const MANY_FACETS: usize = 10_000_000;
 
 /// Target prepared for one method.
@@ -60,6 +61,7 @@ struct Skin {
     permittivity: Complex64,
 }
 
+/// Shape of a target, as its method needs it.
 #[derive(Debug, Clone)]
 enum Shape {
     Faces(Box<Images>),
@@ -79,6 +81,7 @@ pub struct Outcome {
     pub facets: usize,
 }
 
+/// Checks that a quantity is within limits.
 fn check(what: &'static str, value: f64, unit: &'static str, low: f64, high: f64) -> Result<(), RcsError> {
     if value >= low && value <= high { Ok(()) } else { Err(RcsError::OutOfRange { what, value, unit, low, high }) }
 }
@@ -151,7 +154,7 @@ impl Problem {
                 for integral in images.sequences().iter().map(|sequence| images.integrate(sequence, accuracy)) {
                     all.value += integral.value;
                     all.facets += integral.facets;
-                    all.bend_rad = all.bend_rad.max(integral.bend_rad);
+                    all.deviation_rad = all.deviation_rad.max(integral.deviation_rad);
                 }
                 all
             }),
@@ -163,14 +166,15 @@ impl Problem {
         })
     }
 
+    /// Integrates over the facets of a surface.
     fn facets(&self, surface: &Surface, accuracy: Accuracy) -> Integral {
         let k = accuracy.wavenumber_per_m;
         let boundary = self.setup.boundary;
         facet::integrate(surface, accuracy, |p, n| self.radar.sample(p, n, surface.two_sided, &boundary, k))
     }
 
-    /// Takes finer integrals until the result changes by no more than the tolerance, or until there is no finer one. The
-    /// last change is the error estimate.
+    /// Computes finer integrals until the result changes by no more than the tolerance, or until there is no finer one.
+    /// The last change is the error estimate.
     fn converged(
         &self,
         tolerance_db: f64,
@@ -184,7 +188,7 @@ impl Problem {
             facets += fine.facets;
             estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
             coarse = fine;
-            // The estimate is NaN if everything is in shadow; finer facets do not change that.
+            // The estimate is NaN if the whole surface is in shadow; finer facets do not change that.
             if estimate_db <= tolerance_db || estimate_db.is_nan() {
                 break;
             }
@@ -201,12 +205,12 @@ impl Problem {
         let mut is_first = true;
         self.converged(tolerance_db, at(4.0 * tolerance_rad), |coarse| {
             // Without phase deviation there is nothing to cut: flat faces seen from far are exact.
-            if coarse.bend_rad < STRAIGHT_RAD || !is_first && coarse.facets > MANY_FACETS {
+            if coarse.deviation_rad < STRAIGHT_RAD || !is_first && coarse.facets > MANY_FACETS {
                 return None;
             }
             is_first = false;
             // The new tolerance is finer than the previous deviation; otherwise nothing would change.
-            tolerance_rad = tolerance_rad.min(0.25 * coarse.bend_rad);
+            tolerance_rad = tolerance_rad.min(0.25 * coarse.deviation_rad);
             Some(at(tolerance_rad))
         })
     }
@@ -219,7 +223,7 @@ impl Problem {
             dense::integrate(surface, k, patch_m, |p, n| self.radar.sample(p, n, surface.two_sided, &boundary, k))
         };
         let mut patch_m = 0.5 * self.setup.wavelength_m();
-        // Finer patches than these would be the same ones: their sum would say nothing about the error.
+        // A finer request would give the same patches, and their sum no information about the error.
         let finest_m = dense::finest_patch_m(surface);
         let outcome = self.converged(tolerance_db, at(patch_m), |_| {
             patch_m *= 0.5;
@@ -246,20 +250,20 @@ impl Problem {
         let integrator = Integrator::default();
         let [coarse, fine] = skin.levels.each_ref();
         let mut facets = coarse.triangles() + fine.triangles();
-        let (mut before, mut value) = (coarse.integral(&integrator, &view), fine.integral(&integrator, &view));
+        let (mut previous, mut value) = (coarse.integral(&integrator, &view), fine.integral(&integrator, &view));
         let change_db = |a: Complex64, b: Complex64| (20.0 * (a.norm() / b.norm()).log10()).abs();
         let mut surface: Option<Surface> = None;
-        while change_db(before, value) > tolerance_db {
+        while change_db(previous, value) > tolerance_db {
             let finer = surface.as_ref().map_or_else(|| skin.surface.halved().halved(), Surface::halved);
             if finer.triangles.len() as f64 > MOST_OF_SKIN {
                 break;
             }
             let still = StillSkin::new(&finer);
             facets += still.triangles();
-            (before, value) = (value, still.integral(&integrator, &view));
+            (previous, value) = (value, still.integral(&integrator, &view));
             surface = Some(finer);
         }
-        let estimate_db = Some(change_db(before, value)).filter(|change| change.is_finite());
+        let estimate_db = Some(change_db(previous, value)).filter(|change| change.is_finite());
         Outcome { sigma_m2: setup.cross_section_m2(value), estimate_db, facets }
     }
 
@@ -277,13 +281,13 @@ impl Problem {
     /// Stationary phase on the exact shape.
     fn specular_point(&self, body: &Ellipsoid) -> Outcome {
         let (setup, antenna) = self.near(body.semi_axes_m.max_element());
-        let Some(h) = body.specular_point(antenna, antenna, None) else {
+        let Some(specular) = body.specular_point(antenna, antenna, None) else {
             return Outcome { sigma_m2: 0.0, estimate_db: None, facets: 0 };
         };
         let k = setup.wavenumber_per_m();
         let radar = Radar { end: Endpoint::Near(antenna), ..self.radar };
-        let sample = radar.sample(h.point, h.normal, false, &setup.boundary, k);
-        let value = sample.amplitude * Complex64::from(PI / k / h.det_j.sqrt());
+        let sample = radar.sample(specular.point, specular.normal, false, &setup.boundary, k);
+        let value = sample.amplitude * Complex64::from(PI / k / specular.det_j.sqrt());
         Outcome { sigma_m2: setup.cross_section_m2(value), estimate_db: None, facets: 1 }
     }
 }
@@ -304,6 +308,7 @@ impl Skin {
     }
 }
 
+/// Ellipsoid about the origin.
 fn body(semi_axes_m: DVec3) -> Ellipsoid {
     Ellipsoid { centre: DVec3::ZERO, axes: DMat3::IDENTITY, semi_axes_m }
 }
@@ -330,7 +335,7 @@ fn faces(target: &Target) -> Vec<Vec<DVec3>> {
     }
 }
 
-/// Number of bounces by which a wave that enters a cavity comes out again.
+/// Largest number of bounces of a wave in a cavity, from the aperture and back.
 ///
 /// # Errors
 /// If they are more than sequences have facets, or the radar does not look into the aperture.
@@ -392,11 +397,13 @@ fn check_sizes(target: &Target) -> Result<f64, RcsError> {
     Ok(reach_m)
 }
 
+/// Mesh of a target with edges of this length, or as coarse as its shape allows.
 fn mesh(target: &Target, edge_m: Option<f64>) -> Result<Surface, RcsError> {
     if let Some(edge_m) = edge_m {
         check("the edge of the mesh", edge_m, "m", 1e-5, 10.0)?;
     }
-    let fine_enough = |area_m2: f64, default_m: f64| {
+    // Edge length for a surface of an area, if it does not make too many triangles.
+    let edge_for = |area_m2: f64, default_m: f64| {
         let edge_m = edge_m.unwrap_or(default_m);
         let triangles = area_m2 / (0.433 * edge_m * edge_m);
         if triangles > MOST_TRIANGLES {
@@ -406,23 +413,23 @@ fn mesh(target: &Target, edge_m: Option<f64>) -> Result<Surface, RcsError> {
     };
     Ok(match *target {
         Target::Plate { width_m, height_m } => {
-            shape::plate(width_m, height_m, fine_enough(width_m * height_m, width_m.max(height_m))?)
+            shape::plate(width_m, height_m, edge_for(width_m * height_m, width_m.max(height_m))?)
         }
         Target::Sphere { radius_m } => {
-            shape::ellipsoid(DVec3::splat(radius_m), fine_enough(4.0 * PI * radius_m * radius_m, 0.1 * radius_m)?)
+            shape::ellipsoid(DVec3::splat(radius_m), edge_for(4.0 * PI * radius_m * radius_m, 0.1 * radius_m)?)
         }
         Target::Ellipsoid { semi_axes_m } => {
             let [low, high] = [semi_axes_m.min_element(), semi_axes_m.max_element()];
-            shape::ellipsoid(semi_axes_m, fine_enough(4.0 * PI * high * high, 0.1 * low)?)
+            shape::ellipsoid(semi_axes_m, edge_for(4.0 * PI * high * high, 0.1 * low)?)
         }
         Target::Cylinder { radius_m, height_m } => {
-            shape::cylinder(radius_m, height_m, fine_enough(2.0 * PI * radius_m * height_m, 0.1 * radius_m)?)
+            shape::cylinder(radius_m, height_m, edge_for(2.0 * PI * radius_m * height_m, 0.1 * radius_m)?)
         }
         Target::Mirror { radius_m, aperture_m } => {
             // The area of a cap.
             let half_m = 0.5 * aperture_m;
             let area_m2 = 2.0 * PI * radius_m * (radius_m - (radius_m * radius_m - half_m * half_m).max(0.0).sqrt());
-            let edge_m = fine_enough(area_m2, (0.1 * radius_m).min(aperture_m / 80.0))?;
+            let edge_m = edge_for(area_m2, (0.1 * radius_m).min(aperture_m / 80.0))?;
             shape::mirror(radius_m, half_m, edge_m)
         }
         Target::Surface { ref surface } => surface.clone(),

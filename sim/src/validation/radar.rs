@@ -34,41 +34,42 @@ impl Radar {
         boundary: &Wall,
         wavenumber_per_m: f64,
     ) -> Sample {
-        let there = self.end.leg(point);
-        let cosine = normal.dot(there.towards);
+        let outward = self.end.leg(point);
+        let cosine = normal.dot(outward.towards);
         if *boundary == Wall::Conductor {
             // Simplified form of the vector expression for a conductor and one antenna.
             let cosine = if two_sided { cosine.abs() } else { cosine };
-            let amplitude = Complex64::from(cosine.max(0.0) * there.spreading * there.spreading);
-            let (length_m, gradient) = (2.0 * there.length_m, -2.0 * there.towards);
+            let amplitude = Complex64::from(cosine.max(0.0) * outward.spreading * outward.spreading);
+            let (length_m, gradient) = (2.0 * outward.length_m, -2.0 * outward.towards);
             return Sample { length_m, gradient, amplitude, lit: cosine > 0.0 };
         }
         let normal = if two_sided && cosine < 0.0 { -normal } else { normal };
         let launched = |direction| Phasor3::real(transverse(self.polarisation, direction));
-        self.scattered(point, normal, there, launched, boundary, wavenumber_per_m)
+        self.scattered(point, normal, outward, launched, boundary, wavenumber_per_m)
     }
 
-    /// Integrand at a surface point that the radar or its image reaches by a leg. `arriving` is the field that
-    /// arrives there in a direction. Currents also radiate behind the surface, where they extinguish the wave.
+    /// Integrand at a surface point to which the wave of the radar, or of its image, travels by the leg `outward`.
+    /// `arriving` is the field that arrives there in a direction. Currents also radiate behind the surface, where they
+    /// extinguish the wave.
     pub fn scattered(
         &self,
         point: DVec3,
         normal: DVec3,
-        there: Leg,
+        outward: Leg,
         arriving: impl FnOnce(DVec3) -> Phasor3,
         boundary: &Wall,
         wavenumber_per_m: f64,
     ) -> Sample {
         let back = self.end.leg(point);
-        let (length_m, gradient) = (there.length_m + back.length_m, -(there.towards + back.towards));
-        let lit = normal.dot(there.towards) > 0.0;
+        let (length_m, gradient) = (outward.length_m + back.length_m, -(outward.towards + back.towards));
+        let lit = normal.dot(outward.towards) > 0.0;
         if !lit {
             return Sample { length_m, gradient, amplitude: Complex64::ZERO, lit };
         }
-        let direction = -there.towards;
+        let direction = -outward.towards;
         let arrival = Arrival { field: arriving(direction), direction };
         let polarisation = Phasor3::real(transverse(self.polarisation, back.towards));
         let amplitude = received(&arrival, normal, boundary, wavenumber_per_m, back.towards, polarisation);
-        Sample { length_m, gradient, amplitude: amplitude * (there.spreading * back.spreading), lit }
+        Sample { length_m, gradient, amplitude: amplitude * (outward.spreading * back.spreading), lit }
     }
 }

@@ -349,7 +349,7 @@ fn ways_along_edges_and_in_planes_are_numbers() {
     facets.push(Facet::new(corners.to_vec(), Wall::Conductor));
     facets.push(Facet::new(corners.into_iter().rev().collect(), Wall::Conductor));
     let environment = Arc::new(Environment::new(facets, WAVENUMBER).expect("facets"));
-    assert_eq!(environment.soft_edges().len(), 1);
+    assert_eq!(environment.diffracting_edges().len(), 1);
     let straight = |from: DVec3, to: DVec3, polarisation: DVec3| {
         let paths = ImagePaths::with_sequences(Arc::clone(&environment), from, Vec::<Vec<u32>>::new());
         let element = isotropic(from, polarisation);

@@ -8,7 +8,7 @@ use radome_sim::em::image::Wall;
 use radome_sim::geometry::import::{LengthUnit, UpAxis, import};
 use radome_sim::geometry::{Mesh, Surface, weld};
 use radome_sim::material::{Material, SKIN_PERMITTIVITY};
-use radome_sim::validation::{Method, Outline, Polarisation, Problem, RcsError, Setup, Target, known};
+use radome_sim::validation::{Method, Outline, Polarisation, Problem, RcsError, Setup, Target, reference_value};
 use serde::Serialize;
 
 use super::point::least_ms;
@@ -159,7 +159,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Ok(())
     })?;
     let Some(outcome) = outcome else { bail!("nothing was solved") };
-    let known = known(&target, &setup);
+    let known = reference_value(&target, &setup);
     let decibels = |sigma: f64| Some(10.0 * sigma.log10()).filter(|db| db.is_finite());
     let value_dbsm = decibels(outcome.sigma_m2);
     let analytic_dbsm = known.and_then(|k| decibels(k.sigma_m2));

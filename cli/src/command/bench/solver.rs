@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use glam::DVec3;
 use radome_sim::em::image::Wall;
-use radome_sim::validation::{Method, Outline, Polarisation, Problem, Setup, Target, known};
+use radome_sim::validation::{Method, Outline, Polarisation, Problem, Setup, Target, reference_value};
 use serde::Serialize;
 
 use super::point::least_ms;
@@ -121,7 +121,7 @@ fn row(
         outcome = problem.solve(tolerance_db)?;
         Ok(())
     })?;
-    let exact = known(target, setup).map_or(f64::NAN, |k| k.sigma_m2);
+    let exact = reference_value(target, setup).map_or(f64::NAN, |k| k.sigma_m2);
     Ok(Row {
         target: name,
         method: method.name(),

@@ -23,11 +23,12 @@ const MOST_NUMBERS: usize = 1 << 25;
 /// Length of a GLB file's header, which is included in the length that it states.
 const GLB_HEADER_BYTES: u32 = 12;
 
+/// A parsed file and its buffers.
 pub(crate) struct GltfFile {
     pub document: gltf::Document,
     buffers: Vec<Vec<u8>>,
-    /// Count of numbers read so far.
-    numbers: Cell<usize>,
+    /// Number of values read from accessors so far.
+    values_read: Cell<usize>,
 }
 
 /// Numbers of an accessor, in rows of `width` numbers.
@@ -87,7 +88,7 @@ impl GltfFile {
             }
             buffers.push(bytes);
         }
-        Ok(GltfFile { document, buffers, numbers: Cell::new(0) })
+        Ok(GltfFile { document, buffers, values_read: Cell::new(0) })
     }
 
     /// Numbers of an accessor; normalised integers are converted to fractions.
@@ -104,19 +105,20 @@ impl GltfFile {
         let bytes = self.buffers.get(view.buffer().index()).map(Vec::as_slice).unwrap_or_default();
         let stride = view.stride().unwrap_or(width * size).max(1);
         let first = view.offset().saturating_add(accessor.offset());
-        let reach = accessor.count().saturating_sub(1).saturating_mul(stride).saturating_add(width * size);
-        let end = (view.offset().saturating_add(view.length())).min(bytes.len());
-        if accessor.count() > 0 && first.saturating_add(reach) > end {
-            let problem = format!("it reaches to byte {}, but its view ends at {end}", first.saturating_add(reach));
+        let length = accessor.count().saturating_sub(1).saturating_mul(stride).saturating_add(width * size);
+        let view_end = (view.offset().saturating_add(view.length())).min(bytes.len());
+        if accessor.count() > 0 && first.saturating_add(length) > view_end {
+            let problem =
+                format!("it reaches to byte {}, but its view ends at {view_end}", first.saturating_add(length));
             return Err(Damage::new(place, problem));
         }
-        let read = self.numbers.get().saturating_add(accessor.count().saturating_mul(width));
-        if read > MOST_NUMBERS {
+        let values_read = self.values_read.get().saturating_add(accessor.count().saturating_mul(width));
+        if values_read > MOST_NUMBERS {
             let problem =
                 format!("the file's accessors have more than {MOST_NUMBERS} numbers together: reduce the mesh");
             return Err(Damage::new(place, problem));
         }
-        self.numbers.set(read);
+        self.values_read.set(values_read);
         let mut numbers = Vec::with_capacity(accessor.count() * width);
         for row in 0..accessor.count() {
             for column in 0..width {
@@ -134,10 +136,10 @@ impl GltfFile {
     /// [`Damage`] if the nodes are not a tree.
     pub fn tree(&self) -> Result<Vec<(usize, Option<usize>)>, Damage> {
         let count = self.document.nodes().count();
-        let mut parent: Vec<Option<usize>> = vec![None; count];
+        let mut parents: Vec<Option<usize>> = vec![None; count];
         for node in self.document.nodes() {
             for child in node.children() {
-                let slot = parent.get_mut(child.index());
+                let slot = parents.get_mut(child.index());
                 if let Some(slot @ None) = slot {
                     *slot = Some(node.index());
                 } else {
@@ -146,12 +148,12 @@ impl GltfFile {
             }
         }
         let mut order: Vec<(usize, Option<usize>)> =
-            (0..count).filter(|&n| parent[n].is_none()).map(|n| (n, None)).collect();
-        let mut reached = 0;
-        while let Some(&(at, _)) = order.get(reached) {
-            reached += 1;
-            let node = self.document.nodes().nth(at);
-            order.extend(node.iter().flat_map(|node| node.children()).map(|child| (child.index(), Some(at))));
+            (0..count).filter(|&n| parents[n].is_none()).map(|n| (n, None)).collect();
+        let mut visited = 0;
+        while let Some(&(index, _)) = order.get(visited) {
+            visited += 1;
+            let node = self.document.nodes().nth(index);
+            order.extend(node.iter().flat_map(|node| node.children()).map(|child| (child.index(), Some(index))));
         }
         if order.len() < count {
             return Err(Damage::new("nodes", "some are their own ancestors, expected a tree"));
@@ -192,7 +194,7 @@ impl GltfFile {
     }
 }
 
-/// Document of a `.gltf` or `.glb`, validated against the format, and the binary part of a `.glb`.
+/// Parses and validates the document of a `.gltf` or `.glb`. Also returns the binary part of a `.glb`.
 fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), Damage> {
     let (text, blob) = if bytes.starts_with(b"glTF") {
         let stated = bytes.get(8..12).and_then(|length| length.try_into().ok()).map_or(0, u32::from_le_bytes);
@@ -233,9 +235,9 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), Damage> {
     root.validate(&root, gltf::json::Path::new, &mut report);
     // The library checks everything except the targets of animation channels, and panics if these are invalid.
     for (index, animation) in root.animations.iter().enumerate() {
-        for (channel, of) in animation.channels.iter().enumerate() {
-            let path = || gltf::json::Path::new().field("animations").index(index).field("channels").index(channel);
-            of.target.validate(&root, || path().field("target"), &mut report);
+        for (number, channel) in animation.channels.iter().enumerate() {
+            let path = || gltf::json::Path::new().field("animations").index(index).field("channels").index(number);
+            channel.target.validate(&root, || path().field("target"), &mut report);
         }
     }
     match invalid {
@@ -244,9 +246,10 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), Damage> {
     }
 }
 
+/// Decodes a little-endian number of an accessor; a normalised integer is converted to a fraction.
 fn number(bytes: &[u8], kind: DataType, normalised: bool) -> f64 {
     let le = |n: usize| bytes.iter().take(n).rev().fold(0u32, |sum, &b| sum << 8 | u32::from(b));
-    let (value, most) = match kind {
+    let (value, largest) = match kind {
         DataType::I8 => (f64::from(le(1) as u8 as i8), 127.0),
         DataType::U8 => (f64::from(le(1)), 255.0),
         DataType::I16 => (f64::from(le(2) as u16 as i16), 32767.0),
@@ -254,24 +257,24 @@ fn number(bytes: &[u8], kind: DataType, normalised: bool) -> f64 {
         DataType::U32 => (f64::from(le(4)), 1.0),
         DataType::F32 => return f64::from(f32::from_bits(le(4))),
     };
-    if normalised { (value / most).max(-1.0) } else { value }
+    if normalised { (value / largest).max(-1.0) } else { value }
 }
 
 /// Parses the static content of a glTF file: a part for each primitive of each node that has a mesh, placed by its
 /// node. Only nodes of the default scene count, or of the first one; all nodes if the file has no scene.
 pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Vec<Part>, ParseError> {
     let file = GltfFile::parse(bytes, folder)?;
-    let mut world: Vec<DMat4> = vec![DMat4::IDENTITY; file.document.nodes().count()];
+    let mut world_from_node: Vec<DMat4> = vec![DMat4::IDENTITY; file.document.nodes().count()];
     let scene = file.document.default_scene().or_else(|| file.document.scenes().next());
-    let mut is_in_scene = vec![scene.is_none(); world.len()];
+    let mut is_in_scene = vec![scene.is_none(); world_from_node.len()];
     scene.iter().flat_map(|scene| scene.nodes()).for_each(|root| is_in_scene[root.index()] = true);
     let mut parts = Vec::new();
     for (node, parent) in file.tree()? {
         let Some(node) = file.document.nodes().nth(node) else { continue };
         is_in_scene[node.index()] |= parent.is_some_and(|parent| is_in_scene[parent]);
         let local = DMat4::from_cols_array_2d(&node.transform().matrix().map(|c| c.map(f64::from)));
-        let matrix = parent.map_or(DMat4::IDENTITY, |p| world[p]) * local;
-        world[node.index()] = matrix;
+        let matrix = parent.map_or(DMat4::IDENTITY, |p| world_from_node[p]) * local;
+        world_from_node[node.index()] = matrix;
         if !is_in_scene[node.index()] {
             continue;
         }

@@ -74,7 +74,7 @@ impl UpAxis {
     }
 }
 
-/// A part of a file.
+/// Part of a file: an object, or the triangles of one material in it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Part {
     /// Name in the file; empty if there is none.
@@ -85,7 +85,7 @@ pub struct Part {
     pub mesh: Mesh,
 }
 
-/// Content that is wrong.
+/// Damaged place in a file.
 #[derive(Debug, Error, PartialEq)]
 #[error("{place}: {problem}")]
 pub struct Damage {
@@ -119,7 +119,7 @@ impl ParseError {
     /// Remedy for this error.
     pub fn hint(&self) -> &'static str {
         match self {
-            ParseError::Mesh(MeshError::NoPlace { .. }) => "check the unit of the file's numbers",
+            ParseError::Mesh(MeshError::InvalidPosition { .. }) => "check the unit of the file's numbers",
             _ => "export it again as binary STL, OBJ with triangles, or glTF",
         }
     }

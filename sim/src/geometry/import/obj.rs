@@ -26,7 +26,7 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
             format!("the file has {} bytes, expected {LARGEST_BYTES} at most: use binary STL or glTF", bytes.len());
         return Err(Damage::new(format!("byte {LARGEST_BYTES}"), problem).into());
     }
-    let (plain, mut names) = plain(&String::from_utf8_lossy(bytes))?;
+    let (simplified, mut names) = simplified(&String::from_utf8_lossy(bytes))?;
     names.sort();
     names.dedup();
 
@@ -37,7 +37,7 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
         let by_name: HashMap<String, usize> = names.iter().cloned().zip(0..).collect();
         Ok((all, by_name))
     };
-    let loaded = tobj::load_obj_buf(&mut Lines::new(plain.as_bytes(), &count), &options, materials);
+    let loaded = tobj::load_obj_buf(&mut Lines::new(simplified.as_bytes(), &count), &options, materials);
     let (models, _) = loaded.map_err(|error| {
         let problem = match error {
             LoadError::FaceVertexOutOfBounds => {
@@ -72,11 +72,11 @@ pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
 
 /// Triangles of faces, each of which takes its number of corners from `indices`.
 ///
-/// A convex face becomes a fan. Others are divided by ear clipping: a fan would cover what the outline leaves out, such as a
-/// doorway.
+/// A convex face becomes a fan. Others are divided by ear clipping, because a fan would also cover areas outside the
+/// outline, such as a doorway.
 ///
 /// # Errors
-/// A concave face has more than [`MOST_CORNERS`] corners.
+/// If a concave face has more than [`MOST_CORNERS`] corners.
 fn triangles(vertices: &[DVec3], mut indices: &[u32], corner_counts: &[u32]) -> Result<Vec<[u32; 3]>, String> {
     let mut triangles = Vec::with_capacity(indices.len());
     let mut clipped: Vec<u32> = Vec::new();
@@ -100,53 +100,56 @@ fn triangles(vertices: &[DVec3], mut indices: &[u32], corner_counts: &[u32]) -> 
         if face.len() > MOST_CORNERS {
             return Err(format!("a concave face has {} corners, expected {MOST_CORNERS} at most", face.len()));
         }
-        let across = normal.abs().max_position();
-        let flat = outline.iter().map(|corner| [corner[(across + 1) % 3], corner[(across + 2) % 3]]);
+        let axis = normal.abs().max_position();
+        let flat = outline.iter().map(|corner| [corner[(axis + 1) % 3], corner[(axis + 2) % 3]]);
         earcut.earcut(flat, &[], &mut clipped);
         triangles.extend(clipped.as_chunks::<3>().0.iter().map(|&[a, b, c]| {
             let [p, q, r] = [a, b, c].map(|corner| outline[corner as usize]);
-            let is_along = (q - p).cross(r - p).dot(normal) >= 0.0;
-            (if is_along { [a, b, c] } else { [a, c, b] }).map(|corner| face[corner as usize])
+            let has_winding = (q - p).cross(r - p).dot(normal) >= 0.0;
+            (if has_winding { [a, b, c] } else { [a, c, b] }).map(|corner| face[corner as usize])
         }));
     }
     Ok(triangles)
 }
 
-/// Relevant lines of a text, each at its line number plus one, after an inserted line that requests the materials; and
-/// the material names.
-fn plain(text: &str) -> Result<(String, Vec<String>), Damage> {
-    // Only the names of materials are used; the scene defines their properties. A line inserted before the first
-    // requests them.
+/// Reduces a text to the lines that matter. An inserted first line requests the materials, so that each line has its
+/// number plus one. Also returns the names of materials, of which the scene defines the properties.
+///
+/// # Errors
+/// If a face has fewer than three corners.
+fn simplified(text: &str) -> Result<(String, Vec<String>), Damage> {
     let mut names: Vec<String> = Vec::new();
-    let mut plain = String::from("mtllib names\n");
+    let mut simplified = String::from("mtllib names\n");
     for line in text.lines() {
         let mut words = line.split_whitespace();
         match words.next() {
             Some("v") => {
-                let place: Vec<&str> = words.take(4).collect();
-                // A fourth number is a weight, or the first component of a colour.
+                let numbers: Vec<&str> = words.take(4).collect();
+                // A fourth number is a weight if it is the last, and otherwise the first component of a colour.
                 let kept = if line.split_whitespace().count() == 5 { 4 } else { 3 };
-                plain.push_str(&format!("v {}", place.get(..kept.min(place.len())).unwrap_or(&[]).join(" ")));
+                simplified.push_str(&format!("v {}", numbers.get(..kept.min(numbers.len())).unwrap_or(&[]).join(" ")));
             }
             Some("f") => {
                 let corners: Vec<&str> = words.filter_map(|w| w.split('/').next()).collect();
                 if corners.len() < 3 {
-                    let place = format!("line {}", plain.lines().count());
+                    let place = format!("line {}", simplified.lines().count());
                     return Err(Damage::new(place, "a face of fewer than three corners"));
                 }
-                plain.push_str(&format!("f {}", corners.join(" ")));
+                simplified.push_str(&format!("f {}", corners.join(" ")));
             }
             Some("usemtl") => {
                 let name = words.collect::<Vec<_>>().join(" ");
                 if !name.is_empty() {
-                    plain.push_str(&format!("usemtl {name}"));
+                    simplified.push_str(&format!("usemtl {name}"));
                     names.push(name);
                 }
             }
-            Some(word @ ("o" | "g")) => plain.push_str(&format!("{word} {}", words.collect::<Vec<_>>().join(" "))),
+            Some(word @ ("o" | "g")) => {
+                simplified.push_str(&format!("{word} {}", words.collect::<Vec<_>>().join(" ")));
+            }
             _ => {}
         }
-        plain.push('\n');
+        simplified.push('\n');
     }
-    Ok((plain, names))
+    Ok((simplified, names))
 }

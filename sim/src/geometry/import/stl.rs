@@ -20,18 +20,18 @@ const TRIANGLE_BYTES: usize = 50;
 /// # Errors
 /// [`ParseError`] at the first line or byte that is malformed, and for a file without a triangle.
 pub fn parse_stl(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
-    let claimed = bytes
+    let stated_bytes = bytes
         .get(80..HEADER_BYTES)
         .and_then(|c| c.try_into().ok())
         .map(|c: [u8; 4]| HEADER_BYTES + TRIANGLE_BYTES * u32::from_le_bytes(c) as usize);
     let text = bytes.trim_ascii_start();
-    let part = if text.starts_with(b"solid") && claimed != Some(bytes.len()) {
+    let part = if text.starts_with(b"solid") && stated_bytes != Some(bytes.len()) {
         parse_text(bytes)?
     } else {
-        match claimed {
-            Some(claimed) if bytes.len() >= claimed => parse_binary(bytes)?,
-            Some(claimed) => {
-                let problem = format!("the file ends here, but its triangles reach to byte {claimed}");
+        match stated_bytes {
+            Some(stated) if bytes.len() >= stated => parse_binary(bytes)?,
+            Some(stated) => {
+                let problem = format!("the file ends here, but its triangles reach to byte {stated}");
                 return Err(at_byte(bytes.len(), problem).into());
             }
             None => {
@@ -43,6 +43,7 @@ pub fn parse_stl(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
     if part.mesh.triangles.is_empty() { Err(ParseError::Empty) } else { Ok(vec![part]) }
 }
 
+/// Damage at a byte of the file.
 fn at_byte(offset: usize, problem: impl ToString) -> Damage {
     Damage::new(format!("byte {offset}"), problem.to_string())
 }
@@ -54,13 +55,13 @@ fn parse_binary(bytes: &[u8]) -> Result<Part, Damage> {
         *first = b' ';
     }
     let mut triangles = Vec::new();
-    let at = |triangle: usize| HEADER_BYTES + TRIANGLE_BYTES * triangle;
+    let offset = |triangle: usize| HEADER_BYTES + TRIANGLE_BYTES * triangle;
     let mut cursor = Cursor::new(bytes);
     let reader = stl_io::create_stl_reader(&mut cursor).map_err(|e| at_byte(0, e))?;
     for (index, triangle) in reader.enumerate() {
-        let triangle = triangle.map_err(|e| at_byte(at(index), e))?;
+        let triangle = triangle.map_err(|e| at_byte(offset(index), e))?;
         if !triangle.vertices.iter().flat_map(|v| v.0).all(f32::is_finite) {
-            return Err(at_byte(at(index), format!("triangle {index} has a corner that is no place")));
+            return Err(at_byte(offset(index), format!("triangle {index} has a corner that is no place")));
         }
         triangles.push(corners(&triangle));
     }
@@ -70,7 +71,7 @@ fn parse_binary(bytes: &[u8]) -> Result<Part, Damage> {
 fn parse_text(bytes: &[u8]) -> Result<Part, Damage> {
     // The reader requires a name after `solid`, and nothing before it.
     let skipped = bytes.len() - bytes.trim_ascii_start().len();
-    let before = bytes.iter().take(skipped).filter(|&&b| b == b'\n').count();
+    let lines_skipped = bytes.iter().take(skipped).filter(|&&b| b == b'\n').count();
     let first_end = bytes.iter().skip(skipped).position(|&b| b == b'\n').map_or(bytes.len(), |i| skipped + i);
     let first_line = bytes.get(skipped..first_end).unwrap_or(&[]);
     let name = String::from_utf8_lossy(first_line.get(5..).unwrap_or(&[])).trim().to_owned();
@@ -79,7 +80,7 @@ fn parse_text(bytes: &[u8]) -> Result<Part, Damage> {
 
     let count = Cell::new(0);
     let mut lines = Lines::new(&text, &count);
-    let problem = |e: std::io::Error| Damage::new(format!("line {}", before + count.get()), e.to_string());
+    let problem = |e: std::io::Error| Damage::new(format!("line {}", lines_skipped + count.get()), e.to_string());
     let mut triangles = Vec::new();
     for triangle in stl_io::create_stl_reader(&mut lines).map_err(problem)? {
         triangles.push(corners(&triangle.map_err(problem)?));
