@@ -82,7 +82,7 @@ fn check_walk(walker: &WalkingMesh, feet_m_per_s: f64, below_m: f64) {
 }
 
 #[test]
-fn a_person_of_boxes_from_gltf_walks_upright_ahead_and_without_sliding() {
+fn a_gltf_actor_walks_upright_ahead_and_without_sliding() {
     let Steps::Actor(actor) = gltf_actor() else { unreachable!() };
     assert_eq!(actor.open_edges, 0);
     // Legs of 0.9 m that swing by 0.4 rad either way, twice a cycle.
@@ -123,7 +123,7 @@ fn collada_in_centimetres_and_gltf_in_inches_are_the_same_actor() {
 }
 
 #[test]
-fn a_captured_clip_walks_on_the_built_in_body() {
+fn a_captured_clip_moves_the_built_in_body_without_sliding() {
     let Steps::Clip(clip) = bvh_clip() else { unreachable!() };
     let [begin, end] = clip.span_s;
     assert!((end - begin - 1.0).abs() < 0.05, "a cycle of {begin} to {end} s");
@@ -134,7 +134,7 @@ fn a_captured_clip_walks_on_the_built_in_body() {
 }
 
 #[test]
-fn the_cesium_man_and_a_captured_walk_go_down_the_corridor() {
+fn the_cesium_man_and_a_captured_walk_have_echoes_in_the_corridor() {
     let (Some(man), Some(walk)) =
         (shared("data/actors/cesium-man/CesiumMan.glb"), shared("data/actors/cmu-131-walk/131_01.bvh"))
     else {
@@ -177,7 +177,7 @@ fn the_cesium_man_and_a_captured_walk_go_down_the_corridor() {
 }
 
 #[test]
-fn the_cesium_man_stands_on_the_floor_as_he_walks() {
+fn the_cesium_man_walks_on_the_floor_without_sliding() {
     let Some(man) = shared("data/actors/cesium-man/CesiumMan.glb") else { return };
     let actor = parse(&std::fs::read(&man).expect("file"), "CesiumMan.glb").expect("a good file");
     let triangles = actor.skin.rest().triangles.len();
@@ -207,7 +207,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn gltf_actors_that_are_wrong_are_told_how() {
+    fn invalid_gltf_actors_are_refused_with_a_hint() {
         refused(parse(b"glTF nonsense", "a.glb"), &["glTF"]);
         refused(parse(b"", "a.fbx"), &["\"fbx\"", ".glb"]);
         wrong(
@@ -245,7 +245,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn options_that_do_not_fit_an_actor_are_told_what_would() {
+    fn options_that_do_not_fit_an_actor_are_refused_with_a_hint() {
         let bytes = biped::gltf(1000.0).bytes();
         let with = |options: ActorOptions| Actor::parse(&bytes, Path::new("a.gltf"), &options);
         // A file in millimetres is reported, unless a height or the unit is given.
@@ -265,7 +265,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn collada_actors_that_are_wrong_are_told_where() {
+    fn invalid_collada_actors_are_refused_with_their_line() {
         assert!(parse(biped::collada().as_bytes(), "a.dae").is_ok());
         refused(parse(&[0xff, 0xfe], "a.dae"), &["line 1", "UTF-8"]);
         wrong_collada("</geometry>", "", &["line ", "no XML"]);
@@ -290,7 +290,7 @@ mod hard_cases {
 
     /// Keys in any order were sorted away from their values, and a stepped curve beside another one became a ramp.
     #[test]
-    fn collada_curves_that_would_be_changed_are_refused() {
+    fn collada_curves_without_an_exact_representation_are_refused() {
         let times = "<source id=\"hips-in\"><float_array>";
         wrong_collada(times, &times.replace("<float_array>", "<float_array>9"), &["line ", "key times do not ascend"]);
         let kinds = |id: &str, kinds: &str| format!("<source id=\"{id}\"><Name_array>{kinds}</Name_array></source>");
@@ -338,7 +338,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn gltf_buffers_elsewhere_are_not_read() {
+    fn gltf_buffers_outside_the_folder_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let own = folder.path().join("actor");
         std::fs::create_dir(&own).expect("made");
@@ -370,7 +370,7 @@ mod hard_cases {
 
     /// The library that reads the format does not check these references and panics: found by fuzzing.
     #[test]
-    fn gltf_references_to_nothing_are_refused() {
+    fn gltf_references_beyond_the_lists_are_refused() {
         for (name, value) in [("path", serde_json::json!("turn")), ("node", serde_json::json!(99))] {
             let change = |f: &mut biped::Gltf| f.json["animations"][0]["channels"][0]["target"][name] = value.clone();
             wrong(&change, &["glTF", "animations[0].channels[0].target"]);
@@ -424,7 +424,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn files_cut_off_anywhere_never_panic() {
+    fn truncated_files_do_not_panic() {
         let (gltf, collada, bvh) = (biped::gltf(1.0).bytes(), biped::collada().into_bytes(), biped::bvh());
         for end in 0..gltf.len() {
             assert!(parse(&gltf[..end], "a.gltf").is_err(), "{end}");
@@ -458,7 +458,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn bvh_clips_that_are_wrong_are_told_where() {
+    fn invalid_bvh_clips_are_refused_with_their_line() {
         let good = biped::bvh();
         let told = |text: &str, expected: &[&str]| refused(BodyClip::parse(text, UpAxis::Y, None), expected);
         let wrong = |from: &str, to: &str, expected: &[&str]| {
@@ -493,7 +493,7 @@ mod hard_cases {
 
         /// A damaged clip is either refused or complete: every frame has a number for every channel.
         #[test]
-        fn damaged_clips_are_refused_or_whole(
+        fn damaged_bvh_clips_are_refused_or_complete(
             cuts in proptest::collection::vec((0usize..4000, 0u8..128), 1..6),
             end in 0usize..60_000,
         ) {
@@ -517,7 +517,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn damaged_gltf_and_collada_never_panic() {
+    fn damaged_gltf_and_collada_files_do_not_panic() {
         let (gltf, collada) = (biped::gltf(1.0).bytes(), biped::collada().into_bytes());
         let mut rng = generator(7, Purpose::Build, [0, 0]);
         let mut draw = |below: usize| rng.random_range(0..below);

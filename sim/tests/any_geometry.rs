@@ -109,7 +109,7 @@ fn a_box_has_the_same_frames_from_toml_plan_obj_stl_and_gltf() {
 
 /// Meshes that are a box and nothing else use its images, unless the scene requests rays.
 #[test]
-fn a_mesh_that_is_a_box_is_one() {
+fn a_mesh_of_a_box_is_simulated_by_the_images_of_the_box() {
     let folder = tempfile::tempdir().expect("a folder");
     let quads = faces([0.0; 3], SIZE_M);
     std::fs::write(folder.path().join("room.stl"), stl(&triangles(&quads), 1.0)).expect("written");
@@ -131,7 +131,7 @@ fn loudest(all: &[ListedPath], fits: impl Fn(&[String]) -> bool) -> Option<&List
 /// A walker beyond the corner is seen: not directly, but by the wall at x = 0, and by that and the one at y = 0, as
 /// long as the mirror geometry allows it.
 #[test]
-fn beyond_the_corner_somebody_is_seen_by_walls_alone() {
+fn a_person_beyond_a_corner_is_seen_by_way_of_walls() {
     let l = changed(
         "l-corridor",
         &[
@@ -168,7 +168,7 @@ fn beyond_the_corner_somebody_is_seen_by_walls_alone() {
 
 /// The walker of the corridor is visible in its frames, before the corner and where the corner hides most of the body.
 #[test]
-fn l_corridors_have_frames() {
+fn a_walker_of_the_l_corridor_has_echoes() {
     let simulator = common::simulator(&scene("l-corridor"), 2, None);
     let (_, report) = simulator.frame_with_report(5);
     assert!(report.static_paths > 3 && report.moving_paths > 3, "{report:?}");
@@ -204,7 +204,7 @@ fn lit_by(prepared: &PreparedScene, name: &str, point: DVec3) -> Vec<ImageIndex>
 /// The gap passes the full field, the wall the part that plasterboard transmits, and the leaf the part that wood
 /// transmits. The leaf also reflects.
 #[test]
-fn a_half_open_door_shows_a_gap_and_mirrors() {
+fn a_half_open_door_has_a_gap_and_reflects() {
     let prepared = polygons(&scene("half-open-door"));
     let direct = [0; 3];
     let gap_db = seen_db(&prepared, direct, DVec3::new(5.0, 2.3, 1.3));
@@ -223,7 +223,7 @@ fn a_half_open_door_shows_a_gap_and_mirrors() {
 }
 
 #[test]
-fn a_metal_cupboard_shadows_and_mirrors() {
+fn a_metal_cupboard_obstructs_and_reflects() {
     let prepared = polygons(&scene("cupboard"));
     assert!(seen_db(&prepared, [0; 3], DVec3::new(4.9, 2.0, 1.0)) < -20.0);
     assert!(seen_db(&prepared, [0; 3], DVec3::new(2.3, 1.6, 1.2)).abs() < 0.5);
@@ -245,7 +245,7 @@ fn a_metal_cupboard_shadows_and_mirrors() {
 }
 
 #[test]
-fn facets_let_through_what_walls_of_boxes_do() {
+fn facets_transmit_as_walls_of_boxes_do() {
     let glass = Wall::Slab { permittivity: Complex64::new(6.31, -0.26), thickness_m: 0.01 };
     let mut walls = [Wall::Open; 6];
     walls[1] = glass;
@@ -271,7 +271,7 @@ fn facets_let_through_what_walls_of_boxes_do() {
 /// A person behind glass is seen through it, directly and by the walls behind it. Without transmission the person is
 /// invisible.
 #[test]
-fn behind_a_glass_wall_somebody_is_seen() {
+fn a_person_behind_a_glass_wall_is_seen_through_it() {
     let power = |scene: &Scene| common::echo_power(&common::simulator(scene, 1, None), 10);
     let through = power(&scene("glass-wall"));
     let hidden = power(&changed("glass-wall", &[("transmission = true", "transmission = false")]));

@@ -53,7 +53,7 @@ fn count(prepared: &PreparedScene, motion: &Motion, start_s: f64) -> [usize; 3] 
 /// Walkers, sitters and passers-by in rooms of several sizes and walls: every audible path is kept, and some paths are
 /// left out.
 #[test]
-fn what_is_heard_is_kept() {
+fn every_audible_path_is_kept() {
     for (name, seeds) in [("corridor", 1..3), ("room", 1..3), ("hall", 1..7)] {
         let mut sums = [0; 3];
         for seed in seeds {
@@ -128,7 +128,7 @@ fn db(part: f64, all: f64) -> f64 {
 
 /// Half a decibel is 6 percent of an amplitude, -24.6 dB: the neglected paths and the shared obstructions change less.
 #[test]
-fn faces_in_the_way_leave_out_what_is_not_heard() {
+fn paths_left_out_behind_faces_are_inaudible() {
     for name in ["cupboard", "half-open-door", "glass-wall", "l-corridor"] {
         let scene = common::scene(name).drawn(1).expect("a scene");
         let prepared = PreparedScene::new(&scene, 1, 10.0);
@@ -150,7 +150,7 @@ fn faces_in_the_way_leave_out_what_is_not_heard() {
 
 /// Of an office's thousands of image pairs only a few are visible.
 #[test]
-fn in_an_office_few_images_are_seen() {
+fn few_image_pairs_of_an_office_are_kept() {
     let scene = common::scene("open-plan").drawn(1).expect("a scene");
     let prepared = PreparedScene::new(&scene, 1, 10.0);
     let scenario = Scenario::new(&scene, 1, None);
@@ -166,7 +166,7 @@ fn in_an_office_few_images_are_seen() {
 
 /// Image pairs without segments represent all segments.
 #[test]
-fn plain_pairs_leave_nothing_out() {
+fn image_pairs_without_segments_stand_for_all_segments() {
     let scene = common::scene("corridor");
     let prepared = PreparedScene::new(&scene, 1, 10.0);
     let scenario = Scenario::new(&scene, 1, None);

@@ -142,7 +142,7 @@ impl Chain {
 /// within a tenth of a decibel of physical optics at that chirp (half of one is required). The same holds for the
 /// sum of both orders in the frame's Doppler spectrum.
 #[test]
-fn a_body_by_way_of_a_wall_is_physical_optics_at_every_chirp() {
+fn a_body_by_way_of_a_wall_agrees_with_physical_optics_in_every_chirp() {
     let concrete =
         Wall::Slab { permittivity: Material::Concrete.permittivity(60e9).expect("dielectric"), thickness_m: 0.1 };
     let (here, by_wall): (ImageIndex, ImageIndex) = ([0; 3], [0, -1, 0]);
@@ -184,7 +184,7 @@ fn a_body_by_way_of_a_wall_is_physical_optics_at_every_chirp() {
 /// The simulated echo of a chest by way of a wall equals that closed form: field times aperture, link budget and
 /// filter.
 #[test]
-fn the_simulators_echoes_are_the_closed_form() {
+fn simulated_echoes_by_way_of_a_wall_agree_with_the_closed_form() {
     let text = hall(NOBODY)
         .replace("y_low = { material = \"open\" }", "y_low = { material = \"concrete\" }")
         .replace("position_m = [1.0, 10.0, 1.2]", "position_m = [1.0, 1.5, 1.2]");

@@ -29,7 +29,7 @@ use crate::surfaces::rooms::{faces, triangles};
 /// f32 path length: a ray's own distance, found in f32, is wrong by up to milliradians. The length in f64 from the
 /// surfaces that the ray met equals the image's to 1e-11 rad, for paths of 10 m and of 20 m.
 #[test]
-fn lengths_from_what_was_met_are_exact() {
+fn path_lengths_from_hit_triangles_are_exact() {
     for (size_m, bound_rad) in [(DVec3::new(5.0, 2.0, 2.5), 1e-11), (DVec3::new(9.5, 6.0, 3.0), 1e-11)] {
         let room = BoxRoom::new(size_m, [Wall::Conductor; 6], WAVENUMBER, false);
         let mesh = box_mesh(size_m);

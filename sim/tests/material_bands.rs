@@ -25,7 +25,7 @@ impl tracing::Subscriber for &'static Warnings {
 }
 
 #[test]
-fn a_material_outside_its_band_is_warned_of() {
+fn a_material_outside_its_band_gives_one_warning() {
     static WARNINGS: Warnings = Warnings(AtomicUsize::new(0));
     tracing::subscriber::set_global_default(&WARNINGS).expect("the only one");
     let warnings = |text: &str| {

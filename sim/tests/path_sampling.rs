@@ -27,7 +27,7 @@ fn map_of(samples: &[f32]) -> Vec<f64> {
 /// Frames with the sample times that the program chooses itself, against the program with a trace for every chirp.
 /// Walls, diffraction by limbs and by other people, and the omission of inaudible paths are included.
 #[test]
-fn the_programs_own_keys_hold_its_frames() {
+fn maps_from_path_samples_agree_with_tracing_every_chirp() {
     let walker = |from: [f64; 2], to: [f64; 2]| {
         let [a, b] = [from, to].map(|[x, y]| format!("{{ walk_to_m = [{x}, {y}] }}"));
         parse(&hall(&format!("[people]\nactor = [{{ step = [{a}, {b}] }}]\n")))
@@ -63,7 +63,7 @@ fn the_programs_own_keys_hold_its_frames() {
 /// draw other jitters if there are more of them. Over the cells that are 10 dB above the noise, all approximations
 /// together are within the tolerance. The other cells have the same mean power.
 #[test]
-fn frames_are_as_exact_as_their_tolerance() {
+fn frames_differ_from_finer_ones_by_less_than_the_tolerance() {
     for name in ["corridor", "room", "hall"] {
         let scene = scene(name).drawn(5).expect("a scene");
         let simulator = |tolerance_db: f64| {

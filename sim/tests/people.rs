@@ -47,7 +47,7 @@ fn rate(of: impl Fn(f64) -> DVec3, t: f64) -> DVec3 {
 /// No place and no speed of any part ever jumps: in a millisecond a foot moves at most 8 mm, and its acceleration is at
 /// most the 100 m/s^2 of a heel strike.
 #[test]
-fn places_and_velocities_are_continuous_whatever_is_done() {
+fn positions_and_velocities_are_continuous_in_all_actions() {
     let (motion, end_s) = everything();
     let step_s = 1e-3;
     let at = |i: usize| motion.body(i as f64 * step_s);
@@ -68,7 +68,7 @@ fn places_and_velocities_are_continuous_whatever_is_done() {
 
 /// A standing person sways by millimetres; squatting and sitting down do not move the feet either.
 #[test]
-fn feet_do_not_slide_where_somebody_stands_squats_or_sits_down() {
+fn feet_do_not_slide_while_a_person_stands_squats_or_sits_down() {
     let path = builder().walk_to([3.0, 1.0], 1.2);
     let stood_s = path.time_s() + 0.4;
     let path = path.stand(2.0).squat(0.5, 5.0).stand(1.0).sit_back(0.0, 0.45, 0.38, 6.0);
@@ -88,7 +88,7 @@ fn feet_do_not_slide_where_somebody_stands_squats_or_sits_down() {
 }
 
 #[test]
-fn a_squat_lowers_the_head_by_what_was_asked() {
+fn a_squat_lowers_the_head_by_the_requested_depth() {
     for depth_m in [0.2, 0.4, 0.55] {
         let motion = builder().stand(1.0).squat(depth_m, 6.0).stay();
         let head = |t: f64| motion.body(t)[0].centre.z;
@@ -104,7 +104,7 @@ fn turning_rate(motion: &Motion, t: f64) -> f64 {
 }
 
 #[test]
-fn turns_on_the_spot_and_on_the_way_keep_to_the_bound_and_end_where_they_should() {
+fn turns_have_a_bounded_rate_and_end_at_the_requested_heading() {
     for angle in [0.3, 1.2, 2.5, 3.1, -2.0] {
         let path = builder().stand(1.0).face(angle);
         let end_s = path.time_s();
@@ -146,7 +146,7 @@ fn turns_on_the_spot_and_on_the_way_keep_to_the_bound_and_end_where_they_should(
 /// Radial speeds seen from ahead: the trunk moves at walking speed, while feet stand and overtake it twofold to
 /// fourfold. A standing person has almost none.
 #[test]
-fn parts_of_a_walker_spread_in_radial_velocity_as_legs_and_arms_do() {
+fn trunk_feet_and_arms_of_a_walker_have_their_spread_of_radial_velocity() {
     let walker = |stride: f64, arm_swing: f64| {
         let mut person = person();
         (person.style.stride, person.style.arm_swing) = (stride, arm_swing);
@@ -181,7 +181,7 @@ fn parts_of_a_walker_spread_in_radial_velocity_as_legs_and_arms_do() {
 /// The front of the chest of a lying person moves up and down with the breath by millimetres, seen from above; the rest
 /// of the body is still.
 #[test]
-fn who_lies_breathes_upwards_and_rests() {
+fn a_lying_person_moves_only_by_breathing() {
     let motion = builder().lying(&BED, 60.0).stay();
     let front = |t: f64| motion.body(t)[CHEST].surface(DVec3::X);
     let heights: Vec<f64> = (0..2000).map(|i| front(f64::from(i) * 0.02).z).collect();
@@ -208,7 +208,7 @@ fn who_lies_breathes_upwards_and_rests() {
 /// The skin follows the body in every action. It stays closed, its volume changes only by the folds of bent joints, and
 /// its velocities are the rates of its positions.
 #[test]
-fn skins_squat_and_lie_without_losing_flesh() {
+fn skins_keep_their_volume_in_all_actions() {
     let (motion, end_s) = everything();
     let walker = WalkingMesh::new(Arc::new(motion), EDGE_M);
     let standing = walker.skin().rest().volume_m3();
@@ -236,7 +236,7 @@ step = [{ enter_door = 0 }, { walk_to_m = [4.0, 9.0] }, { leave_door = 0 }]
 "#;
 
 #[test]
-fn who_comes_by_a_door_is_not_there_before_nor_after() {
+fn a_visitor_is_absent_before_entering_and_after_leaving() {
     let simulator = simulator(&parse(&hall(SCRIPT)), 1, None);
     let in_room = |frame| simulator.people(frame).iter().filter(|p| p.in_room).count();
     assert_eq!((simulator.people(5).len(), in_room(5)), (0, 0));
@@ -273,7 +273,7 @@ fn walls_and_furniture_off(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64)
 }
 
 #[test]
-fn ways_keep_off_furniture_and_walls() {
+fn paths_of_people_keep_their_distance_from_furniture_and_walls() {
     for name in ["bedroom", "bathroom"] {
         for seed in 0..12 {
             let drawn = scene(name).drawn(seed).expect("a draw");
@@ -318,7 +318,7 @@ fn codes(scene: &Scene, seed: u64) -> Vec<u16> {
 
 /// Disabled features do not change a byte, for both kinds of bodies. Enabled features do, and depend on the seed alone.
 #[test]
-fn what_is_off_leaves_every_byte_as_it_was() {
+fn neutral_keys_of_people_change_no_byte() {
     for body in [BodyFile::Ellipsoids, BodyFile::Mesh] {
         let with = |keys: &str| parse(&hall(&format!("{}\n{keys}", WALKS.trim()))).with_body(body);
         let (plain, off) = (with(""), with("stride = [1.0, 1.0]\narm_swing = [1.0, 1.0]"));
@@ -345,7 +345,7 @@ fn contrast_db(simulator: &Simulator, frame: u64) -> f64 {
 
 /// Moving people in the shipped scenes are far above the noise; people who lie or stand still are visible now and then.
 #[test]
-fn people_show_in_the_shipped_scenes() {
+fn people_are_above_the_noise_in_the_shipped_scenes() {
     for name in ["bedroom", "bathroom"] {
         for seed in [1, 2] {
             let simulator = simulator(&scene(name), seed, None);
@@ -371,7 +371,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn scripts_that_make_no_sense_are_refused_by_key() {
+    fn invalid_scripts_are_refused_by_key() {
         let script = |steps: &str| format!("[people]\nactor = [{{ height_m = 1.6, step = [{steps}] }}]\n");
         let place = "{ walk_to_m = [2.0, 2.0] }";
         for (steps, expected) in [
@@ -420,7 +420,7 @@ mod hard_cases {
 
     /// A script's seat without `back_m` was a height and a heading, and not a place.
     #[test]
-    fn who_is_to_sit_on_a_seat_goes_there() {
+    fn a_person_with_a_seat_sits_on_it() {
         for back in ["", "back_m = 0.38\n"] {
             let text = hall(&format!(
                 "[[seat]]\nposition_m = [6.0, 10.0]\nheading_deg = 0.0\n{back}[people]\n[[people.actor]]\n\
@@ -438,7 +438,7 @@ mod hard_cases {
 
     /// Steps of zero length or duration, beds against the wall, and turns by zero and by a full circle.
     #[test]
-    fn odd_scripts_still_make_bodies() {
+    fn degenerate_scripts_have_finite_bodies() {
         let path = builder().walk_to([1.0, 1.0], 1.0).face(0.0).face(TAU).stand(0.0).squat(0.0, 0.0).squat(9.0, 0.1);
         let path = path.lie(&Bed { edge_m: 0.3, ..BED }, 0.0).sit_back(1.0, 0.2, 0.0, 0.0).face(PI);
         let end_s = path.time_s();

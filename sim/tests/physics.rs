@@ -21,7 +21,7 @@ fn walker(from: f64, to: f64, speed: f64) -> String {
 }
 
 #[test]
-fn who_walks_away_has_positive_velocity_at_the_right_range() {
+fn a_receding_person_has_positive_velocity_at_the_true_range() {
     for (from, to, sign) in [(4.0, 9.0, 1.0), (9.0, 4.0, -1.0)] {
         let scene = parse(&walker(from, to, 1.2));
         let simulator = simulator(&scene, 3, None);
@@ -41,7 +41,7 @@ fn who_walks_away_has_positive_velocity_at_the_right_range() {
 /// predicts it, with the lossy wall's complex coefficient. A sign error in conjugation moves it by twice that
 /// coefficient's angle.
 #[test]
-fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
+fn the_echo_null_of_a_lossy_wall_agrees_with_the_closed_form() {
     let material = Material::Glass;
     // The wall is thin relative to the wavelength: the coefficient is nearly imaginary, so that conjugation shows.
     let thickness_m = 0.0003;
@@ -113,7 +113,7 @@ fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
 
 /// The radar equation, in LSB: a point of 0 dBsm on boresight at 2, 4 and 8 m.
 #[test]
-fn level_follows_the_radar_equation_with_the_fourth_power() {
+fn echo_levels_follow_the_radar_equation() {
     let mut last: Option<f64> = None;
     for range in [2.0f64, 4.0, 8.0] {
         let scene = parse(&hall(&(post(range, 0.0) + NOBODY)));
@@ -137,7 +137,7 @@ fn level_follows_the_radar_equation_with_the_fourth_power() {
 /// Power |X|^2 of thermal noise is exponential. The standard deviation of its decibels is 5.57, and their mean is 2.51
 /// below the decibels of the mean.
 #[test]
-fn empty_maps_are_exponential_noise() {
+fn empty_maps_have_exponential_power() {
     let scene = parse(&hall(NOBODY));
     let simulator = simulator(&scene, 5, Some(0));
     let mut all = Vec::new();
@@ -189,7 +189,7 @@ fn noise_has_the_measured_spectrum_at_both_gains() {
 }
 
 #[test]
-fn drawn_noise_has_the_density_it_was_asked_for() {
+fn drawn_noise_has_the_requested_density() {
     let density: Vec<f64> = (0..=32).map(|bin| 1.0 + 20.0 / (1.0 + f64::from(bin))).collect();
     let shaper = NoiseShaper::new(&density, 64);
     let mut rng = random::generator(9, random::Purpose::Noise, [0, 0]);
@@ -215,7 +215,7 @@ fn drawn_noise_has_the_density_it_was_asked_for() {
 
 /// A beat beyond half the rate folds, attenuated by the filter at its true frequency.
 #[test]
-fn far_walls_fold_as_the_chip_folds_them() {
+fn a_beat_beyond_half_the_sample_rate_is_folded() {
     let scene = parse(
         &hall(NOBODY)
             .replace("size_m = [20.0, 20.0, 3.0]", "size_m = [27.0, 20.0, 3.0]")
@@ -234,7 +234,7 @@ fn far_walls_fold_as_the_chip_folds_them() {
 }
 
 #[test]
-fn truth_counts_who_has_a_part_in_the_room() {
+fn truth_counts_people_who_are_partly_in_the_room() {
     let text = hall(
         "[people]\nactor = [{ step = [{ walk_to_m = [-2.0, 10.0] }, { walk_to_m = [6.0, 10.0], speed_m_per_s = 1.0 }] },\n\
          { step = [{ walk_to_m = [8.0, 6.0] }, { stand_s = 5.0 }, { walk_to_m = [8.0, -9.0], speed_m_per_s = 1.0 }] }]\n",
@@ -273,7 +273,7 @@ mod hard_cases {
     use radome_sim::SimulateOptions;
 
     #[test]
-    fn the_quantiser_rounds_clips_and_survives_anything() {
+    fn the_quantiser_rounds_clips_and_accepts_non_finite_values() {
         let cases = [(0.4, 0), (0.5, 1), (2047.5, 2048), (4094.6, 4095), (9e9, 4095), (-9e9, 0), (-0.4, 0)];
         for (lsb, code) in cases {
             assert_eq!(quantise(lsb), code, "{lsb}");
@@ -286,7 +286,7 @@ mod hard_cases {
     /// From far away to 5 cm, at the antenna, and through it: frames are finite, such cases are counted, and levels are
     /// below the ADC limit.
     #[test]
-    fn somebody_at_five_centimetres_and_somebody_walking_through_the_radar() {
+    fn people_at_and_through_the_radar_are_simulated_and_counted() {
         let close = hall("[people]\nactor = [{ step = [{ walk_to_m = [1.17, 10.0] }] }]\n");
         let (frame, report) = simulator(&parse(&close), 4, None).frame_with_report(0);
         assert!(report.clamped > 0, "{report:?}");
@@ -302,7 +302,7 @@ mod hard_cases {
 
     /// Leakage that nearly fills the ADC does not hide a walker 90 dB below it from a map without quantisation trouble.
     #[test]
-    fn a_target_far_below_the_leakage_is_still_there() {
+    fn a_walker_90_db_below_the_leakage_is_the_strongest_cell() {
         let text = walker(12.0, 10.0, 1.0).replace(
             "rx = [{ dc_code = 2048.0 },",
             "rx = [{ dc_code = 2048.0, leakage = [{ delay_s = 0.3e-9, amplitude_lsb = 1900.0 }] },",
@@ -319,7 +319,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn options_that_cannot_be_met_are_refused() {
+    fn invalid_options_are_errors() {
         let scene = parse(&walker(4.0, 5.0, 1.0));
         let new = |options| radome_sim::Simulator::new(&scene, options).map(|_| ());
         let many = new(SimulateOptions { people: Some(3), ..SimulateOptions::default() });

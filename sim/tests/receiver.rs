@@ -59,7 +59,7 @@ fn change(values: &[f64], frames: usize) -> f64 {
 /// Drift and jitter are as measured in real rooms: 20 to 60 mrad between frames, 0.1 to 0.6 rad in ten seconds, 0.6 to
 /// 4 % of amplitude. In an empty room more than noise remains after static removal, though far less than a person.
 #[test]
-fn clutter_jitters_and_drifts_as_measured() {
+fn clutter_has_the_measured_jitter_and_drift() {
     let typical = "phase_jitter_rad = 0.03\nphase_drift_rad_per_10s = 0.3\namplitude_jitter = 0.01";
     let (mut jitters, mut drifts, mut amplitudes) = (Vec::new(), Vec::new(), Vec::new());
     for seed in 0..4 {
@@ -125,7 +125,7 @@ fn half_of_the_drift_is_common_to_all_echoes() {
 
 /// Datasets whose maps use one receiver are simulated without the receivers behind it: its samples are bit-identical.
 #[test]
-fn a_receiver_hears_the_same_whoever_else_listens() {
+fn samples_of_a_receiver_do_not_depend_on_the_other_receivers() {
     for (name, people) in [("corridor", 2), ("room", 1), ("bathroom", 1)] {
         let all = scene(name);
         for last in 0..all.waveform().shape().rx {
@@ -143,7 +143,7 @@ fn a_receiver_hears_the_same_whoever_else_listens() {
 
 /// Skins are evaluated from the middle of all antennas, which differs by millimetres for fewer antennas.
 #[test]
-fn a_receiver_hears_the_same_of_skins_within_their_tolerance() {
+fn skin_echoes_of_a_receiver_depend_on_the_other_receivers_within_their_tolerance() {
     let all = scene("corridor-mesh");
     let one = all.clone().with_receivers(all.waveform().request.rx_antennas.up_to(0));
     let (of_all, of_one) = (simulator(&all, 5, Some(1)), simulator(&one, 5, Some(1)));
@@ -158,7 +158,7 @@ fn a_receiver_hears_the_same_of_skins_within_their_tolerance() {
 
 /// Steps have about the requested rate and size, and nothing changes between them.
 #[test]
-fn clutter_steps_now_and_then() {
+fn clutter_steps_have_the_requested_rate_and_size() {
     let scene = wall("phase_step_rad = 0.6\nphase_step_interval_s = 4.0", "");
     let mut steps = Vec::new();
     for seed in 0..6 {
@@ -173,7 +173,7 @@ fn clutter_steps_now_and_then() {
 
 /// The phase noise of a wall is proportional to its delay: its contribution to the codes agrees with the closed form.
 #[test]
-fn phase_noise_of_a_wall_is_its_delay_times_the_oscillators_rate() {
+fn phase_noise_of_a_wall_is_proportional_to_its_delay() {
     let noise = PhaseNoise { level_dbc_per_hz: -50.0, offset_hz: 1e5 };
     let key = format!("[receiver.phase_noise]\nlevel_dbc_per_hz = {}", noise.level_dbc_per_hz);
     let (with, without) = (wall("", &key), wall("", ""));
@@ -200,7 +200,7 @@ fn phase_noise_of_a_wall_is_its_delay_times_the_oscillators_rate() {
 /// People, as ellipsoids and as skins: the phase-noise contribution is the phase's rate times the derivative of the
 /// echoes over `2 pi` times the slope, since a beat frequency is the slope times its delay.
 #[test]
-fn phase_noise_of_people_follows_their_delays() {
+fn phase_noise_of_people_is_proportional_to_their_delays() {
     let noise = PhaseNoise { level_dbc_per_hz: -30.0, offset_hz: 1e5 };
     for (name, frame) in [("corridor", 60), ("corridor-mesh", 60)] {
         let quiet = scene(name);

@@ -38,7 +38,7 @@ fn conducting_box() -> BoxRoom {
 }
 
 #[test]
-fn images_of_the_corridor_lie_where_the_reference_has_them() {
+fn images_of_the_corridor_are_at_the_reference_positions() {
     let room = conducting_box();
     let (tx, rx) = (DVec3::new(0.2, 1.0, 1.5), DVec3::new(0.2, 1.0025, 1.5));
     let rows = reference_rows("image_corridor");
@@ -60,7 +60,7 @@ fn images_of_the_corridor_lie_where_the_reference_has_them() {
 
 /// A mirrored dipole with the sign -1 for each conductor: the dyads must give it for any order of walls.
 #[test]
-fn conductors_turn_a_dipole_into_its_signed_mirror_image() {
+fn conductors_mirror_a_dipole_with_its_sign() {
     let room = conducting_box();
     let tx = isotropic(DVec3::new(0.2, 0.7, 1.5), DVec3::new(0.36, 0.48, 0.8));
     let target = DVec3::new(5.0, 1.3, 0.8);
@@ -74,7 +74,7 @@ fn conductors_turn_a_dipole_into_its_signed_mirror_image() {
 }
 
 #[test]
-fn two_ray_ground_has_its_nulls_and_gains() {
+fn two_ray_ground_has_the_reference_gains() {
     let walls = [Wall::Open, Wall::Open, Wall::Open, Wall::Open, Wall::Conductor, Wall::Open];
     let room = BoxRoom::new(DVec3::new(50.0, 50.0, 50.0), walls, WAVENUMBER, false);
     let radar = isotropic(DVec3::new(1.0, 20.0, 1.5), DVec3::Y);
@@ -170,7 +170,7 @@ fn near_field_cross_section_is_that_of_the_reference_bodies() {
 }
 
 #[test]
-fn skin_reflects_what_the_reference_says() {
+fn skin_has_the_reference_reflection() {
     let got = half_space(radome_sim::material::SKIN_PERMITTIVITY, 1.0).te;
     assert!((got - complex(&reference()["skin"]["Gamma0"])).norm() < 1e-12);
 }
@@ -198,7 +198,7 @@ mod hard_cases {
 
     /// The specular point must be unique and finite for any position of the pair, including inside the body.
     #[test]
-    fn specular_points_of_touching_and_swallowed_antennas_are_finite() {
+    fn specular_points_of_antennas_at_and_inside_a_body_are_finite() {
         let e = Ellipsoid {
             centre: DVec3::new(2.0, 1.0, 1.2),
             axes: DMat3::from_rotation_y(0.4),

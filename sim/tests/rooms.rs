@@ -62,7 +62,7 @@ fn scene(folder: &tempfile::TempDir, meshes: &str) -> Result<Scene, radome_sim::
 }
 
 #[test]
-fn an_stl_room_of_three_materials_is_the_box_that_its_walls_make() {
+fn an_stl_room_of_three_materials_is_a_box_with_their_walls() {
     let folder = folder();
     let scene = scene(&folder, MESHES).expect("a good scene");
     let room = scene.room();
@@ -88,7 +88,7 @@ fn an_stl_room_of_three_materials_is_the_box_that_its_walls_make() {
 
 /// Walls drawn as solids have an outer face as well; the room is their interior.
 #[test]
-fn an_obj_room_of_solid_walls_is_what_lies_within() {
+fn an_obj_room_of_solid_walls_is_their_interior() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut text = String::new();
     let mut count = 0;
@@ -141,7 +141,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn rooms_that_are_wrong_are_told_how() {
+    fn invalid_room_tables_are_refused_with_a_hint() {
         let folder = folder();
         let wrong = |from: &str, to: &str, expected: &[&str]| {
             assert!(MESHES.contains(from), "{from}");
@@ -166,7 +166,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn meshes_that_are_wrong_are_told_how() {
+    fn invalid_meshes_are_refused_with_a_hint() {
         let wrong = |name: &str, change: &dyn Fn(String) -> String, expected: &[&str]| {
             let folder = folder();
             let path = folder.path().join(name);
@@ -192,7 +192,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn metres_taken_for_millimetres_are_told_of() {
+    fn a_room_of_millimetres_is_refused_with_a_hint_on_the_unit() {
         let folder = folder();
         let small = MESHES.replace("unit = \"m\"", "unit = \"mm\"");
         let room = faces([-1.0, -2.0, 0.0], [4.0, 2.0, 2.5]);
@@ -219,7 +219,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_scene_without_walls_names_the_one_that_is_missing() {
+    fn the_error_of_a_scene_without_a_wall_names_it() {
         let text = common::hall("[people.desk]\nmax_people = 0\n").replace("x_high = { material = \"open\" }\n", "");
         let result = Scene::parse(&text, Path::new("scene.toml"));
         common::assert_refused(result, &["x_high", "missing", "[[room.mesh]]"]);

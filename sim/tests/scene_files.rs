@@ -48,7 +48,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn a_wrong_key_names_file_line_and_what_would_do() {
+    fn the_error_of_an_unknown_key_names_file_line_and_known_keys() {
         let text = hall(NOBODY)
             .replace("azimuth", "azimut")
             .replace("position_m = [1.0, 10.0, 1.2]", "posiiton_m = [1.0, 10.0, 1.2]");
@@ -59,7 +59,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn values_that_make_no_sense_are_refused_with_line_and_bounds() {
+    fn invalid_values_are_refused_with_line_and_bounds() {
         let cases = [
             ("size_m = [20.0, 20.0, 3.0]", "size_m = [20.0, -2.0, 3.0]", "size_m", "0.5 to 100 m"),
             ("position_m = [1.0, 10.0, 1.2]", "position_m = [1.0, 10.0, 9.2]", "position_m", "in the room"),
@@ -89,7 +89,7 @@ mod hard_cases {
 
     /// A wrong value was looked for on the first line with its key, which may be that of another table.
     #[test]
-    fn lines_are_those_of_the_wrong_value_or_left_out() {
+    fn an_error_names_the_line_of_the_invalid_value_or_none() {
         let bed = "[[bed]]\nposition_m = [3.0, 3.0]\nheading_deg = 0.0\nheight_m = 0.5\n";
         let text = hall(&format!("{bed}{}{NOBODY}", bed.replace("height_m = 0.5", "height_m = 3")));
         let (line, message) = (line_of(&text, "height_m = 3"), refusal(&text));
@@ -103,7 +103,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn messages_have_no_types_of_the_program() {
+    fn messages_contain_no_names_of_rust_types() {
         for (from, to, expected) in [
             ("name = \"flat\"", "name = \"flat\"\nantenna = 5", "expected a table"),
             ("chirps_per_frame = 128", "chirps_per_frame = \"many\"", "expected a whole number"),
@@ -116,7 +116,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn doors_are_no_wider_than_their_walls() {
+    fn a_door_wider_than_its_wall_allows_is_refused() {
         let door = |keys: &str| format!("[[door]]\n{keys}\n[people.visits]\n");
         let message = refusal(&hall(&door("position_m = [0.0, 1.0]\nwidth_m = 2.5")));
         assert!(message.contains("width_m is 2.5, expected at most 2.00 m"), "{message}");
@@ -130,7 +130,7 @@ mod hard_cases {
 
     /// People of a margin of half the room or more all stood in its middle.
     #[test]
-    fn a_margin_leaves_room_to_pace() {
+    fn a_margin_of_half_the_room_is_refused() {
         let door = "[[door]]\nposition_m = [0.0, 3.0]\n";
         let visits = |margin: &str| format!("{door}[people.visits]\npace_margin_m = {margin}\n");
         assert!(Scene::parse(&hall(&visits("9.9")), Path::new("a")).is_ok());
@@ -165,13 +165,13 @@ mod hard_cases {
 
     /// The message named no limits, but a schema that has none.
     #[test]
-    fn constants_of_a_receiver_are_refused_with_their_range() {
+    fn invalid_constants_of_a_receiver_are_refused_with_their_range() {
         let message = refusal(&hall(NOBODY).replace("noise_figure_db = 0.0", "noise_figure_db = 61.5"));
         assert!(message.contains("noise_figure_db is 61.5, expected a physical value, 0 to 60"), "{message}");
     }
 
     #[test]
-    fn programs_must_be_one_and_complete() {
+    fn a_scene_without_exactly_one_complete_program_is_refused() {
         for (people, expected) in [
             ("[people]\n", "[people.desk]\n\nhint: a scene has people, and --people 0 leaves them out"),
             ("[people.desk]\n[people.visits]\n", "exactly one"),
@@ -199,7 +199,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn files_that_a_scene_names_lie_in_its_folder() {
+    fn a_file_outside_the_folder_of_a_scene_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let (own, receivers) = (folder.path().join("scenes"), folder.path().join("receivers"));
         for made in [&own, &receivers] {
@@ -238,7 +238,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn scenes_beyond_all_bounds_are_refused() {
+    fn oversized_and_truncated_scene_files_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("scene.toml");
         let refused = |bytes: &[u8], expected: &[&str]| {
@@ -267,7 +267,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn missing_files_are_named() {
+    fn the_error_of_a_missing_file_names_it() {
         let error = Scene::load(Path::new("/nowhere/scene.toml")).map(|_| ()).expect_err("missing");
         assert!(matches!(error, SceneError::Read { .. }) && error.to_string().contains("/nowhere/scene.toml"));
         let text = hall(NOBODY);

@@ -42,7 +42,7 @@ fn compare(paths: &Paths, people: &[Snapshot], least_lsb: f64, at: &str) -> [usi
 
 /// Walkers, sitters and passers-by in rooms of several sizes and walls, by all pairs of images.
 #[test]
-fn paths_side_by_side_are_those_one_by_one() {
+fn paths_traced_together_agree_with_paths_traced_one_by_one() {
     for (name, seeds) in [("corridor", 1..3), ("room", 1..3), ("hall", 1..7)] {
         let mut sums = [0; 2];
         for seed in seeds {

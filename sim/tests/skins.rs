@@ -55,7 +55,7 @@ fn relative_error(exact: &[Complex64], found: &[Complex64]) -> f64 {
 
 /// Phase and amplitude agree in every chirp and range, not only on average: 2 percent is 0.17 dB.
 #[test]
-fn skins_are_dense_physical_optics_in_every_chirp() {
+fn skin_echoes_agree_with_dense_physical_optics_in_every_chirp() {
     let frame = 12;
     let simulator = hall(0.5);
     let shape = simulator.frame(frame).shape;
@@ -82,7 +82,7 @@ fn skins_are_dense_physical_optics_in_every_chirp() {
 
 /// A person who stands still has a still echo: numerical errors do not make it move.
 #[test]
-fn who_breathes_only_moves_only_that_much() {
+fn the_echo_of_a_standing_person_changes_by_breath_and_sway_only() {
     let still = HALL.replace(", { walk_to_m = [1.5, 3.3], speed_m_per_s = 1.2 }", "");
     let simulator = simulator(&parse(&still), 3, None);
     let samples: Vec<f64> = simulator.echo_samples(5).into_iter().map(f64::from).collect();
@@ -108,7 +108,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn a_skin_around_the_radar_is_finite_and_counted() {
+    fn a_skin_around_the_radar_has_finite_echoes_and_is_counted() {
         let through = HALL
             .replace("{ walk_to_m = [8.0, 3.3] }", "{ walk_to_m = [0.9, 3.0] }")
             .replace("[1.5, 3.3]", "[0.2, 3.0]");
@@ -121,7 +121,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn skins_do_not_sit_at_a_desk() {
+    fn a_desk_scene_with_skins_is_an_error() {
         let begin = HALL.find("[people]").expect("people");
         let desk = format!("{}[people]\nbody = \"mesh\"\n[people.desk]\n", &HALL[..begin]);
         let message = refusal(&desk);

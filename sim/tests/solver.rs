@@ -48,7 +48,7 @@ fn known_db(target: &Target, setup: &Setup) -> f64 {
 /// Regression test: edges of one face took from the field on the way to the other, and parts of both were multiplied. Corners
 /// of scenes were wrong by up to 6 dB.
 #[test]
-fn corners_of_scenes_have_the_cross_section_of_dihedrals() {
+fn image_paths_of_a_corner_have_the_cross_section_of_a_dihedral() {
     let range_m = 3.0;
     for (edge_m, within_db) in [(0.05, 1.0), (0.08, 0.7), (0.12, 0.7), (0.15, 0.7), (0.3, 0.5), (1.0, 0.2)] {
         let half_m = 0.5 * edge_m;
@@ -75,7 +75,7 @@ fn corners_of_scenes_have_the_cross_section_of_dihedrals() {
 }
 
 #[test]
-fn triangle_integrals_are_those_of_25_digit_quadrature() {
+fn triangle_integrals_agree_with_25_digit_quadrature() {
     let reference = reference();
     let cases = reference["triangle_integral"]["cases"].as_array().expect("cases");
     assert!(cases.len() >= 12);
@@ -88,7 +88,7 @@ fn triangle_integrals_are_those_of_25_digit_quadrature() {
 }
 
 #[test]
-fn plates_have_their_sidelobes_near_a_null_too() {
+fn plates_agree_with_the_reference_in_lobes_and_near_nulls() {
     let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
     for row in reference_rows("plate") {
         let s = setup(None, number(&row["theta_deg"]), 0.0, Wall::Conductor);
@@ -102,7 +102,7 @@ fn plates_have_their_sidelobes_near_a_null_too() {
 }
 
 #[test]
-fn plates_in_the_near_field_to_a_hundredth_of_a_decibel() {
+fn near_field_plates_agree_with_the_reference_within_a_hundredth_of_a_decibel() {
     for row in reference_rows("plate_near_field") {
         let side = number(&row["a_m"]);
         let plate = Target::Plate { width_m: side, height_m: side };
@@ -118,7 +118,7 @@ fn plates_in_the_near_field_to_a_hundredth_of_a_decibel() {
 }
 
 #[test]
-fn a_dihedral_far_and_near() {
+fn a_dihedral_agrees_with_the_reference_in_the_far_and_near_field() {
     let dihedral = Target::Dihedral { width_m: 0.1, height_m: 0.1 };
     let expected = number(&reference()["dihedral"]["dBsm"]);
     for range in [None, Some(100.0), Some(1000.0)] {
@@ -133,7 +133,7 @@ fn a_dihedral_far_and_near() {
 }
 
 #[test]
-fn trihedrals_at_all_tabulated_angles() {
+fn trihedrals_agree_with_the_reference_at_all_tabulated_angles() {
     for row in reference_rows("trihedral") {
         let s = setup(None, number(&row["az"]), number(&row["el"]), Wall::Conductor);
         for (outline, key) in [(Outline::Triangular, "tri_dBsm"), (Outline::Square, "sq_dBsm")] {
@@ -151,7 +151,7 @@ fn trihedrals_at_all_tabulated_angles() {
 /// rim and along the walls, whose part falls with the square root of the wavelength. It is larger where the field
 /// stands upright on the side walls.
 #[test]
-fn cavities_approach_waveguide_modes() {
+fn cavities_agree_with_waveguide_modes() {
     // Ten wavelengths wide and five or ten deep at 60 GHz.
     let error_db = |depth_m: f64, frequency_hz: f64, azimuth_deg: f64, polarisation: Polarisation| {
         let target = Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m };
@@ -193,7 +193,7 @@ fn cavities_approach_waveguide_modes() {
 }
 
 #[test]
-fn mie_is_the_reference_mie() {
+fn mie_series_agree_with_the_reference() {
     let wavelength_m = 299_792_458.0 / 60e9;
     for row in reference_rows("sphere") {
         let radius = number(&row["r_m"]);
@@ -205,7 +205,7 @@ fn mie_is_the_reference_mie() {
 }
 
 #[test]
-fn spheres_of_twenty_thousand_triangles_are_mies() {
+fn spheres_of_twenty_thousand_triangles_agree_with_mie_series() {
     for radius_m in [0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1] {
         let target = Target::Sphere { radius_m };
         let tolerance = if radius_m < 0.025 { 0.2 } else { 0.1 };
@@ -238,7 +238,7 @@ fn facets_of_spheres_agree_with_the_closed_form_of_physical_optics() {
 /// Meshes of every reference body, at its directions, agree with the specular point formula that dense integration
 /// confirmed.
 #[test]
-fn ellipsoids_on_meshes() {
+fn meshes_of_ellipsoids_agree_with_the_specular_point_formula() {
     for row in reference_rows("ellipsoid_highlight") {
         let semi_axes_m = vector(&row["axes"]);
         let target = Target::Ellipsoid { semi_axes_m };
@@ -255,7 +255,7 @@ fn ellipsoids_on_meshes() {
 
 /// A torso on a 14 mm mesh, all around, near and far: the requirement is 0.2 dB, and the error is within a tenth of it.
 #[test]
-fn a_torso_on_a_14_mm_mesh() {
+fn a_torso_of_14_mm_triangles_agrees_with_the_closed_form() {
     let target = Target::Ellipsoid { semi_axes_m: DVec3::new(0.12, 0.17, 0.3) };
     for range in [None, Some(1.0), Some(4.0)] {
         for i in 0..24 {
@@ -268,7 +268,7 @@ fn a_torso_on_a_14_mm_mesh() {
 }
 
 #[test]
-fn cylinders_far_and_near() {
+fn cylinders_agree_with_closed_forms_in_the_far_and_near_field() {
     let cylinder = |radius_m, height_m| Target::Cylinder { radius_m, height_m };
     for (s, name) in [
         (setup(None, 20.0, 0.0, Wall::Conductor), "broadside"),
@@ -290,7 +290,7 @@ fn cylinders_far_and_near() {
 /// A plate much wider than its range is the radar's mirror image, `pi R^2`. Facets under the radar must be far smaller
 /// than the plate: they stayed as long as its half diagonal, and the plate was 25 dB too weak.
 #[test]
-fn a_wide_plate_is_a_mirror() {
+fn a_wide_plate_has_the_echo_of_the_radars_mirror_image() {
     for (width_m, range_m) in [(10.0, 0.3), (4.0, 0.3), (0.3, 0.01), (100.0, 0.3)] {
         let plate = Target::Plate { width_m, height_m: width_m };
         let outcome = solve(&plate, &setup(Some(range_m), 0.0, 0.0, Wall::Conductor), Method::Facets, None, 0.1);
@@ -301,7 +301,7 @@ fn a_wide_plate_is_a_mirror() {
 
 /// The cross-section stays finite through the focus of a concave mirror, where geometrical optics is infinite.
 #[test]
-fn a_mirror_is_finite_at_its_caustic() {
+fn a_concave_mirror_agrees_with_the_reference_at_its_caustic() {
     let mirror = Target::Mirror { radius_m: 1.0, aperture_m: 0.2 };
     let k = setup(None, 0.0, 0.0, Wall::Conductor).wavenumber_per_m();
     for row in reference_rows("concave_mirror") {
@@ -319,7 +319,7 @@ fn a_mirror_is_finite_at_its_caustic() {
 /// Files contain only triangles: a mesh of a ball acts as a ball, a corner as a corner, and a body hidden behind
 /// another is not seen.
 #[test]
-fn meshes_without_normals_are_what_they_look_like() {
+fn meshes_without_normals_agree_with_the_shapes_that_they_represent() {
     let ball = shape::icosphere(DVec3::splat(0.05), 32);
     let s = setup(None, 12.0, 34.0, Wall::Conductor);
     let surface = Surface::from_mesh(&ball.mesh(), 0.6);
@@ -353,7 +353,7 @@ fn meshes_without_normals_are_what_they_look_like() {
 
 /// A target behind plasterboard: a skin sphere through 12.5 mm of it, both ways, against the closed form.
 #[test]
-fn two_ways_through_plasterboard() {
+fn a_sphere_behind_plasterboard_is_two_transmissions_weaker() {
     use radome_sim::em::fresnel::{slab, straight_through};
     use radome_sim::material::Material;
     let eps = Material::Plasterboard.permittivity(60e9).expect("dielectric");
@@ -376,7 +376,7 @@ mod hard_cases {
     /// Caustic: through the focus of a concave mirror in steps of half a per cent, where geometrical optics is infinite
     /// and up to 18 dB wrong beside it. The solver follows the exact integral everywhere, without special settings.
     #[test]
-    fn the_focus_of_a_mirror_is_passed_smoothly() {
+    fn a_concave_mirror_agrees_with_the_exact_integral_through_its_focus() {
         let mirror = Target::Mirror { radius_m: 1.0, aperture_m: 0.2 };
         for step in -6..=6 {
             let s = setup(Some(1.0 + 0.005 * f64::from(step)), 0.0, 0.0, Wall::Conductor);
@@ -389,7 +389,7 @@ mod hard_cases {
     /// Facet integral near specular: a plate rotated through its specular direction by steps down to 1e-16 rad gives a
     /// smooth result.
     #[test]
-    fn nothing_happens_at_the_specular_direction() {
+    fn plate_echoes_are_smooth_at_the_specular_direction() {
         let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
         let at = |degrees: f64| {
             db(solve(&plate, &setup(None, degrees, 0.0, Wall::Conductor), Method::Facets, None, 0.1).sigma_m2)
@@ -406,7 +406,7 @@ mod hard_cases {
     /// Both polarisations and every direction of the edges (including edge-degenerate ones), compared with a rotated
     /// plate.
     #[test]
-    fn turning_everything_together_changes_nothing() {
+    fn the_integral_does_not_depend_on_the_common_orientation() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::plate(0.1, 0.07, 0.1);
         let radar = DVec3::new(1.2, 0.1, -0.05);
@@ -427,7 +427,7 @@ mod hard_cases {
 
     /// The scalar code path for conductors agrees with the vector form: a conductor as the limit of a dielectric.
     #[test]
-    fn the_scalar_path_is_the_vectors() {
+    fn the_scalar_integral_of_conductors_agrees_with_the_vector_integral() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::ellipsoid(DVec3::new(0.05, 0.06, 0.08), 0.01);
         let radar = Radar { end: Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), polarisation: DVec3::Z };
@@ -440,7 +440,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn the_order_of_triangles_does_not_matter() {
+    fn the_integral_does_not_depend_on_the_order_of_triangles() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::ellipsoid(DVec3::new(0.05, 0.06, 0.08), 0.01);
         let mut shuffled = surface.clone();
@@ -472,7 +472,7 @@ mod hard_cases {
 
     /// A radar that touches the surface, or is on it, gives a finite answer.
     #[test]
-    fn no_range_is_too_short_for_a_finite_answer() {
+    fn a_radar_at_the_surface_has_a_finite_integral() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::plate(0.02, 0.02, 0.02);
         for distance in [0.0, 1e-12, 1e-6, 1e-3] {
@@ -486,7 +486,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn grazing_incidence_fades() {
+    fn the_echo_at_grazing_incidence_is_weak_and_finite() {
         let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
         for boundary in [Wall::Conductor, SKIN] {
             for off in [1e-3, 1e-6, 1e-9, 0.0] {
@@ -498,7 +498,7 @@ mod hard_cases {
 
     /// Half-lit facets: the shadow line of a sphere is invisible in the result for any mesh size.
     #[test]
-    fn shadow_lines_do_not_show() {
+    fn the_echo_of_a_sphere_does_not_depend_on_the_orientation_of_its_mesh() {
         let target = Target::Sphere { radius_m: 0.05 };
         let mut values = Vec::new();
         for turn in 0..8 {
@@ -511,7 +511,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn impossible_targets_are_refused() {
+    fn invalid_targets_and_setups_are_refused() {
         let plate = |width_m| Target::Plate { width_m, height_m: 0.1 };
         let s = setup(None, 0.0, 0.0, Wall::Conductor);
         for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9] {

@@ -21,7 +21,7 @@ fn stream(simulator: &Simulator, from: u64, frames: usize, threads: usize) -> Ve
 }
 
 #[test]
-fn a_stream_goes_on_from_where_it_is_sent_or_cloned() {
+fn a_stream_continues_from_its_position_after_seek_and_clone() {
     let mut simulator = simulator(&scene("desk"), 4, Some(1));
     let mut frame = Frame::zeroed(simulator.waveform().shape());
     let mut next = |simulator: &mut Simulator| {
@@ -38,7 +38,7 @@ fn a_stream_goes_on_from_where_it_is_sent_or_cloned() {
 }
 
 #[test]
-fn a_stream_ends_after_the_frames_asked_for() {
+fn a_stream_ends_after_the_requested_frames() {
     let options = SimulateOptions { frames: Some(5), ..SimulateOptions::default() };
     let mut simulator = Simulator::new(&scene("desk"), options).expect("valid");
     assert_eq!(simulator.frame_count(), Some(5));
@@ -52,7 +52,7 @@ fn a_stream_ends_after_the_frames_asked_for() {
 }
 
 #[test]
-fn twenty_seconds_of_the_corridor_hold_all_three_classes() {
+fn twenty_seconds_of_the_corridor_contain_all_three_classes() {
     let scene = scene("corridor");
     let mut complete = 0;
     for seed in 0..20 {
@@ -67,7 +67,7 @@ fn twenty_seconds_of_the_corridor_hold_all_three_classes() {
 }
 
 #[test]
-fn people_keep_out_of_each_other_and_walk_at_human_speed() {
+fn people_walk_at_human_speed_and_hip_height() {
     for name in ["corridor", "room"] {
         let simulator = simulator(&scene(name), 3, None);
         for index in 0..400 {
@@ -81,7 +81,7 @@ fn people_keep_out_of_each_other_and_walk_at_human_speed() {
 
 /// Empty fixture maps are noise; people raise a few per cent of the cells by many decibels.
 #[test]
-fn corridor_maps_are_noise_until_somebody_comes() {
+fn corridor_maps_are_noise_without_people_and_raised_with_them() {
     let scene = scene("corridor");
     let empty = simulator(&scene, 1, Some(0));
     let noise = map_db(&empty.frame(9), 0);
@@ -102,7 +102,7 @@ fn corridor_maps_are_noise_until_somebody_comes() {
 }
 
 #[test]
-fn desk_people_are_drawn_or_forced() {
+fn the_number_of_people_at_a_desk_is_drawn_or_given() {
     let scene = scene("desk");
     let mut seen = [0; 3];
     for seed in 0..30 {
@@ -120,7 +120,7 @@ fn desk_people_are_drawn_or_forced() {
 
 /// A breathing chest shows its rate in slow time over frames.
 #[test]
-fn breathing_is_seen_over_half_a_minute() {
+fn breathing_is_the_strongest_frequency_over_forty_seconds() {
     let scene = scene("desk");
     let quiet = (0..50).find(|&seed| {
         let s = simulator(&scene, seed, Some(1));
@@ -156,7 +156,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn the_same_bytes_on_any_number_of_threads_and_in_any_order() {
+    fn frames_do_not_depend_on_threads_and_order() {
         let scene = scene("corridor");
         let one = stream(&simulator(&scene, 11, None), 55, 9, 1);
         let two = stream(&simulator(&scene, 11, None), 55, 9, 2);

@@ -45,7 +45,7 @@ fn reversed<const N: usize>(mut corners: [[f64; 2]; N]) -> [[f64; 2]; N] {
 }
 
 #[test]
-fn a_box_has_six_faces_that_look_inwards_and_no_edge_that_diffracts() {
+fn a_box_has_six_inward_faces_and_no_diffracting_edge() {
     let room = surfaces(&box_keys("plasterboard"), "");
     assert_eq!(room.faces.len(), 6);
     let middle = 0.5 * DVec3::from_array(SIZE_M);
@@ -78,7 +78,7 @@ fn a_box_is_the_same_from_toml_obj_stl_gltf_and_a_plan() {
 }
 
 #[test]
-fn materials_of_parts_are_those_of_their_faces() {
+fn faces_have_the_materials_of_their_parts() {
     let quads = room_quads();
     let names = ["plaster", "plaster", "plaster", "pane", "steel", "plaster"];
     let named: Vec<(Quad, &str)> = quads.into_iter().zip(names).collect();
@@ -140,7 +140,7 @@ const DOORWAY: &str = "[[room.plan.opening]]\nwall = 0\nfrom_m = 3.0\nto_m = 3.9
 const WINDOW: &str = "[[room.plan.opening]]\nwall = 2\nfrom_m = 1.0\nto_m = 2.5\nsill_m = 1.0\nhead_m = 2.0\n";
 
 #[test]
-fn openings_take_their_part_of_a_wall_and_have_rims() {
+fn openings_reduce_their_wall_and_have_free_edges() {
     let room = surfaces(&plan_keys(&RECTANGLE, DOORWAY), "");
     let (_, wall) = face(&room, "wall 0");
     assert_eq!((wall.polygon.outline.len(), wall.polygon.holes.len(), wall.sides), (8, 0, Sides::Two));
@@ -156,7 +156,7 @@ fn openings_take_their_part_of_a_wall_and_have_rims() {
 }
 
 #[test]
-fn panes_and_shut_doors_close_a_room_again() {
+fn panes_and_shut_doors_close_a_room() {
     let tables = format!("{WINDOW}material = \"glass\"\n{DOORWAY}door = {{ hinge = \"to\", material = \"wood\" }}\n");
     let room = surfaces(&plan_keys(&RECTANGLE, &tables), "");
     // Both faces list a seam: four around the pane, three around the leaf.
@@ -177,7 +177,7 @@ fn panes_and_shut_doors_close_a_room_again() {
 }
 
 #[test]
-fn doors_open_about_their_hinges() {
+fn door_leaves_turn_about_their_hinges() {
     let end = |hinge: &str, open_deg: f64, corners: &[[f64; 2]], wall: usize| {
         let doorway = DOORWAY.replace("wall = 0", &format!("wall = {wall}"));
         let tables = format!("{doorway}door = {{ hinge = {hinge:?}, open_deg = {open_deg:?}, material = \"wood\" }}\n");
@@ -206,7 +206,7 @@ fn doors_open_about_their_hinges() {
 }
 
 #[test]
-fn partitions_have_air_on_both_sides_and_end_freely() {
+fn partitions_have_air_on_both_sides_and_a_free_edge() {
     let partition = "[[room.plan.partition]]\nfrom_m = [3.0, 0.0]\nto_m = [3.0, 2.5]\nmaterial = \"glass\"\n\
                      thickness_m = 0.01\n";
     let room = surfaces(&plan_keys(&RECTANGLE, partition), "");
@@ -230,7 +230,7 @@ fn partitions_have_air_on_both_sides_and_end_freely() {
 }
 
 #[test]
-fn fixtures_have_the_surfaces_that_they_are_for() {
+fn fixture_scenes_have_the_expected_surfaces() {
     let of = |name: &str| -> Surfaces { common::scene(name).surfaces() };
     assert_eq!(of("corridor").faces.len(), 6);
     let corridor = of("l-corridor");
@@ -245,7 +245,7 @@ fn fixtures_have_the_surfaces_that_they_are_for() {
 }
 
 #[test]
-fn an_open_plan_room_of_ten_thousand_triangles_is_faces() {
+fn most_triangles_of_an_open_plan_room_belong_to_faces() {
     let scene = common::scene("open-plan");
     let room = scene.surfaces();
     let mesh = room.triangles();
@@ -258,7 +258,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn triangles_that_face_the_wrong_way_change_nothing() {
+    fn reversed_triangles_change_no_surface() {
         let expected = surfaces(&box_keys("plasterboard"), "");
         let good = triangles(&room_quads());
         for pattern in [0u32, 0xFFF, 0b0000_0001_0000, 0b1010_0110_0101, 0b0011_0011_0011] {
@@ -307,7 +307,7 @@ mod hard_cases {
 
     /// A wall around a window: four quadrilaterals between outer and inner corners.
     #[test]
-    fn holes_in_walls_of_files_are_holes() {
+    fn walls_of_files_keep_their_holes() {
         let quads = room_quads();
         let outer = [[0.0, 0.0, 0.0], [5.25, 0.0, 0.0], [5.25, 0.0, 2.75], [0.0, 0.0, 2.75]];
         let inner = [[1.0, 0.0, 1.0], [2.5, 0.0, 1.0], [2.5, 0.0, 2.0], [1.0, 0.0, 2.0]];
@@ -339,7 +339,7 @@ mod hard_cases {
 
     /// Strips a millimetre wide are faces, parts below the least area remain triangles, and both are connected.
     #[test]
-    fn slivers_are_faces_and_small_things_stay_triangles() {
+    fn slivers_become_faces_and_small_parts_remain_triangles() {
         let quads = room_quads();
         let mut all: Vec<(Quad, &str)> = quads.iter().map(|&quad| (quad, "plaster")).collect();
         let rail = faces([1.0, 2.0, 1.0], [4.0, 2.001, 1.1]);
@@ -355,7 +355,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn plans_that_are_wrong_are_told_how() {
+    fn invalid_plans_are_refused_with_the_expected_value() {
         let told = |room: &str, tables: &str, expected: &[&str]| {
             let message = parse(room, tables, Path::new("a")).map(|_| ()).expect_err(room).to_string();
             assert!(message.starts_with("a/scene.toml:"), "{message}");
@@ -439,7 +439,7 @@ mod hard_cases {
 
     /// Rooms that a box cannot represent are not treated as boxes.
     #[test]
-    fn a_plan_is_simulated_and_is_no_box() {
+    fn an_l_shaped_plan_is_simulated_without_box_images() {
         let scene: Scene = parse(&plan_keys(&L_SHAPE, ""), "", Path::new("")).expect("a good scene");
         let simulator =
             radome_sim::Simulator::new(&scene, radome_sim::SimulateOptions::default()).expect("a simulator");

@@ -71,7 +71,7 @@ fn a_swaying_reflector_has_the_doppler_of_its_speed() {
 /// direction, by the amount given by the weak echo's amplitude and phase rate. Without the reflector the bin is
 /// constant.
 #[test]
-fn weak_sway_turns_a_strong_bin_within_a_frame() {
+fn weak_sway_changes_the_phase_of_a_strong_bin_within_a_frame() {
     let sway = "[[room.sway]]\nreflectors = 1\nposition_m = [4.0, 10.0, 1.2]\ncross_section_dbsm = -25.0\nspread_db = 0.0\n\
                 amplitude_m = [0.0002, 0.0002]\nfrequency_hz = [2.0, 2.0]\nbandwidth = 0.3\n";
     let slopes = |scene: &Scene| -> Vec<f64> {
@@ -97,7 +97,7 @@ fn weak_sway_turns_a_strong_bin_within_a_frame() {
 /// A motion synchronous with the frames, as of objects driven by the mains: the slope is the same in every frame, while
 /// the mean phase does not change.
 #[test]
-fn sway_in_step_with_the_frames_repeats_in_each() {
+fn sway_at_the_frame_rate_is_the_same_in_every_frame() {
     let sway = "[[room.sway]]\nreflectors = 1\nposition_m = [4.0, 10.0, 1.2]\ncross_section_dbsm = -10.0\nspread_db = 0.0\n\
                 amplitude_m = [0.0001, 0.0001]\nfrequency_hz = [10.0, 10.0]\nbandwidth = 0.0\n";
     let scene = quiet(&format!("{}{sway}{NOBODY}", post(3.0, 0.0)));
@@ -132,7 +132,7 @@ fn slow_over_noise_db(scene: &Scene) -> f64 {
 /// Halls of the training set with swaying reflectors: cells beside zero Doppler rise with the strength of the
 /// reflectors, from zero.
 #[test]
-fn an_empty_hall_that_sways_has_slow_echoes() {
+fn swaying_reflectors_raise_the_cells_beside_zero_doppler() {
     let (path, text) = fixture("hall");
     let text = text.replace("passer_by_probability = 0.7", "passer_by_probability = 0.0");
     let level_db = |sway: &str| {
@@ -154,7 +154,7 @@ fn an_empty_hall_that_sways_has_slow_echoes() {
 
 /// All echoes share the phase of the radar's own displacement.
 #[test]
-fn vibration_of_the_radar_turns_all_echoes_alike() {
+fn vibration_of_the_radar_changes_the_phase_of_all_echoes_alike() {
     let vibration = "[radar.vibration]\namplitude_m = 2e-5\nfrequency_hz = 30.0\nbandwidth = 0.0\n";
     let scene = quiet(&format!("{}{}{vibration}{NOBODY}", post(3.0, 10.0), post(5.0, 20.0)));
     let simulator = simulator(&scene, 1, None);
@@ -185,7 +185,7 @@ fn two_posts(clutter: &str) -> Scene {
 
 /// A chip whose frequency settles within each frame turns echoes by their delay, the same in every frame.
 #[test]
-fn settling_turns_echoes_by_their_delay_in_every_frame() {
+fn settling_changes_the_phase_of_echoes_by_their_delay_in_every_frame() {
     let scene = two_posts("settling_frequency_hz = 1e6\nsettling_time_s = 0.01\n");
     let simulator = simulator(&scene, 1, None);
     for index in [0, 5] {
@@ -202,7 +202,7 @@ fn settling_turns_echoes_by_their_delay_in_every_frame() {
 
 /// The gain drifts over seconds, and jitter of chirp times turns far echoes more than near ones.
 #[test]
-fn gain_drifts_and_chirps_jitter_as_asked() {
+fn gain_drift_and_chirp_jitter_have_the_requested_size() {
     let drifting = two_posts("gain_drift_per_10s = 0.1\n");
     let changes: Vec<f64> = (0..24)
         .map(|seed| {
@@ -226,7 +226,7 @@ fn gain_drifts_and_chirps_jitter_as_asked() {
 
 /// A spurious tone with a free-running clock appears in one cell of the map, above the noise.
 #[test]
-fn a_free_spur_stands_in_one_cell() {
+fn a_free_running_spur_is_one_cell_of_the_map() {
     let text = hall(NOBODY)
         .replace("[receiver.noise]\n", "[receiver.noise]\nspurs = 1\nspur_lsb = 2.0\nspur_phase = \"free\"\n");
     let strongest = |scene: &Scene| {
@@ -243,7 +243,7 @@ fn a_free_spur_stands_in_one_cell() {
 /// A static echo 5 m away while a person walks past 2 m in front of the radar. Beside the body, a single knife edge
 /// leaves it unchanged, and both sides of a strip make it fluctuate. Behind the body both models weaken it strongly.
 #[test]
-fn people_disturb_static_echoes_behind_and_beside_them() {
+fn people_change_static_echoes_behind_and_beside_them() {
     let people = |shadow: &str| {
         format!(
             "{}[people]\nshadow = \"{shadow}\"\n[[people.actor]]\nstep = [{{ walk_to_m = [3.0, 8.0] }}, \
@@ -278,7 +278,7 @@ fn people_disturb_static_echoes_behind_and_beside_them() {
 }
 
 #[test]
-fn neutral_keys_leave_frames_as_they_are() {
+fn neutral_keys_change_no_frame() {
     let (path, text) = fixture("hall");
     let neutral = text
         .replace("[radar]\n", "[[room.sway]]\nreflectors = 0\n[[room.sway]]\nprobability = 0.0\n[radar]\n")
@@ -301,7 +301,7 @@ fn neutral_keys_leave_frames_as_they_are() {
 
 /// Every key can be drawn.
 #[test]
-fn rooms_are_drawn_with_and_without_sway() {
+fn every_key_of_sway_and_receiver_can_be_drawn() {
     let (path, text) = fixture("hall");
     let text = text
         .replace("[radar]\n", "[[room.sway]]\n[radar]\n")
@@ -334,7 +334,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn keys_that_make_no_sense_are_refused_by_name() {
+    fn invalid_keys_are_refused_by_name() {
         let cases = [
             ("[[room.sway]]\nreflectors = 65\n", "reflectors", "64"),
             ("[[room.sway]]\nprobability = 1.5\n", "probability", "0 to 1"),
@@ -370,7 +370,7 @@ mod hard_cases {
 
     /// Reflectors in a corner, at the antenna and with the largest motions: frames are made, and codes are valid.
     #[test]
-    fn reflectors_at_the_ends_of_their_ranges_are_simulated() {
+    fn reflectors_with_extreme_values_are_simulated() {
         for position_m in ["[0.0, 0.0, 0.0]", "[1.0, 10.0, 1.2]", "[20.0, 20.0, 3.0]"] {
             for (amplitude_m, frequency_hz) in [(1e-7, 0.01), (0.5, 200.0)] {
                 let sway = format!(

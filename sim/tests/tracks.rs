@@ -30,7 +30,7 @@ fn keys(prepared: &PreparedScene, motion: &Arc<Motion>, time_s: f64) -> Vec<Vec<
 /// A walker in the corridor, over half a frame: the samples of all receivers from shared tracks, compared with the sum
 /// of each receiver's own segments.
 #[test]
-fn receivers_that_share_a_path_hear_their_own() {
+fn shared_tracks_agree_with_separate_segments_of_each_receiver() {
     let prepared = PreparedScene::new(&scene("corridor"), 0, 10.0);
     let walk = MotionBuilder::new(Person::draw(1, [0, 0], 1.75), 0.0, [9.0, 1.2], 3.1).walk_to([2.0, 0.9], 1.3);
     let motion = Arc::new(walk.stay());

@@ -98,7 +98,7 @@ fn person(scene: &Scene, place: [f64; 2]) -> Vec<Complex64> {
 /// A whole simulated person behind the board: the chest's echo is within a tenth of a decibel of the closed form at its
 /// angle, straight ahead and 40 degrees off.
 #[test]
-fn a_person_behind_plasterboard_is_heard_through_it() {
+fn a_person_behind_plasterboard_has_the_echo_of_the_closed_form() {
     for off_m in [0.0f64, 4.2] {
         let place = [6.0, 10.0 + off_m];
         let (open, walled) = (person(&scene("open", true), place), person(&scene("plasterboard", true), place));
@@ -112,7 +112,7 @@ fn a_person_behind_plasterboard_is_heard_through_it() {
 }
 
 #[test]
-fn without_transmission_nobody_is_behind_a_wall() {
+fn without_transmission_a_person_behind_a_wall_has_no_echo() {
     for (material, transmission) in [("plasterboard", false), ("metal", true)] {
         let echoes = person(&scene(material, transmission), [6.0, 10.0]);
         assert!(echoes.iter().all(|a| a.norm() == 0.0), "{material} {transmission}");
@@ -122,7 +122,7 @@ fn without_transmission_nobody_is_behind_a_wall() {
 
 /// An open wall is no surface: what is behind it is as with transmission. It hid people.
 #[test]
-fn an_open_wall_hides_nobody() {
+fn an_open_wall_obstructs_no_path() {
     let (off, on) = (person(&scene("open", false), [6.0, 10.0]), person(&scene("open", true), [6.0, 10.0]));
     assert!(off.iter().any(|a| a.norm() > 0.0));
     assert_eq!(off, on);
@@ -142,7 +142,7 @@ fn an_open_wall_hides_nobody() {
 }
 
 #[test]
-fn inside_the_room_it_makes_no_difference() {
+fn transmission_does_not_change_echoes_inside_the_room() {
     for place in [[2.0, 9.0], [3.0, 12.0]] {
         let (off, on) = (person(&scene("plasterboard", false), place), person(&scene("plasterboard", true), place));
         assert!(off.iter().any(|a| a.norm() > 0.0));
@@ -156,7 +156,7 @@ mod hard_cases {
     /// A path from in front of the wall through it and beyond, and around the room's corner. The field has no step from
     /// one millimetre to the next, no image exists beyond, and values on the planes themselves are finite.
     #[test]
-    fn nothing_is_switched_on_the_way_through_a_wall() {
+    fn the_field_is_continuous_through_a_wall() {
         let wall = Wall::Slab { permittivity: plasterboard(), thickness_m: THICKNESS_M };
         let room = BoxRoom::new(DVec3::new(4.0, 8.0, 3.0), [wall; 6], WAVENUMBER, true);
         let element = isotropic(DVec3::new(1.0, 4.0, 1.2), DVec3::new(0.0, 0.6, 0.8));

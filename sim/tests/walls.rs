@@ -54,7 +54,7 @@ fn walked(scene: &Scene, until_s: f64) -> Vec<[f64; 2]> {
 
 /// The straight line from one arm into the other crosses both inner walls.
 #[test]
-fn a_walker_in_an_l_crosses_no_wall() {
+fn a_walker_in_an_l_shaped_room_crosses_no_wall() {
     let folder = tempfile::tempdir().expect("a folder");
     let steps = "{ walk_to_m = [5.2, 1.0] }, { walk_to_m = [1.0, 5.2] }, { walk_to_m = [5.2, 1.0] }";
     for (name, scene) in rooms_like_an_l(steps, folder.path()) {
@@ -69,7 +69,7 @@ fn a_walker_in_an_l_crosses_no_wall() {
 }
 
 #[test]
-fn who_is_beyond_a_wall_is_not_in_the_room() {
+fn a_person_beyond_a_wall_is_not_in_the_room() {
     let folder = tempfile::tempdir().expect("a folder");
     for (place, occupancy) in [("[4.0, 4.0]", Occupancy::Empty), ("[1.0, 4.0]", Occupancy::One)] {
         let steps = format!("{{ walk_to_m = {place} }}, {{ stand_s = 100.0 }}");

@@ -51,7 +51,7 @@ fn the_radar_may_be_on_a_wall_and_in_a_corner() {
 
 /// Shoulders inside the wall are hidden; the rest of the body is visible.
 #[test]
-fn somebody_may_touch_a_wall() {
+fn a_person_may_touch_a_wall() {
     for place in ["[4.9, 2.0]", "[4.0, 0.05]", "[4.95, 3.95]"] {
         let actor = format!("[[people.actor]]\nstep = [{{ walk_to_m = {place} }}, {{ stand_s = 100.0 }}]\n");
         assert_sound(&made(&plan(""), &actor, Path::new("")), place);
@@ -68,7 +68,7 @@ fn a_room_may_have_no_ceiling() {
 
 /// At points inside the whole room and around it, fields are finite and no louder than two mirrors allow.
 #[test]
-fn fields_are_numbers_everywhere() {
+fn fields_are_finite_inside_and_around_a_room() {
     let prepared = polygons(&made(&plan(""), WALKER, Path::new("")));
     for index in prepared.room.images(2) {
         for i in 0..300 {
@@ -170,7 +170,7 @@ fn is_straight_from_wall(path: &ListedPath) -> bool {
 
 /// Two overlapping panels that reflect the radar act as one mirror, not two.
 #[test]
-fn panels_that_overlap_mirror_once() {
+fn overlapping_panels_reflect_once() {
     let of = |wall: &[Quad], margin_db: f64| -> Vec<ListedPath> {
         still(&with_other_wall(wall), margin_db).into_iter().filter(is_straight_from_wall).collect()
     };
@@ -228,7 +228,7 @@ fn from_plate(depth_m: f64, aside_m: f64) -> Complex64 {
 
 /// Regression test: the edges behind the front of a box changed its mirror echo by up to 2.3 dB.
 #[test]
-fn a_box_mirrors_as_its_front_does() {
+fn a_box_has_the_mirror_echo_of_its_front() {
     for aside_m in [0.0, 0.01, 0.02, 0.023, 0.024, 0.025, 0.0275, 0.03] {
         let [sheet, shallow, deep] = [0.0, 0.03, 0.3].map(|depth_m| from_plate(depth_m, aside_m));
         for of_box in [shallow, deep] {
@@ -240,7 +240,7 @@ fn a_box_mirrors_as_its_front_does() {
 
 /// A hole at the reflection point of a wall removes that path; paths far from the hole are unchanged.
 #[test]
-fn a_hole_in_a_wall_takes_its_own_paths_alone() {
+fn a_hole_in_a_wall_removes_only_the_paths_at_it() {
     let [low, high] = [[0.125, 0.75], [1.25, 1.75]];
     let outer = panel(0.0, SIZE_M[0]);
     let inner = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]].map(|[x, z]| [x, 0.0, z]);
@@ -265,7 +265,7 @@ fn a_hole_in_a_wall_takes_its_own_paths_alone() {
 
 /// A room without a ceiling lacks exactly the paths by the ceiling; corners of walls and floor reflect as before.
 #[test]
-fn without_a_ceiling_its_paths_alone_are_gone() {
+fn an_open_ceiling_removes_only_the_paths_by_way_of_it() {
     let room = |ceiling: &str| made(&format!("solver = \"rays\"\n{}", box_keys(ceiling)), WALKER, Path::new(""));
     let (closed, open) = (room("plasterboard"), room("open"));
     let is_by_ceiling = |path: &ListedPath| path.points_m.iter().any(|[.., z]| *z > SIZE_M[2] - 1e-6);
@@ -290,7 +290,7 @@ fn metal_box() -> BoxRoom {
 /// On a wall the antenna and its image in that wall coincide. All other images are those of an antenna a millimetre
 /// off.
 #[test]
-fn an_antenna_on_a_wall_has_the_images_of_one_just_before_it() {
+fn an_antenna_on_a_wall_has_the_images_of_one_a_millimetre_before_it() {
     let room = metal_box();
     let environment = Arc::new(Environment::new(Facet::of_box(&room), WAVENUMBER).expect("facets"));
     let (on_wall, before_wall) = (DVec3::new(0.0, 1.5, 1.2), DVec3::new(0.001, 1.5, 1.2));
@@ -317,7 +317,7 @@ fn an_antenna_on_a_wall_has_the_images_of_one_just_before_it() {
 /// A millimetre from two metal walls, three images cancel most of the antenna's field: the sum is that of a corner
 /// reflector antenna. At 45 degrees the path by both walls goes through their edge.
 #[test]
-fn an_antenna_in_a_corner_has_the_field_of_the_closed_form() {
+fn the_field_of_an_antenna_in_a_corner_agrees_with_the_closed_form() {
     let off_m = 1e-3;
     let antenna = isotropic(DVec3::new(off_m, off_m, 1.2), DVec3::Z);
     let environment = Environment::new(Facet::of_box(&metal_box()), WAVENUMBER).expect("facets");
@@ -343,7 +343,7 @@ fn an_antenna_in_a_corner_has_the_field_of_the_closed_form() {
 /// Paths across the rim of a sheet, along it, and in the sheet's plane give finite fields, exactly and at offsets below
 /// the resolution of rays.
 #[test]
-fn ways_along_edges_and_in_planes_are_numbers() {
+fn paths_along_edges_and_in_planes_have_finite_fields() {
     let corners = [[2.0, 0.0, 0.0], [2.0, 1.5, 0.0], [2.0, 1.5, 2.6], [2.0, 0.0, 2.6]].map(DVec3::from_array);
     let mut facets = Facet::of_box(&metal_box());
     facets.push(Facet::new(corners.to_vec(), Wall::Conductor));
