@@ -14,7 +14,7 @@ use radome_sim::scenario::Scenario;
 use radome_sim::scene_file::{BodyFile, SceneFile};
 use radome_sim::{Scene, Simulator};
 
-use crate::common::{hall, map_db, parse, refusal, scene, simulator};
+use crate::common::{error_message, hall, map_db, parse, scene, simulator};
 
 const HEIGHT_M: f64 = 1.75;
 const TURN_RAD_PER_S: f64 = 1.8;
@@ -393,7 +393,7 @@ mod hard_cases {
             (format!("{place}, {{ sit_s = 9.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
             ("{ face_deg = 90.0 }".to_owned(), "enter_door"),
         ] {
-            let message = refusal(&hall(&script(&steps)));
+            let message = error_message(&hall(&script(&steps)));
             assert!(message.contains(expected), "{steps}: {message}");
         }
         let door = "[[door]]\nposition_m = [0.0, 10.0]\n";
@@ -404,7 +404,7 @@ mod hard_cases {
                 "leave_door is 0, expected it in the last step only",
             ),
         ] {
-            let message = refusal(&hall(&format!("{door}{}", script(&steps))));
+            let message = error_message(&hall(&format!("{door}{}", script(&steps))));
             assert!(message.contains(expected), "{steps}: {message}");
         }
         for (keys, expected) in [
@@ -413,7 +413,7 @@ mod hard_cases {
             ("stride = [1.2, 0.8]", "stride"),
             ("arm_swing = [0.0, nan]", "arm_swing"),
         ] {
-            let message = refusal(&hall(&format!("[people]\n{keys}\nactor = [{{ step = [{place}] }}]\n")));
+            let message = error_message(&hall(&format!("[people]\n{keys}\nactor = [{{ step = [{place}] }}]\n")));
             assert!(message.contains(expected), "{keys}: {message}");
         }
     }

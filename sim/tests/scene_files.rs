@@ -4,7 +4,7 @@ use std::path::Path;
 
 use radome_sim::{Receiver, Scene, SceneError, load_receiver};
 
-use crate::common::{self, NOBODY, hall, refusal};
+use crate::common::{self, NOBODY, error_message, hall};
 
 fn line_of(text: &str, needle: &str) -> usize {
     text.lines().position(|l| l.contains(needle)).expect("written") + 1
@@ -52,7 +52,7 @@ mod hard_cases {
         let text = hall(NOBODY)
             .replace("azimuth", "azimut")
             .replace("position_m = [1.0, 10.0, 1.2]", "posiiton_m = [1.0, 10.0, 1.2]");
-        let message = refusal(&text);
+        let message = error_message(&text);
         let line = line_of(&text, "posiiton_m");
         assert!(message.starts_with(&format!("a/b.toml:{line}: ")), "{message}");
         assert!(message.contains("posiiton_m") && message.contains("position_m"), "{message}");
@@ -80,7 +80,7 @@ mod hard_cases {
         for (from, to, at, expected) in cases {
             let text = hall(NOBODY).replacen(from, to, 1);
             assert_ne!(text, hall(NOBODY), "{from}");
-            let message = refusal(&text);
+            let message = error_message(&text);
             let line = line_of(&text, at);
             assert!(message.starts_with(&format!("a/b.toml:{line}: ")), "{to}: {message} (line {line})");
             assert!(message.contains(expected), "{to}: {message}");
@@ -92,14 +92,18 @@ mod hard_cases {
     fn an_error_names_the_line_of_the_invalid_value_or_none() {
         let bed = "[[bed]]\nposition_m = [3.0, 3.0]\nheading_deg = 0.0\nheight_m = 0.5\n";
         let text = hall(&format!("{bed}{}{NOBODY}", bed.replace("height_m = 0.5", "height_m = 3")));
-        let (line, message) = (line_of(&text, "height_m = 3"), refusal(&text));
+        let (line, message) = (line_of(&text, "height_m = 3"), error_message(&text));
         assert!(message.starts_with(&format!("a/b.toml:{line}: height_m is 3, expected 0.2 to 1 m")), "{message}");
         let text = hall(&format!("{bed}{}{NOBODY}", bed.replace("[3.0, 3.0]", "[99.0, 3.0]")));
-        assert!(refusal(&text).starts_with("a/b.toml: bed is [99.0, 3.0], expected"), "{}", refusal(&text));
+        assert!(error_message(&text).starts_with("a/b.toml: bed is [99.0, 3.0], expected"), "{}", error_message(&text));
         // The height of a seat may be that of a wrong bed.
         let seat = "[[seat]]\nposition_m = [3.0, 3.0]\nheading_deg = 0.0\nheight_m = 0.1\n";
         let text = hall(&format!("{}{seat}{NOBODY}", bed.replace("height_m = 0.5", "height_m = 0.1")));
-        assert!(refusal(&text).starts_with("a/b.toml: height_m is 0.1, expected 0.2 to 1 m"), "{}", refusal(&text));
+        assert!(
+            error_message(&text).starts_with("a/b.toml: height_m is 0.1, expected 0.2 to 1 m"),
+            "{}",
+            error_message(&text)
+        );
     }
 
     #[test]
@@ -111,19 +115,19 @@ mod hard_cases {
             ("max_people = 0", "max_people = 9", "max_people is 9, expected 0 to 2 people"),
         ] {
             let text = hall(NOBODY).replacen(from, to, 1);
-            assert!(refusal(&text).contains(expected), "{to}: {}", refusal(&text));
+            assert!(error_message(&text).contains(expected), "{to}: {}", error_message(&text));
         }
     }
 
     #[test]
     fn a_door_wider_than_its_wall_allows_is_refused() {
         let door = |keys: &str| format!("[[door]]\n{keys}\n[people.visits]\n");
-        let message = refusal(&hall(&door("position_m = [0.0, 1.0]\nwidth_m = 2.5")));
+        let message = error_message(&hall(&door("position_m = [0.0, 1.0]\nwidth_m = 2.5")));
         assert!(message.contains("width_m is 2.5, expected at most 2.00 m"), "{message}");
         assert!(Scene::parse(&hall(&door("position_m = [0.0, 1.0]\nwidth_m = 2.0")), Path::new("a")).is_ok());
         // A width that is not written has no line.
         let text = hall(&door("position_m = [0.0, 0.3]"));
-        let (line, message) = (line_of(&text, "position_m = [0.0, 0.3]"), refusal(&text));
+        let (line, message) = (line_of(&text, "position_m = [0.0, 0.3]"), error_message(&text));
         let expected = "position_m is [0.0, 0.3], expected 0.45 m or more off the wall's ends: width_m is 0.9";
         assert!(message.starts_with(&format!("a/b.toml:{line}: {expected}")), "{message}");
     }
@@ -135,7 +139,7 @@ mod hard_cases {
         let visits = |margin: &str| format!("{door}[people.visits]\npace_margin_m = {margin}\n");
         assert!(Scene::parse(&hall(&visits("9.9")), Path::new("a")).is_ok());
         for margin in ["10.0", "-0.1", "nan"] {
-            let message = refusal(&hall(&visits(margin)));
+            let message = error_message(&hall(&visits(margin)));
             let expected = "expected 0 to less than 10 m, half of the room's shorter side";
             assert!(message.contains("pace_margin_m") && message.contains(expected), "{margin}: {message}");
         }
@@ -151,22 +155,22 @@ mod hard_cases {
             ("absence_s = [1.0, 2.0]", "absence_s = [1.0, 2.0, 3.0]", "people.visits.absence_s"),
             ("[0.0, 3.0]", "[0.0, 3.0, 1.0]", "door.position_m"),
         ] {
-            let message = refusal(&hall(door).replacen(from, to, 1));
+            let message = error_message(&hall(door).replacen(from, to, 1));
             assert!(message.contains(&format!("`{key}`")), "{to}: {message}");
         }
         let text = hall(door).replacen("size_m = [20.0, 20.0, 3.0]", "size_m = [20.0, 20.0, 3.0, 99.0]", 1);
         let line = line_of(&text, "size_m");
-        assert!(refusal(&text).starts_with(&format!("a/b.toml:{line}: ")), "{}", refusal(&text));
+        assert!(error_message(&text).starts_with(&format!("a/b.toml:{line}: ")), "{}", error_message(&text));
         let steps = "[people]\nactor = [{ step = [{ walk_to_m = [1.0, 1.0, 9.0] }] }]\n";
-        assert!(refusal(&hall(steps)).contains("walk_to_m`"), "{}", refusal(&hall(steps)));
+        assert!(error_message(&hall(steps)).contains("walk_to_m`"), "{}", error_message(&hall(steps)));
         let random = format!("{door}[random]\n\"radar.tilt_down_deg\" = {{ between = [0, 1, 2] }}\n");
-        assert!(refusal(&hall(&random)).contains("between`"), "{}", refusal(&hall(&random)));
+        assert!(error_message(&hall(&random)).contains("between`"), "{}", error_message(&hall(&random)));
     }
 
     /// The message named no limits, but a schema that has none.
     #[test]
     fn invalid_constants_of_a_receiver_are_refused_with_their_range() {
-        let message = refusal(&hall(NOBODY).replace("noise_figure_db = 0.0", "noise_figure_db = 61.5"));
+        let message = error_message(&hall(NOBODY).replace("noise_figure_db = 0.0", "noise_figure_db = 61.5"));
         assert!(message.contains("noise_figure_db is 61.5, expected a physical value, 0 to 60"), "{message}");
     }
 
@@ -180,7 +184,7 @@ mod hard_cases {
             ("[people]\nactor = [{ step = [{ walk_to_m = [1.0, 1.0] }, { sit_s = 3.0, seat = 2 }] }]\n", "[[seat]]"),
             ("[[door]]\nposition_m = [3.0, 3.0]\n[people.visits]\n", "wall"),
         ] {
-            let message = refusal(&hall(people));
+            let message = error_message(&hall(people));
             assert!(message.contains(expected), "{people}: {message}");
         }
     }
@@ -275,8 +279,8 @@ mod hard_cases {
         let to = text.find("[room]").expect("room");
         let text = format!("{}{}", &text[..from], &text[to..])
             .replace("name = \"hall\"", "name = \"hall\"\nreceiver = \"none.toml\"");
-        assert!(refusal(&text).contains("a/none.toml"), "{}", refusal(&text));
-        assert!(refusal("").contains("a/b.toml:1"));
-        assert!(refusal("\u{0}\u{1}[[[").contains("a/b.toml:1"));
+        assert!(error_message(&text).contains("a/none.toml"), "{}", error_message(&text));
+        assert!(error_message("").contains("a/b.toml:1"));
+        assert!(error_message("\u{0}\u{1}[[[").contains("a/b.toml:1"));
     }
 }

@@ -4,7 +4,7 @@ use num_complex::Complex64;
 use radome_sim::{SimulateOptions, Simulator};
 use rayon::iter::{IntoParallelIterator, ParallelIterator};
 
-use crate::common::{on_threads, parse, range_profiles, refusal, simulator};
+use crate::common::{error_message, on_threads, parse, range_profiles, simulator};
 
 /// Hall without walls, with a few chirps and one receiver: the slow method takes seconds for it.
 const HALL: &str = r#"
@@ -124,7 +124,7 @@ mod hard_cases {
     fn a_desk_scene_with_skins_is_an_error() {
         let begin = HALL.find("[people]").expect("people");
         let desk = format!("{}[people]\nbody = \"mesh\"\n[people.desk]\n", &HALL[..begin]);
-        let message = refusal(&desk);
+        let message = error_message(&desk);
         assert!(message.contains("body") && message.contains("desk"), "{message}");
     }
 }

@@ -9,14 +9,15 @@ use radome_sim::Scene;
 use radome_sim::em::image::Wall;
 use radome_sim::scene::surfaces::{EdgeKind, FaceEdge, Sides, Surfaces};
 use rooms::{
-    M, MM, Quad, SIZE_M, assert_same, box_keys, count, face, faces, from_file, gltf, is_flat, is_free, is_inner,
-    is_seam, is_wedge, obj, parse, room_files, small_triangles, stl, surfaces, triangles,
+    METRES, MILLIMETRES, Quad, SIZE_M, assert_same_surfaces, box_keys, count, face, faces, gltf, is_flat, is_free,
+    is_inner, is_seam, is_wedge, obj, parse_room, room_files, small_triangles, stl, surfaces, surfaces_from_file,
+    triangles,
 };
 
 use crate::common;
 
 /// Diffracting edges, each once: a wedge is represented by the edge that its lower face lists.
-fn diffracting(room: &Surfaces) -> impl Iterator<Item = &FaceEdge> {
+fn diffracting_edges(room: &Surfaces) -> impl Iterator<Item = &FaceEdge> {
     room.edges.iter().filter(|edge| match edge.kind {
         EdgeKind::Wedge { other: Some(other), .. } => edge.face < other,
         _ => edge.diffracts(),
@@ -55,7 +56,7 @@ fn a_box_has_six_inward_faces_and_no_diffracting_edge() {
         assert!(face.polygon.height_m(middle) > 1.0 && face.sides == Sides::One, "{face:?}");
         assert!(matches!(face.wall, Wall::Slab { thickness_m: 0.0125, .. }));
     }
-    assert_eq!((count(&room, is_inner), room.edges.len(), diffracting(&room).count()), (24, 24, 0));
+    assert_eq!((count(&room, is_inner), room.edges.len(), diffracting_edges(&room).count()), (24, 24, 0));
     assert!(room.small.is_empty());
     let mesh = room.triangles();
     assert_eq!(mesh.triangles.len(), 12);
@@ -67,13 +68,13 @@ fn a_box_is_the_same_from_toml_obj_stl_gltf_and_a_plan() {
     let expected = surfaces(&box_keys("plasterboard"), "");
     for file in room_files() {
         let name = file.0;
-        assert_same(&from_file("", file), &expected, name);
+        assert_same_surfaces(&surfaces_from_file("", file), &expected, name);
     }
     // The origin of the file does not matter.
     let moved = faces([-3.0, -2.0, 1.0], [2.25, 2.5, 3.75]);
-    assert_same(&from_file("", ("room.gltf", "", gltf(&moved))), &expected, "moved");
+    assert_same_surfaces(&surfaces_from_file("", ("room.gltf", "", gltf(&moved))), &expected, "moved");
     for corners in [RECTANGLE, reversed(RECTANGLE)] {
-        assert_same(&surfaces(&plan_keys(&corners, ""), ""), &expected, "plan");
+        assert_same_surfaces(&surfaces(&plan_keys(&corners, ""), ""), &expected, "plan");
     }
 }
 
@@ -85,7 +86,7 @@ fn faces_have_the_materials_of_their_parts() {
     let keys = box_keys("plasterboard")
         .replace("y_high = { material = \"plasterboard\"", "y_high = { material = \"glass\"")
         .replace("floor = { material = \"plasterboard\"", "floor = { material = \"metal\"");
-    assert_same(&from_file("", ("room.obj", M, obj(&named))), &surfaces(&keys, ""), "materials");
+    assert_same_surfaces(&surfaces_from_file("", ("room.obj", METRES, obj(&named))), &surfaces(&keys, ""), "materials");
 }
 
 /// A cupboard on the floor and against a wall: two of its sides lie on those, five of its edges are free to diffract.
@@ -100,8 +101,8 @@ fn furniture_of_a_material_has_faces_and_wedges() {
     assert_eq!(names[6..], ["cupboard x_low", "cupboard x_high", "cupboard y_high", "cupboard top"]);
     let (_, front) = face(&room, "cupboard y_high");
     assert_eq!((front.polygon.normal, front.wall, front.sides), (DVec3::Y, Wall::Conductor, Sides::One));
-    assert_eq!((diffracting(&room).count(), count(&room, is_wedge), count(&room, is_free)), (5, 10, 0));
-    for edge in diffracting(&room) {
+    assert_eq!((diffracting_edges(&room).count(), count(&room, is_wedge), count(&room, is_free)), (5, 10, 0));
+    for edge in diffracting_edges(&room) {
         let length_m = edge.ends[0].distance(edge.ends[1]);
         assert!([0.4, 0.8, 1.9].iter().any(|m| (m - length_m).abs() < 1e-9), "{edge:?}");
     }
@@ -111,19 +112,19 @@ fn furniture_of_a_material_has_faces_and_wedges() {
     let board = "[[furniture]]\nname = \"board\"\nposition_m = [2.0, 2.0, 0.5]\nsize_m = [0.8, 0.0, 1.0]\n\
                  material = \"wood\"\n";
     let room = surfaces(&box_keys("plasterboard"), board);
-    assert_eq!((room.faces.len(), diffracting(&room).count(), count(&room, is_free)), (7, 4, 4));
+    assert_eq!((room.faces.len(), diffracting_edges(&room).count(), count(&room, is_free)), (7, 4, 4));
     assert_eq!(room.faces[6].sides, Sides::Two);
 }
 
 #[test]
 fn an_l_shaped_room_has_one_wedge_at_its_inner_corner() {
     for corners in [L_SHAPE, reversed(L_SHAPE)] {
-        let scene = parse(&plan_keys(&corners, ""), "", Path::new("")).expect("a good scene");
+        let scene = parse_room(&plan_keys(&corners, ""), "", Path::new("")).expect("a good scene");
         assert_eq!(scene.room().size_m, DVec3::new(8.0, 6.0, 2.75));
         let room = scene.surfaces();
         assert_eq!(room.faces.len(), 8);
         assert!(room.faces.iter().all(|face| face.sides == Sides::One));
-        let all: Vec<_> = diffracting(&room).collect();
+        let all: Vec<_> = diffracting_edges(&room).collect();
         let [edge] = all.as_slice() else { panic!("{all:?}") };
         assert!(edge.ends.iter().all(|end| end.truncate().distance(glam::DVec2::splat(2.0)) < 1e-9), "{edge:?}");
         assert!(is_wedge(&edge.kind), "{edge:?}");
@@ -160,7 +161,7 @@ fn panes_and_shut_doors_close_a_room() {
     let tables = format!("{WINDOW}material = \"glass\"\n{DOORWAY}door = {{ hinge = \"to\", material = \"wood\" }}\n");
     let room = surfaces(&plan_keys(&RECTANGLE, &tables), "");
     // Both faces list a seam: four around the pane, three around the leaf.
-    assert_eq!((room.faces.len(), diffracting(&room).count(), count(&room, is_free)), (8, 14, 0));
+    assert_eq!((room.faces.len(), diffracting_edges(&room).count(), count(&room, is_free)), (8, 14, 0));
     assert!(room.faces.iter().all(|face| face.sides == Sides::One));
     let (pane, of_pane) = face(&room, "pane in wall 2");
     let (wall, _) = face(&room, "wall 2");
@@ -173,7 +174,7 @@ fn panes_and_shut_doors_close_a_room() {
     // A pane of what the wall is made of changes nothing for waves.
     let tables = format!("{WINDOW}material = \"plasterboard\"\nthickness_m = 0.0125\n");
     let room = surfaces(&plan_keys(&RECTANGLE, &tables), "");
-    assert_eq!((diffracting(&room).count(), count(&room, is_flat)), (0, 8));
+    assert_eq!((diffracting_edges(&room).count(), count(&room, is_flat)), (0, 8));
 }
 
 #[test]
@@ -216,7 +217,7 @@ fn partitions_have_air_on_both_sides_and_a_free_edge() {
     let kinds: Vec<EdgeKind> = room.edges.iter().filter(|e| e.face == number).map(|e| e.kind).collect();
     assert_eq!(kinds.len(), 4);
     assert_eq!(kinds.iter().filter(|kind| is_inner(kind)).count(), 3, "{kinds:?}");
-    assert_eq!((count(&room, is_free), diffracting(&room).count()), (1, 1));
+    assert_eq!((count(&room, is_free), diffracting_edges(&room).count()), (1, 1));
     // Walls remain closed.
     assert_eq!(room.faces.iter().filter(|face| face.sides == Sides::One).count(), 6);
     // Partition with its own opening, lower than the room.
@@ -234,10 +235,10 @@ fn fixture_scenes_have_the_expected_surfaces() {
     let of = |name: &str| -> Surfaces { common::scene(name).surfaces() };
     assert_eq!(of("corridor").faces.len(), 6);
     let corridor = of("l-corridor");
-    assert_eq!((corridor.faces.len(), diffracting(&corridor).count()), (8, 1));
+    assert_eq!((corridor.faces.len(), diffracting_edges(&corridor).count()), (8, 1));
     let cupboard = of("cupboard");
     assert!(cupboard.faces.iter().filter(|face| face.wall == Wall::Conductor).count() >= 4);
-    assert!(diffracting(&cupboard).count() >= 5);
+    assert!(diffracting_edges(&cupboard).count() >= 5);
     assert_eq!(face(&of("half-open-door"), "door in partition 0").1.sides, Sides::Two);
     assert_eq!(face(&of("glass-wall"), "partition 0").1.sides, Sides::Two);
     // A table within the walls: all six sides of the room, and those of the table.
@@ -251,7 +252,7 @@ fn most_triangles_of_an_open_plan_room_belong_to_faces() {
     let mesh = room.triangles();
     assert!((8_000..12_000).contains(&mesh.triangles.len()), "{}", mesh.triangles.len());
     assert!(small_triangles(&room) * 2 < mesh.triangles.len(), "{}", small_triangles(&room));
-    assert!(diffracting(&room).count() > 1000);
+    assert!(diffracting_edges(&room).count() > 1000);
 }
 
 mod hard_cases {
@@ -267,7 +268,11 @@ mod hard_cases {
                 .enumerate()
                 .map(|(t, &[a, b, c])| if pattern >> t & 1 == 1 { [a, c, b] } else { [a, b, c] })
                 .collect();
-            assert_same(&from_file("", ("room.stl", MM, stl(&turned, 1000.0))), &expected, &format!("{pattern:b}"));
+            assert_same_surfaces(
+                &surfaces_from_file("", ("room.stl", MILLIMETRES, stl(&turned, 1000.0))),
+                &expected,
+                &format!("{pattern:b}"),
+            );
         }
     }
 
@@ -277,17 +282,17 @@ mod hard_cases {
         assert_eq!(expected.faces.len(), 5);
         assert!(expected.faces.iter().all(|face| face.sides == Sides::Two));
         // From inside, only the rim diffracts; the corners of the sheets diffract outside.
-        assert_eq!((count(&expected, is_free), diffracting(&expected).count()), (4, 4 + 8));
+        assert_eq!((count(&expected, is_free), diffracting_edges(&expected).count()), (4, 4 + 8));
         let keys = "ceiling = { material = \"open\" }\n";
         let all = room_quads();
-        let by_stl = from_file(keys, ("room.stl", MM, stl(&triangles(&all[..5]), 1000.0)));
-        assert_same(&by_stl, &expected, "stl");
+        let by_stl = surfaces_from_file(keys, ("room.stl", MILLIMETRES, stl(&triangles(&all[..5]), 1000.0)));
+        assert_same_surfaces(&by_stl, &expected, "stl");
         let plan = plan_keys(&RECTANGLE, "").replacen(
             "ceiling = { material = \"plasterboard\"",
             "ceiling = { material = \"open\"",
             1,
         );
-        assert_same(&surfaces(&plan, ""), &expected, "plan");
+        assert_same_surfaces(&surfaces(&plan, ""), &expected, "plan");
     }
 
     /// A wall of many triangles beside walls of two: edges are found along parts of edges.
@@ -302,7 +307,7 @@ mod hard_cases {
             all.extend(triangles(&[[at(i, j), at(i, j + 1), at(i + 1, j + 1), at(i + 1, j)]]));
         }
         // The file is f32: corners within edges are off by its rounding, those of the room are not.
-        assert_same(&from_file("", ("room.stl", MM, stl(&all, 1000.0))), &expected, "split");
+        assert_same_surfaces(&surfaces_from_file("", ("room.stl", MILLIMETRES, stl(&all, 1000.0))), &expected, "split");
     }
 
     /// A wall around a window: four quadrilaterals between outer and inner corners.
@@ -314,7 +319,7 @@ mod hard_cases {
         let ring = (0..4).map(|i| [outer[i], outer[(i + 1) % 4], inner[(i + 1) % 4], inner[i]]);
         let mut all: Vec<Quad> = ring.collect();
         all.extend([quads[0], quads[1], quads[3], quads[4], quads[5]]);
-        let room = from_file("", ("room.stl", MM, stl(&triangles(&all), 1000.0)));
+        let room = surfaces_from_file("", ("room.stl", MILLIMETRES, stl(&triangles(&all), 1000.0)));
         assert_eq!((room.faces.len(), count(&room, is_free)), (6, 4));
         let walls: Vec<_> = room.faces.iter().filter(|face| !face.polygon.holes.is_empty()).collect();
         let [wall] = walls.as_slice() else { panic!("{walls:?}") };
@@ -333,8 +338,8 @@ mod hard_cases {
         // A duplicated wall, and a poster on another wall.
         all.push((quads[1], "pane"));
         all.push((poster, "steel"));
-        let room = from_file("", ("room.obj", M, obj(&all)));
-        assert_same(&room, &expected, "once");
+        let room = surfaces_from_file("", ("room.obj", METRES, obj(&all)));
+        assert_same_surfaces(&room, &expected, "once");
     }
 
     /// Strips a millimetre wide are faces, parts below the least area remain triangles, and both are connected.
@@ -346,7 +351,7 @@ mod hard_cases {
         let knob = faces([2.0, 3.0, 1.0], [2.05, 3.05, 1.05]);
         all.extend(rail.iter().map(|&quad| (quad, "steel")));
         all.extend(knob.iter().map(|&quad| (quad, "steel")));
-        let room = from_file("", ("room.obj", M, obj(&all)));
+        let room = surfaces_from_file("", ("room.obj", METRES, obj(&all)));
         // Two sides of the rail are 0.3 m^2, the other four below 0.01 m^2.
         assert_eq!((room.faces.len(), small_triangles(&room)), (6 + 2, 2 * 4 + 2 * 6));
         // The rail's long edges are wedges with those small sides.
@@ -357,7 +362,7 @@ mod hard_cases {
     #[test]
     fn invalid_plans_are_refused_with_the_expected_value() {
         let told = |room: &str, tables: &str, expected: &[&str]| {
-            let message = parse(room, tables, Path::new("a")).map(|_| ()).expect_err(room).to_string();
+            let message = parse_room(room, tables, Path::new("a")).map(|_| ()).expect_err(room).to_string();
             assert!(message.starts_with("a/scene.toml:"), "{message}");
             assert!(expected.iter().all(|word| message.contains(word)), "{expected:?}: {message}");
         };
@@ -427,10 +432,10 @@ mod hard_cases {
             )
         };
         let scene = |keys: &str, height_m: f64| {
-            parse(&format!("{keys}\n{}", box_keys("plasterboard")), &furniture(height_m), Path::new("a"))
+            parse_room(&format!("{keys}\n{}", box_keys("plasterboard")), &furniture(height_m), Path::new("a"))
         };
         common::assert_refused(scene("solver = \"rays\"", 2.0), &["position_m", "outside the furniture \"chest\""]);
-        common::assert_refused(parse(&plan_keys(&RECTANGLE, ""), &furniture(2.0), Path::new("a")), &["chest"]);
+        common::assert_refused(parse_room(&plan_keys(&RECTANGLE, ""), &furniture(2.0), Path::new("a")), &["chest"]);
         assert!(scene("solver = \"rays\"", 1.2).is_ok());
         assert!(scene("solver = \"rays\"\ntransmission = true", 2.0).is_ok());
         // Where images are those of the box, furniture is points, which hide nothing.
@@ -440,11 +445,11 @@ mod hard_cases {
     /// Rooms that a box cannot represent are not treated as boxes.
     #[test]
     fn an_l_shaped_plan_is_simulated_without_box_images() {
-        let scene: Scene = parse(&plan_keys(&L_SHAPE, ""), "", Path::new("")).expect("a good scene");
+        let scene: Scene = parse_room(&plan_keys(&L_SHAPE, ""), "", Path::new("")).expect("a good scene");
         let simulator =
             radome_sim::Simulator::new(&scene, radome_sim::SimulateOptions::default()).expect("a simulator");
         assert!(simulator.frame_with_report(0).1.static_paths > 0);
         let boxed = plan_keys(&L_SHAPE, "").replacen("floor", "solver = \"images\"\nfloor", 1);
-        common::assert_refused(parse(&boxed, "", Path::new("a")), &["solver", "[room.plan]"]);
+        common::assert_refused(parse_room(&boxed, "", Path::new("a")), &["solver", "[room.plan]"]);
     }
 }

@@ -8,7 +8,7 @@ use radome_dsp::{Frame, Occupancy};
 use radome_sim::Scene;
 
 use crate::common::{
-    NOBODY, fixture, hall, map_db, parse, post, range_bin, refusal, rms, scene, simulator, statistics,
+    NOBODY, error_message, fixture, hall, map_db, parse, post, range_bin, rms, scene, simulator, statistics,
 };
 
 /// Hall with a quiet receiver, and further tables.
@@ -350,7 +350,7 @@ mod hard_cases {
             ("[radar.vibration]\nfrequency_hz = 0.0\n", "frequency_hz", "200 Hz"),
         ];
         for (extra, key, expected) in cases {
-            let message = refusal(&hall(&format!("{extra}{NOBODY}")));
+            let message = error_message(&hall(&format!("{extra}{NOBODY}")));
             assert!(message.starts_with("a/b.toml:"), "{message}");
             assert!(message.contains(key) && message.contains(expected), "{extra}: {message}");
         }
@@ -363,7 +363,7 @@ mod hard_cases {
             ("clutter", "gain_drift_per_10s = nan", "gain_drift_per_10s"),
         ] {
             let table = format!("[receiver.{table}]\n");
-            let message = refusal(&hall(NOBODY).replace(&table, &format!("{table}{line}\n")));
+            let message = error_message(&hall(NOBODY).replace(&table, &format!("{table}{line}\n")));
             assert!(message.contains(key), "{line}: {message}");
         }
     }
