@@ -124,7 +124,7 @@ fn an_obj_room_of_solid_walls_is_their_interior() {
 mod hard_cases {
     use super::*;
 
-    /// Lists of paths named such surfaces by empty texts.
+    /// Regression test: lists of paths had empty names for such surfaces.
     #[test]
     fn parts_without_a_name_are_named_by_their_material_or_file() {
         let [stl, obj, _] = rooms::room_files();

@@ -6,8 +6,8 @@ use radome_sim::{Receiver, Scene, SceneError, load_receiver};
 
 use crate::common::{self, NOBODY, error_message, hall};
 
-fn line_of(text: &str, needle: &str) -> usize {
-    text.lines().position(|l| l.contains(needle)).expect("written") + 1
+fn line_of(text: &str, text_in_line: &str) -> usize {
+    text.lines().position(|l| l.contains(text_in_line)).expect("written") + 1
 }
 
 #[test]
@@ -77,17 +77,17 @@ mod hard_cases {
             ("adc_white_lsb = 2.0", "adc_white_lsb = -2.0", "adc_white_lsb", "physical"),
             ("format = 1\nname = \"hall\"", "format = 2\nname = \"hall\"", "format", "expected 1"),
         ];
-        for (from, to, at, expected) in cases {
+        for (from, to, key, expected) in cases {
             let text = hall(NOBODY).replacen(from, to, 1);
             assert_ne!(text, hall(NOBODY), "{from}");
             let message = error_message(&text);
-            let line = line_of(&text, at);
+            let line = line_of(&text, key);
             assert!(message.starts_with(&format!("a/b.toml:{line}: ")), "{to}: {message} (line {line})");
             assert!(message.contains(expected), "{to}: {message}");
         }
     }
 
-    /// A wrong value was looked for on the first line with its key, which may be that of another table.
+    /// Regression test: an error named the first line with the key, which may be in another table.
     #[test]
     fn an_error_names_the_line_of_the_invalid_value_or_none() {
         let bed = "[[bed]]\nposition_m = [3.0, 3.0]\nheading_deg = 0.0\nheight_m = 0.5\n";
@@ -132,7 +132,7 @@ mod hard_cases {
         assert!(message.starts_with(&format!("a/b.toml:{line}: {expected}")), "{message}");
     }
 
-    /// People of a margin of half the room or more all stood in its middle.
+    /// Regression test: with a margin of half the room or more, all people stood in its middle.
     #[test]
     fn a_margin_of_half_the_room_is_refused() {
         let door = "[[door]]\nposition_m = [0.0, 3.0]\n";
@@ -145,7 +145,7 @@ mod hard_cases {
         }
     }
 
-    /// Surplus values of lists were ignored.
+    /// Regression test: surplus values of lists were ignored.
     #[test]
     fn lists_with_too_many_values_are_refused() {
         let door = "[[door]]\nposition_m = [0.0, 3.0]\n[people.visits]\nabsence_s = [1.0, 2.0]\n";
@@ -167,7 +167,7 @@ mod hard_cases {
         assert!(error_message(&hall(&random)).contains("between`"), "{}", error_message(&hall(&random)));
     }
 
-    /// The message named no limits, but a schema that has none.
+    /// Regression test: the message named no limits, but a schema that has none.
     #[test]
     fn invalid_constants_of_a_receiver_are_refused_with_their_range() {
         let message = error_message(&hall(NOBODY).replace("noise_figure_db = 0.0", "noise_figure_db = 61.5"));
@@ -190,7 +190,7 @@ mod hard_cases {
     }
 
     /// Scene in a folder of its own, which names a receiver, a mesh or an actor.
-    fn in_folder(folder: &Path, receiver: &str, mesh: &str, actor: &str) -> Result<Scene, SceneError> {
+    fn load_in_folder(folder: &Path, receiver: &str, mesh: &str, actor: &str) -> Result<Scene, SceneError> {
         let (_, text) = common::fixture("room-mesh");
         let people = if actor.is_empty() { "" } else { "[people]\nbody = \"mesh\"\n" };
         let text = text
@@ -205,39 +205,39 @@ mod hard_cases {
     #[test]
     fn a_file_outside_the_folder_of_a_scene_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
-        let (own, receivers) = (folder.path().join("scenes"), folder.path().join("receivers"));
-        for made in [&own, &receivers] {
-            std::fs::create_dir(made).expect("made");
+        let (scene_folder, receivers) = (folder.path().join("scenes"), folder.path().join("receivers"));
+        for created in [&scene_folder, &receivers] {
+            std::fs::create_dir(created).expect("made");
         }
         let copy = |name: &str, to: std::path::PathBuf| {
             std::fs::copy(common::fixtures().join(name), to).expect("copied");
         };
         copy("receivers/paper-mesh.toml", receivers.join("r.toml"));
-        copy("receivers/paper-mesh.toml", own.join("r.toml"));
+        copy("receivers/paper-mesh.toml", scene_folder.join("r.toml"));
         copy("receivers/paper-mesh.toml", folder.path().join("r.toml"));
-        copy("scenes/room-mesh.obj", own.join("room.obj"));
+        copy("scenes/room-mesh.obj", scene_folder.join("room.obj"));
         copy("scenes/room-mesh.obj", receivers.join("room.obj"));
         for receiver in ["r.toml", "../receivers/r.toml", "../r.toml"] {
-            assert!(in_folder(&own, receiver, "room.obj", "").is_ok(), "{receiver}");
+            assert!(load_in_folder(&scene_folder, receiver, "room.obj", "").is_ok(), "{receiver}");
         }
-        let refused = |receiver: &str, mesh: &str, actor: &str, expected: &[&str]| {
-            common::assert_refused(in_folder(&own, receiver, mesh, actor), expected);
+        let assert_load_refused = |receiver: &str, mesh: &str, actor: &str, expected: &[&str]| {
+            common::assert_refused(load_in_folder(&scene_folder, receiver, mesh, actor), expected);
         };
         let outside = &["leads out of the folder", "RADOME_PATH", "hint: "];
         for name in ["/etc/hostname", "/dev/zero", "../../../../../../../etc/hostname", "../receivers/room.obj"] {
-            if own.join(name).exists() {
-                refused(name, "room.obj", "", outside);
-                refused("r.toml", "room.obj", &format!("file = {name:?}\n"), outside);
+            if scene_folder.join(name).exists() {
+                assert_load_refused(name, "room.obj", "", outside);
+                assert_load_refused("r.toml", "room.obj", &format!("file = {name:?}\n"), outside);
             }
         }
-        refused("r.toml", "../receivers/room.obj", "", outside);
-        refused(".", "room.obj", "", &["not a regular file"]);
-        refused("r.toml", "room.obj", "file = \".\"\n", &["not a regular file"]);
-        refused("none.toml", "room.obj", "", &["none.toml", "cannot be read"]);
+        assert_load_refused("r.toml", "../receivers/room.obj", "", outside);
+        assert_load_refused(".", "room.obj", "", &["not a regular file"]);
+        assert_load_refused("r.toml", "room.obj", "file = \".\"\n", &["not a regular file"]);
+        assert_load_refused("none.toml", "room.obj", "", &["none.toml", "cannot be read"]);
         #[cfg(unix)]
         {
-            std::os::unix::fs::symlink("/dev/zero", own.join("link.obj")).expect("linked");
-            refused("r.toml", "link.obj", "", outside);
+            std::os::unix::fs::symlink("/dev/zero", scene_folder.join("link.obj")).expect("linked");
+            assert_load_refused("r.toml", "link.obj", "", outside);
         }
     }
 
@@ -245,26 +245,26 @@ mod hard_cases {
     fn oversized_and_truncated_scene_files_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("scene.toml");
-        let refused = |bytes: &[u8], expected: &[&str]| {
+        let assert_load_refused = |bytes: &[u8], expected: &[&str]| {
             std::fs::write(&path, bytes).expect("written");
             common::assert_refused(Scene::load(&path), expected);
         };
-        let good = hall(NOBODY);
-        refused(&vec![b'#'; (1 << 20) + 1], &["scene.toml", "1048577 bytes", "at most 1048576", "hint: "]);
-        refused(&[good.as_bytes(), &[0xFF]].concat(), &["scene.toml", "cannot be read"]);
-        refused(format!("a = {}", "[".repeat(100_000)).as_bytes(), &["scene.toml:1: "]);
-        refused(format!("a = {}1", "{ a = ".repeat(100_000)).as_bytes(), &["scene.toml:1: "]);
+        let valid = hall(NOBODY);
+        assert_load_refused(&vec![b'#'; (1 << 20) + 1], &["scene.toml", "1048577 bytes", "at most 1048576", "hint: "]);
+        assert_load_refused(&[valid.as_bytes(), &[0xFF]].concat(), &["scene.toml", "cannot be read"]);
+        assert_load_refused(format!("a = {}", "[".repeat(100_000)).as_bytes(), &["scene.toml:1: "]);
+        assert_load_refused(format!("a = {}1", "{ a = ".repeat(100_000)).as_bytes(), &["scene.toml:1: "]);
         let shelf = "[[furniture]]\nname = \"a\"\nposition_m = [1, 1, 0]\nsize_m = [1, 1, 1]\n".repeat(1001);
-        refused(format!("{good}\n{shelf}").as_bytes(), &["furniture", "0 to 1000 tables"]);
+        assert_load_refused(format!("{valid}\n{shelf}").as_bytes(), &["furniture", "0 to 1000 tables"]);
         let one = shelf.lines().take(4).collect::<Vec<_>>().join("\n");
-        refused(format!("{good}\n{one}\npoints = 18446744073709551615\n").as_bytes(), &["scene.toml:"]);
-        refused(format!("{good}\n{one}\npoints = 1000000000\n").as_bytes(), &["points", "1 to 64"]);
-        let frames = good.replace("chirps_per_frame = 128", "chirps_per_frame = 1000000000");
-        refused(frames.as_bytes(), &["chirps_per_frame"]);
-        assert_ne!(frames, good);
+        assert_load_refused(format!("{valid}\n{one}\npoints = 18446744073709551615\n").as_bytes(), &["scene.toml:"]);
+        assert_load_refused(format!("{valid}\n{one}\npoints = 1000000000\n").as_bytes(), &["points", "1 to 64"]);
+        let frames = valid.replace("chirps_per_frame = 128", "chirps_per_frame = 1000000000");
+        assert_load_refused(frames.as_bytes(), &["chirps_per_frame"]);
+        assert_ne!(frames, valid);
         // A file that is cut off anywhere gives a scene or an error with a place.
-        for end in 0..good.len() {
-            if let Err(error) = Scene::parse(&good[..end], &path) {
+        for end in 0..valid.len() {
+            if let Err(error) = Scene::parse(&valid[..end], &path) {
                 assert!(error.to_string().contains("scene.toml:"), "{end}: {error}");
             }
         }

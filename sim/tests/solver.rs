@@ -41,16 +41,16 @@ fn solve(target: &Target, setup: &Setup, method: Method, edge_m: Option<f64>, to
     problem.solve(tolerance_db).expect("valid tolerance")
 }
 
-fn known_db(target: &Target, setup: &Setup) -> f64 {
+fn closed_form_db(target: &Target, setup: &Setup) -> f64 {
     db(known(target, setup).expect("a closed form").sigma_m2)
 }
 
-/// Regression test: edges of one face took from the field on the way to the other, and parts of both were multiplied. Corners
-/// of scenes were wrong by up to 6 dB.
+/// Regression test: edges of one face attenuated the field on its way to the other face, and both factors were
+/// multiplied. Cross-sections of corners were wrong by up to 6 dB.
 #[test]
 fn image_paths_of_a_corner_have_the_cross_section_of_a_dihedral() {
     let range_m = 3.0;
-    for (edge_m, within_db) in [(0.05, 1.0), (0.08, 0.7), (0.12, 0.7), (0.15, 0.7), (0.3, 0.5), (1.0, 0.2)] {
+    for (edge_m, tolerance_db) in [(0.05, 1.0), (0.08, 0.7), (0.12, 0.7), (0.15, 0.7), (0.3, 0.5), (1.0, 0.2)] {
         let half_m = 0.5 * edge_m;
         let face = |corners: [[f64; 3]; 4]| Facet::new(corners.map(DVec3::from_array).to_vec(), Wall::Conductor);
         let faces = vec![
@@ -62,14 +62,17 @@ fn image_paths_of_a_corner_have_the_cross_section_of_a_dihedral() {
         let paths = ImagePaths::with_sequences(Arc::new(environment), antenna, [vec![0, 1], vec![1, 0]]);
         assert_eq!(paths.images().len(), 2, "both orders make one image");
         let target = Target::Dihedral { width_m: edge_m, height_m: edge_m };
-        let alone = solve(&target, &setup(Some(range_m), 45.0, 0.0, Wall::Conductor), Method::Images, None, 0.1);
+        let of_dihedral = solve(&target, &setup(Some(range_m), 45.0, 0.0, Wall::Conductor), Method::Images, None, 0.1);
         // A path through the common edge, and one beside it.
-        for beside_m in [DVec3::ZERO, DVec3::new(-0.003, 0.003, 0.0)] {
+        for offset_m in [DVec3::ZERO, DVec3::new(-0.003, 0.003, 0.0)] {
             let field =
-                paths.illuminate(&common::isotropic(antenna, DVec3::Z), 1, antenna + beside_m).field.magnitude();
+                paths.illuminate(&common::isotropic(antenna, DVec3::Z), 1, antenna + offset_m).field.magnitude();
             // The echo of a cross-section that is as strong as an image at twice the range.
-            let [got, expected] = [PI * range_m * range_m * field * field, alone.sigma_m2].map(db);
-            assert!((got - expected).abs() < within_db, "{edge_m} m, {beside_m}: {got} dBsm, expected {expected}");
+            let [found, expected] = [PI * range_m * range_m * field * field, of_dihedral.sigma_m2].map(db);
+            assert!(
+                (found - expected).abs() < tolerance_db,
+                "{edge_m} m, {offset_m}: {found} dBsm, expected {expected}"
+            );
         }
     }
 }
@@ -94,10 +97,10 @@ fn plates_agree_with_the_reference_in_lobes_and_near_nulls() {
         let s = setup(None, number(&row["theta_deg"]), 0.0, Wall::Conductor);
         let expected = number(&row["sigma_m2"]);
         for method in [Method::Facets, Method::Images] {
-            let got = solve(&plate, &s, method, None, 0.1).sigma_m2;
-            assert!((got / expected - 1.0).abs() < 1e-6, "{row} {method:?}: {got}");
+            let found = solve(&plate, &s, method, None, 0.1).sigma_m2;
+            assert!((found / expected - 1.0).abs() < 1e-6, "{row} {method:?}: {found}");
         }
-        assert!((known_db(&plate, &s) - db(expected)).abs() < 1e-9);
+        assert!((closed_form_db(&plate, &s) - db(expected)).abs() < 1e-9);
     }
 }
 
@@ -113,7 +116,7 @@ fn near_field_plates_agree_with_the_reference_within_a_hundredth_of_a_decibel() 
         assert!(error.abs() < 0.01, "{row}: {error} dB");
         assert!(outcome.estimate_db.expect("estimate") < 0.01);
         // Quadrature that the program prints beside the result.
-        assert!((known_db(&plate, &s) - expected).abs() < 1e-5, "{row}");
+        assert!((closed_form_db(&plate, &s) - expected).abs() < 1e-5, "{row}");
     }
 }
 
@@ -139,24 +142,24 @@ fn trihedrals_agree_with_the_reference_at_all_tabulated_angles() {
         for (outline, key) in [(Outline::Triangular, "tri_dBsm"), (Outline::Square, "sq_dBsm")] {
             let target = Target::Trihedral { edge_m: 0.1, outline };
             let expected = number(&row[key]);
-            let got = db(solve(&target, &s, Method::Images, None, 0.1).sigma_m2);
-            assert!((got - expected).abs() < 0.3, "{row} {outline:?}: {got}");
+            let found = db(solve(&target, &s, Method::Images, None, 0.1).sigma_m2);
+            assert!((found - expected).abs() < 0.3, "{row} {outline:?}: {found}");
             // The reference's square apertures are numerical overlaps, good to 0.04 dB.
-            assert!((known_db(&target, &s) - expected).abs() < 0.04, "{row} {outline:?}");
+            assert!((closed_form_db(&target, &s) - expected).abs() < 0.04, "{row} {outline:?}");
         }
     }
 }
 
-/// The cavity of Ling, Chou and Lee (1989): waveguide modes beside rays and physical optics. Rays ignore diffraction at the
-/// rim and along the walls, whose part falls with the square root of the wavelength. It is larger where the field
-/// stands upright on the side walls.
+/// The cavity of Ling, Chou and Lee (1989): rays and physical optics, compared with waveguide modes. Rays ignore
+/// diffraction at the rim and along the walls, whose share falls with the square root of the wavelength. It is larger
+/// where the electric field is perpendicular to the side walls.
 #[test]
 fn cavities_agree_with_waveguide_modes() {
     // Ten wavelengths wide and five or ten deep at 60 GHz.
     let error_db = |depth_m: f64, frequency_hz: f64, azimuth_deg: f64, polarisation: Polarisation| {
         let target = Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m };
         let s = Setup { frequency_hz, polarisation, ..setup(None, azimuth_deg, 0.0, Wall::Conductor) };
-        db(solve(&target, &s, Method::Images, None, 0.1).sigma_m2) - known_db(&target, &s)
+        db(solve(&target, &s, Method::Images, None, 0.1).sigma_m2) - closed_form_db(&target, &s)
     };
     for depth_m in [0.025, 0.05] {
         for azimuth_deg in [15.0, 20.0, 25.0, 30.0, 35.0, 40.0] {
@@ -175,17 +178,17 @@ fn cavities_agree_with_waveguide_modes() {
     // A cavity as deep as it is wide returns nothing at 45 degrees: each ray leaves by two side walls, to the other side.
     let deep = Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m: 0.05 };
     let at = |azimuth_deg: f64| setup(None, azimuth_deg, 0.0, Wall::Conductor);
-    let dip = |azimuth_deg: f64| {
+    let solved_and_exact_db = |azimuth_deg: f64| {
         let s = at(azimuth_deg);
-        [db(solve(&deep, &s, Method::Images, None, 0.1).sigma_m2), known_db(&deep, &s)]
+        [db(solve(&deep, &s, Method::Images, None, 0.1).sigma_m2), closed_form_db(&deep, &s)]
     };
-    let (lobe, null) = (dip(25.0), dip(45.0));
+    let (lobe, null) = (solved_and_exact_db(25.0), solved_and_exact_db(45.0));
     assert!(lobe[0] - null[0] > 15.0 && lobe[1] - null[1] > 15.0, "{lobe:?} {null:?}");
     // A flat one returns what a plate of its aperture does, but for the modes that it does not carry.
     let flat = Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m: 1e-4 };
     let plate = Target::Plate { width_m: 0.05, height_m: 0.05 };
     let above = Setup { frequency_hz: 960e9, ..at(0.0) };
-    assert!((known_db(&flat, &above) - known_db(&plate, &above)).abs() < 0.05);
+    assert!((closed_form_db(&flat, &above) - closed_form_db(&plate, &above)).abs() < 0.05);
     // More bounces than sequences have facets, and a radar beside the aperture.
     for azimuth_deg in [80.0, 90.0, 120.0] {
         assert!(Problem::new(&deep, &at(azimuth_deg), Method::Images, None).is_err(), "{azimuth_deg}");
@@ -217,7 +220,7 @@ fn spheres_of_twenty_thousand_triangles_agree_with_mie_series() {
                 assert_eq!(problem.triangles(), 20480);
                 let outcome = problem.solve(0.1).expect("valid");
                 assert!(outcome.estimate_db.expect("estimate") < 0.1, "{radius_m} m {boundary:?}");
-                let error = db(outcome.sigma_m2) - known_db(&target, &s);
+                let error = db(outcome.sigma_m2) - closed_form_db(&target, &s);
                 assert!(error.abs() < tolerance, "{radius_m} m {boundary:?}: {error} dB");
             }
         }
@@ -248,7 +251,7 @@ fn meshes_of_ellipsoids_agree_with_the_specular_point_formula() {
         let (azimuth, elevation) = (towards.y.atan2(towards.x).to_degrees(), towards.z.asin().to_degrees());
         let s = setup(Some(range_m), azimuth, elevation, Wall::Conductor);
         let edge_m = 0.2 * semi_axes_m.min_element();
-        let error = db(solve(&target, &s, Method::Skin, Some(edge_m), 0.1).sigma_m2) - known_db(&target, &s);
+        let error = db(solve(&target, &s, Method::Skin, Some(edge_m), 0.1).sigma_m2) - closed_form_db(&target, &s);
         assert!(error.abs() < 0.1, "{row}: {error} dB");
     }
 }
@@ -261,7 +264,7 @@ fn a_torso_of_14_mm_triangles_agrees_with_the_closed_form() {
         for i in 0..24 {
             let s = setup(range, 15.0 * f64::from(i), -60.0 + 5.0 * f64::from(i), SKIN);
             let outcome = solve(&target, &s, Method::Skin, Some(0.014), 0.2);
-            let error = db(outcome.sigma_m2) - known_db(&target, &s);
+            let error = db(outcome.sigma_m2) - closed_form_db(&target, &s);
             assert!(error.abs() < 0.02, "{range:?} view {i}: {error} dB");
         }
     }
@@ -276,19 +279,19 @@ fn cylinders_agree_with_closed_forms_in_the_far_and_near_field() {
         (setup(Some(3.0), 20.0, 0.0, Wall::Conductor), "near"),
     ] {
         let target = cylinder(0.05, 0.3);
-        let error = db(solve(&target, &s, Method::Facets, Some(0.004), 0.05).sigma_m2) - known_db(&target, &s);
+        let error = db(solve(&target, &s, Method::Facets, Some(0.004), 0.05).sigma_m2) - closed_form_db(&target, &s);
         assert!(error.abs() < 0.1, "{name}: {error} dB");
     }
     // The Fresnel integral along an infinite cylinder equals the reference's.
     for row in reference_rows("cylinder_infinite") {
         let s = setup(Some(number(&row["R_surface_m"])), 0.0, 0.0, Wall::Conductor);
-        let long = known_db(&cylinder(number(&row["a_m"]), 1e5), &s);
-        assert!((long - number(&row["sigma_eff_dBsm"])).abs() < 1e-2, "{row}: {long}");
+        let infinite = closed_form_db(&cylinder(number(&row["a_m"]), 1e5), &s);
+        assert!((infinite - number(&row["sigma_eff_dBsm"])).abs() < 1e-2, "{row}: {infinite}");
     }
 }
 
-/// A plate much wider than its range is the radar's mirror image, `pi R^2`. Facets under the radar must be far smaller
-/// than the plate: they stayed as long as its half diagonal, and the plate was 25 dB too weak.
+/// Regression test: facets under the radar were as long as half a diagonal of the plate, and the echo was 25 dB too weak.
+/// A plate much wider than its range has the cross-section of the radar's mirror image, `pi R^2`.
 #[test]
 fn a_wide_plate_has_the_echo_of_the_radars_mirror_image() {
     for (width_m, range_m) in [(10.0, 0.3), (4.0, 0.3), (0.3, 0.01), (100.0, 0.3)] {
@@ -308,7 +311,7 @@ fn a_concave_mirror_agrees_with_the_reference_at_its_caustic() {
         let range = number(&row["R_m"]);
         let s = setup(Some(range), 0.0, 0.0, Wall::Conductor);
         let expected = db(k * k / PI * number(&row["abs_I"]).powi(2) * range.powi(4));
-        assert!((known_db(&mirror, &s) - expected).abs() < 0.001, "{row}");
+        assert!((closed_form_db(&mirror, &s) - expected).abs() < 0.001, "{row}");
         let outcome = solve(&mirror, &s, Method::Facets, None, 0.02);
         let error = db(outcome.sigma_m2) - expected;
         assert!(error.abs() < 0.01, "{row}: {error} dB");
@@ -326,7 +329,7 @@ fn meshes_without_normals_agree_with_the_shapes_that_they_represent() {
     let target = Target::Surface { surface };
     assert_eq!(Method::automatic(&target, true), Method::Skin);
     let outcome = solve(&target, &s, Method::Skin, None, 0.1);
-    let error = db(outcome.sigma_m2) - known_db(&Target::Sphere { radius_m: 0.05 }, &s);
+    let error = db(outcome.sigma_m2) - closed_form_db(&Target::Sphere { radius_m: 0.05 }, &s);
     assert!(error.abs() < 0.1, "{error} dB");
 
     // With the same ball right behind a larger one, only the larger one is seen.
@@ -336,9 +339,9 @@ fn meshes_without_normals_agree_with_the_shapes_that_they_represent() {
     let behind = s.towards() * -0.5;
     two.vertices.extend(ball.vertices.iter().map(|v| *v + behind));
     two.triangles.extend(ball.triangles.iter().map(|t| t.map(|i| i + count)));
-    let solved =
+    let solve_mesh =
         |mesh: &Mesh| solve(&Target::Surface { surface: Surface::from_mesh(mesh, 0.6) }, &s, Method::Skin, None, 0.1);
-    let (one, both) = (solved(&large.mesh()), solved(&two));
+    let (one, both) = (solve_mesh(&large.mesh()), solve_mesh(&two));
     assert!((both.sigma_m2 / one.sigma_m2 - 1.0).abs() < 1e-3, "{} {}", both.sigma_m2, one.sigma_m2);
 
     // Trihedral of three triangles.
@@ -363,7 +366,7 @@ fn a_sphere_behind_plasterboard_is_two_transmissions_weaker() {
     let free = solve(&sphere, &s, Method::Skin, Some(0.005), 0.05).sigma_m2;
     let through = straight_through(eps, 0.0125, k, 1.0).te;
     let behind = db(free * through.norm_sqr().powi(2));
-    let expected = known_db(&sphere, &s) + 40.0 * slab(eps, 0.0125, k, 1.0).transmission.te.norm().log10();
+    let expected = closed_form_db(&sphere, &s) + 40.0 * slab(eps, 0.0125, k, 1.0).transmission.te.norm().log10();
     assert!((behind - expected).abs() < 0.1, "{behind} {expected}");
     // 5.5 dB each way, according to the design study.
     assert!((40.0 * through.norm().log10() + 11.0).abs() < 0.2);
@@ -381,7 +384,7 @@ mod hard_cases {
         for step in -6..=6 {
             let s = setup(Some(1.0 + 0.005 * f64::from(step)), 0.0, 0.0, Wall::Conductor);
             let automatic = Method::automatic(&mirror, false);
-            let error = db(solve(&mirror, &s, automatic, None, 0.02).sigma_m2) - known_db(&mirror, &s);
+            let error = db(solve(&mirror, &s, automatic, None, 0.02).sigma_m2) - closed_form_db(&mirror, &s);
             assert!(error.abs() < 0.1, "step {step}, {automatic:?}: {error} dB");
         }
     }

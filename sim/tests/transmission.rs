@@ -117,16 +117,16 @@ fn without_transmission_a_person_behind_a_wall_has_no_echo() {
         let echoes = person(&scene(material, transmission), [6.0, 10.0]);
         assert!(echoes.iter().all(|a| a.norm() == 0.0), "{material} {transmission}");
     }
-    assert!(!parse(&hall("[people.desk]\nmax_people = 0\n")).room().transmission, "off unless asked for");
+    assert!(!parse(&hall("[people.desk]\nmax_people = 0\n")).room().transmission, "transmission is off by default");
 }
 
-/// An open wall is no surface: what is behind it is as with transmission. It hid people.
+/// Regression test: an open wall hid people. Echoes from behind it are the same with and without transmission.
 #[test]
 fn an_open_wall_obstructs_no_path() {
     let (off, on) = (person(&scene("open", false), [6.0, 10.0]), person(&scene("open", true), [6.0, 10.0]));
     assert!(off.iter().any(|a| a.norm() > 0.0));
     assert_eq!(off, on);
-    // The plane of the neighbouring wall hid those who are seen past its end.
+    // Regression test: the plane of a neighbouring wall obstructed paths beside that wall.
     let metal = ["x_high", "y_low", "y_high"].map(|wall| format!("{wall} = {{ material = \"metal\" }}"));
     let mut text = hall(NOBODY)
         .replace("[20.0, 20.0, 3.0]", "[4.0, 4.0, 3.0]")
