@@ -226,33 +226,36 @@ mod hard_cases {
             &["accessor 0", "reaches to byte"],
         );
         // Joints are bytes after the positions, followed by the weights.
-        let places = biped::vertices().len();
-        assert_gltf_refused(&|f| f.buffer[12 * places] = 77, &["vertex 0", "joint 77", "has 7"]);
-        assert_gltf_refused(&|f| f.buffer[16 * places..16 * places + 4].fill(0), &["weights of vertex 0", "sum to 0"]);
+        let vertex_count = biped::vertices().len();
+        assert_gltf_refused(&|f| f.buffer[12 * vertex_count] = 77, &["vertex 0", "joint 77", "has 7"]);
+        assert_gltf_refused(
+            &|f| f.buffer[16 * vertex_count..16 * vertex_count + 4].fill(0),
+            &["weights of vertex 0", "sum to 0"],
+        );
         assert_gltf_refused(
             &|f| drop(f.json.as_object_mut().expect("file").remove("animations")),
             &["animations", "walk"],
         );
         assert_gltf_refused(&|f| f.json["nodes"][2]["children"] = serde_json::json!([0]), &["their own ancestors"]);
         assert_gltf_refused(&|f| f.json["nodes"][3]["children"] = serde_json::json!([2]), &["two parents"]);
-        let inverse = |f: &biped::Gltf| {
+        let inverse_bind_offset = |f: &biped::Gltf| {
             let accessor = f.json["skins"][0]["inverseBindMatrices"].as_u64().expect("accessor") as usize;
             f.json["bufferViews"][accessor]["byteOffset"].as_u64().expect("offset") as usize
         };
         assert_gltf_refused(
-            &|f| (inverse(f)..inverse(f) + 64).for_each(|i| f.buffer[i] = 0),
+            &|f| (inverse_bind_offset(f)..inverse_bind_offset(f) + 64).for_each(|i| f.buffer[i] = 0),
             &["joint 0", "hips", "inverted"],
         );
         // Moves the last bone of seven, an arm, far away: found by fuzzing.
         assert_gltf_refused(
             &|f| {
-                let at = inverse(f) + 6 * 64 + 48;
-                f.buffer[at..at + 4].copy_from_slice(&7.5e22f32.to_le_bytes());
+                let offset = inverse_bind_offset(f) + 6 * 64 + 48;
+                f.buffer[offset..offset + 4].copy_from_slice(&7.5e22f32.to_le_bytes());
             },
             &["skin", "where the actor stands"],
         );
         assert_gltf_refused(
-            &|f| (inverse(f) + 448..inverse(f) + 452).for_each(|i| f.buffer[i] = 0xff),
+            &|f| (inverse_bind_offset(f) + 448..inverse_bind_offset(f) + 452).for_each(|i| f.buffer[i] = 0xff),
             &["key times", "ascend"],
         );
     }
@@ -260,23 +263,26 @@ mod hard_cases {
     #[test]
     fn options_that_do_not_fit_an_actor_are_refused_with_a_hint() {
         let bytes = biped::gltf(1000.0).bytes();
-        let with = |options: ActorOptions| Actor::parse(&bytes, Path::new("a.gltf"), &options);
+        let parse_with = |options: ActorOptions| Actor::parse(&bytes, Path::new("a.gltf"), &options);
         // A file in millimetres is reported, unless a height or the unit is given.
         assert_refused_with_hint(
-            with(ActorOptions::default()),
+            parse_with(ActorOptions::default()),
             &["m tall", "0.5 to 2.5 m", "unit = \"mm\"", "height_m"],
         );
-        assert!(with(options()).is_ok());
+        assert!(parse_with(options()).is_ok());
         assert_refused_with_hint(
-            with(ActorOptions { animation: Some("run".to_owned()), ..options() }),
+            parse_with(ActorOptions { animation: Some("run".to_owned()), ..options() }),
             &["\"run\"", "\"walk\""],
         );
         assert_refused_with_hint(
-            with(ActorOptions { cycle_s: Some([0.5, 3.0]), ..options() }),
+            parse_with(ActorOptions { cycle_s: Some([0.5, 3.0]), ..options() }),
             &["0 to 1 s", "cycle_s"],
         );
         // The feet do not move in half a frame of it, nor when the person lies on the back.
-        assert_refused_with_hint(with(ActorOptions { cycle_s: Some([0.2, 0.2]), ..options() }), &["at least 0.1 s"]);
+        assert_refused_with_hint(
+            parse_with(ActorOptions { cycle_s: Some([0.2, 0.2]), ..options() }),
+            &["at least 0.1 s"],
+        );
         let mut still = biped::gltf(1.0);
         still.json["animations"][0]["channels"].as_array_mut().expect("channels").truncate(1);
         assert_refused_with_hint(parse(&still.bytes(), "a.gltf"), &["\"walk\"", "expected a walk"]);
@@ -320,20 +326,24 @@ mod hard_cases {
             &times.replace("<float_array>", "<float_array>9"),
             &["line ", "key times do not ascend"],
         );
-        let kinds = |id: &str, kinds: &str| format!("<source id=\"{id}\"><Name_array>{kinds}</Name_array></source>");
-        let by = |id: &str| format!("<input semantic=\"INTERPOLATION\" source=\"#{id}\"/>");
+        let interpolations = |id: &str, interpolations: &str| {
+            format!("<source id=\"{id}\"><Name_array>{interpolations}</Name_array></source>")
+        };
+        let interpolation_input = |id: &str| format!("<input semantic=\"INTERPOLATION\" source=\"#{id}\"/>");
         let sampler = "<sampler id=\"hips-sampler\">";
-        let mixed = format!("{}{sampler}{}", kinds("hips-kinds", "LINEAR STEP"), by("hips-kinds"));
+        let mixed =
+            format!("{}{sampler}{}", interpolations("hips-kinds", "LINEAR STEP"), interpolation_input("hips-kinds"));
         assert_collada_refused(sampler, &mixed, &["line ", "STEP for some keys"]);
-        let numbers = |id: &str, list: &str| format!("<source id=\"{id}\"><float_array>{list}</float_array></source>");
+        let float_source =
+            |id: &str, list: &str| format!("<source id=\"{id}\"><float_array>{list}</float_array></source>");
         let curve = format!(
             "<animation>{}{}{}<sampler id=\"s\"><input semantic=\"INPUT\" source=\"#s-in\"/>\
              <input semantic=\"OUTPUT\" source=\"#s-out\"/>{}</sampler>\
              <channel source=\"#s\" target=\"hips/at.X\"/></animation>\n",
-            numbers("s-in", "0 1"),
-            numbers("s-out", "0 0"),
-            kinds("s-kinds", "STEP STEP"),
-            by("s-kinds"),
+            float_source("s-in", "0 1"),
+            float_source("s-out", "0 0"),
+            interpolations("s-kinds", "STEP STEP"),
+            interpolation_input("s-kinds"),
         );
         let animation = "<animation><source id=\"hips-in\">";
         assert_collada_refused(

@@ -12,7 +12,7 @@ use crate::common::{
 };
 
 /// Hall with a quiet receiver, and further tables.
-fn quiet(extra: &str) -> Scene {
+fn quiet_hall(extra: &str) -> Scene {
     parse(&hall(extra).replace("adc_white_lsb = 2.0", "adc_white_lsb = 0.5"))
 }
 
@@ -22,20 +22,20 @@ fn slow_time(scene: &Scene, frame: &Frame, range_m: f64) -> Vec<Complex64> {
 }
 
 /// Phase change of a range bin from the first chirp of a frame to its last, from a straight-line fit, rad.
-fn slope_rad(bins: &[Complex64]) -> f64 {
+fn phase_slope_rad(bins: &[Complex64]) -> f64 {
     let mean = bins.iter().sum::<Complex64>();
     let middle = 0.5 * (bins.len() as f64 - 1.0);
     let (mut product, mut square) = (0.0, 0.0);
     for (i, bin) in bins.iter().enumerate() {
-        let place = i as f64 - middle;
-        product += place * (bin * mean.conj()).arg();
-        square += place * place;
+        let position = i as f64 - middle;
+        product += position * (bin * mean.conj()).arg();
+        square += position * position;
     }
     product / square * (bins.len() as f64 - 1.0)
 }
 
 /// Variation of a range bin within a frame, relative to its mean.
-fn variation(bins: &[Complex64]) -> f64 {
+fn relative_variation(bins: &[Complex64]) -> f64 {
     let mean = bins.iter().sum::<Complex64>() / bins.len() as f64;
     let square: f64 = bins.iter().map(|bin| (bin - mean).norm_sqr()).sum();
     (square / bins.len() as f64).sqrt() / mean.norm()
@@ -46,7 +46,7 @@ fn variation(bins: &[Complex64]) -> f64 {
 fn a_swaying_reflector_has_the_doppler_of_its_speed() {
     let sway = "[[room.sway]]\nreflectors = 1\nposition_m = [4.0, 10.0, 1.2]\ncross_section_dbsm = 0.0\nspread_db = 0.0\n\
                 amplitude_m = [0.01, 0.01]\nfrequency_hz = [2.0, 2.0]\nbandwidth = 0.0\n";
-    let scene = quiet(&format!("{sway}{NOBODY}"));
+    let scene = quiet_hall(&format!("{sway}{NOBODY}"));
     let simulator = simulator(&scene, 3, None);
     let w = scene.waveform();
     let speeds: Vec<f64> = (0..40)
@@ -78,41 +78,41 @@ fn weak_sway_changes_the_phase_of_a_strong_bin_within_a_frame() {
         (0..60)
             .flat_map(|seed| {
                 let simulator = simulator(scene, seed, None);
-                [0, 7].map(|index| slope_rad(&slow_time(scene, &simulator.frame(index), 3.0)))
+                [0, 7].map(|index| phase_slope_rad(&slow_time(scene, &simulator.frame(index), 3.0)))
             })
             .collect()
     };
-    let [with, without] = [sway, ""].map(|sway| slopes(&quiet(&format!("{}{sway}{NOBODY}", post(3.0, 0.0)))));
+    let [with, without] = [sway, ""].map(|sway| slopes(&quiet_hall(&format!("{}{sway}{NOBODY}", post(3.0, 0.0)))));
     let active_s = 0.064;
-    let wavelength_m = quiet(NOBODY).waveform().wavelength_m();
+    let wavelength_m = quiet_hall(NOBODY).waveform().wavelength_m();
     // Phase rate of the weak echo, rms, times its relative amplitude, times the mean of a cosine over all phases.
     let rate_rad_per_s = 2.0 * TAU / wavelength_m * (TAU * 2.0 * 0.0002);
     let expected = 10f64.powf(-25.0 / 20.0) * rate_rad_per_s * active_s * 0.5f64.sqrt();
     assert!((0.6..1.4).contains(&(rms(&with) / expected)), "{} rad, expected {expected} rad", rms(&with));
     assert!(rms(&without) < 0.3 * rms(&with), "{} rad without", rms(&without));
-    let up = with.iter().filter(|slope| **slope > 0.0).count();
-    assert!((30..90).contains(&up), "{up} of 120 turn upwards");
+    let upward = with.iter().filter(|slope| **slope > 0.0).count();
+    assert!((30..90).contains(&upward), "{upward} of 120 turn upwards");
 }
 
-/// A motion synchronous with the frames, as of objects driven by the mains: the slope is the same in every frame, while
-/// the mean phase does not change.
+/// Motion at the frame rate, as of objects driven by the mains: the slope of the phase is the same in every frame, and the
+/// mean phase does not change.
 #[test]
 fn sway_at_the_frame_rate_is_the_same_in_every_frame() {
     let sway = "[[room.sway]]\nreflectors = 1\nposition_m = [4.0, 10.0, 1.2]\ncross_section_dbsm = -10.0\nspread_db = 0.0\n\
                 amplitude_m = [0.0001, 0.0001]\nfrequency_hz = [10.0, 10.0]\nbandwidth = 0.0\n";
-    let scene = quiet(&format!("{}{sway}{NOBODY}", post(3.0, 0.0)));
+    let scene = quiet_hall(&format!("{}{sway}{NOBODY}", post(3.0, 0.0)));
     let simulator = simulator(&scene, 2, None);
     let frames: Vec<Vec<Complex64>> = (0..12).map(|index| slow_time(&scene, &simulator.frame(index), 3.0)).collect();
-    let slopes: Vec<f64> = frames.iter().map(|bins| slope_rad(bins)).collect();
+    let slopes: Vec<f64> = frames.iter().map(|bins| phase_slope_rad(bins)).collect();
     let means: Vec<f64> = frames.iter().map(|bins| bins.iter().sum::<Complex64>().arg()).collect();
     let (_, slope_spread) = statistics(&slopes);
     let (_, mean_spread) = statistics(&means);
     assert!(slope_spread < 5e-3 && mean_spread < 5e-3, "{slopes:?} {means:?}");
-    assert!(variation(&frames[0]) > 0.01, "{}", variation(&frames[0]));
+    assert!(relative_variation(&frames[0]) > 0.01, "{}", relative_variation(&frames[0]));
 }
 
 /// Power at one velocity bin either side of zero relative to that far from it, dB, over range bins with clutter.
-fn slow_over_noise_db(scene: &Scene) -> f64 {
+fn beside_zero_doppler_db(scene: &Scene) -> f64 {
     let (mut slow, mut noise) = (0.0, 0.0);
     for seed in 0..6 {
         let simulator = simulator(scene, seed, Some(0));
@@ -137,26 +137,29 @@ fn swaying_reflectors_raise_the_cells_beside_zero_doppler() {
     let text = text.replace("passer_by_probability = 0.7", "passer_by_probability = 0.0");
     let level_db = |sway: &str| {
         let text = text.replace("[radar]\n", &format!("{sway}[radar]\n"));
-        slow_over_noise_db(&Scene::parse(&text, &path).expect("a hall"))
+        beside_zero_doppler_db(&Scene::parse(&text, &path).expect("a hall"))
     };
-    let still = level_db("");
-    let [nothing, weak, strong] = [-120.0, -30.0, -15.0].map(|dbsm: f64| {
+    let without_sway = level_db("");
+    let [below_noise, weak, strong] = [-120.0, -30.0, -15.0].map(|dbsm: f64| {
         level_db(&format!(
             "[[room.sway]]\nreflectors = 8\ncross_section_dbsm = {dbsm:.1}\nspread_db = 5.0\n\
              amplitude_m = [0.002, 0.01]\nfrequency_hz = [0.5, 2.0]\n"
         ))
     });
-    assert!(still < 1.0, "{still} dB without sway");
-    assert_eq!(nothing, still, "reflectors below the noise change nothing");
-    assert!(weak > still + 0.1, "{weak} dB, without sway {still} dB");
-    assert!(strong > still + 6.0 && strong > weak + 3.0, "{strong} dB, weak {weak} dB, without sway {still} dB");
+    assert!(without_sway < 1.0, "{without_sway} dB without sway");
+    assert_eq!(below_noise, without_sway, "reflectors below the noise change nothing");
+    assert!(weak > without_sway + 0.1, "{weak} dB, without sway {without_sway} dB");
+    assert!(
+        strong > without_sway + 6.0 && strong > weak + 3.0,
+        "{strong} dB, weak {weak} dB, without sway {without_sway} dB"
+    );
 }
 
 /// All echoes share the phase of the radar's own displacement.
 #[test]
 fn vibration_of_the_radar_changes_the_phase_of_all_echoes_alike() {
     let vibration = "[radar.vibration]\namplitude_m = 2e-5\nfrequency_hz = 30.0\nbandwidth = 0.0\n";
-    let scene = quiet(&format!("{}{}{vibration}{NOBODY}", post(3.0, 10.0), post(5.0, 20.0)));
+    let scene = quiet_hall(&format!("{}{}{vibration}{NOBODY}", post(3.0, 10.0), post(5.0, 20.0)));
     let simulator = simulator(&scene, 1, None);
     let (mut near, mut far) = (Vec::new(), Vec::new());
     for index in 0..20 {
@@ -183,7 +186,8 @@ fn two_posts(clutter: &str) -> Scene {
     parse(&text)
 }
 
-/// A chip whose frequency settles within each frame turns echoes by their delay, the same in every frame.
+/// If the frequency settles within each frame, the phases of echoes change in proportion to their delay, alike in every
+/// frame.
 #[test]
 fn settling_changes_the_phase_of_echoes_by_their_delay_in_every_frame() {
     let scene = two_posts("settling_frequency_hz = 1e6\nsettling_time_s = 0.01\n");
@@ -193,9 +197,12 @@ fn settling_changes_the_phase_of_echoes_by_their_delay_in_every_frame() {
         for range_m in [3.0, 6.0] {
             let bins = slow_time(&scene, &frame, range_m);
             // Phase change from the first chirp to the last, six time constants later.
-            let turned = (bins[0] * bins[bins.len() - 1].conj()).arg();
+            let phase_change_rad = (bins[0] * bins[bins.len() - 1].conj()).arg();
             let expected = TAU * 1e6 * 2.0 * range_m / radome_dsp::SPEED_OF_LIGHT_M_PER_S;
-            assert!((turned / expected - 1.0).abs() < 0.2, "{range_m} m: {turned} rad, expected {expected} rad");
+            assert!(
+                (phase_change_rad / expected - 1.0).abs() < 0.2,
+                "{range_m} m: {phase_change_rad} rad, expected {expected} rad"
+            );
         }
     }
 }
@@ -219,8 +226,8 @@ fn gain_drift_and_chirp_jitter_have_the_requested_size() {
     for range_m in [3.0, 6.0] {
         let beat_hz = w.slope_hz_per_s * 2.0 * range_m / radome_dsp::SPEED_OF_LIGHT_M_PER_S;
         let expected = TAU * beat_hz * 2e-8;
-        let got = variation(&slow_time(&jittering, &frame, range_m));
-        assert!((got / expected - 1.0).abs() < 0.25, "{range_m} m: {got} rad, expected {expected} rad");
+        let found = relative_variation(&slow_time(&jittering, &frame, range_m));
+        assert!((found / expected - 1.0).abs() < 0.25, "{range_m} m: {found} rad, expected {expected} rad");
     }
 }
 
@@ -232,8 +239,8 @@ fn a_free_running_spur_is_one_cell_of_the_map() {
     let strongest = |scene: &Scene| {
         let map = map_db(&simulator(scene, 1, None).frame(0), 0);
         let mean = 10.0 * (map.iter().map(|db| 10f64.powf(0.1 * db)).sum::<f64>() / map.len() as f64).log10();
-        let (most, _) = map.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).expect("cells");
-        (map[most] - mean, most % 128)
+        let (strongest_cell, _) = map.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).expect("cells");
+        (map[strongest_cell] - mean, strongest_cell % 128)
     };
     let (over_db, range) = strongest(&parse(&text));
     assert!(over_db > 18.0 && range > 2, "{over_db} dB in range bin {range}");
@@ -251,29 +258,31 @@ fn people_change_static_echoes_behind_and_beside_them() {
             post(5.0, 20.0)
         )
     };
-    let [edge, strip] = ["edge", "strip"].map(|shadow| quiet(&people(shadow)));
+    let [edge, strip] = ["edge", "strip"].map(|shadow| quiet_hall(&people(shadow)));
     let [of_edge, of_strip] = [&edge, &strip].map(|scene| simulator(scene, 1, None));
-    let open = simulator(&strip, 1, Some(0));
+    let without_people = simulator(&strip, 1, Some(0));
     let level = |bins: &[Complex64]| bins.iter().sum::<Complex64>().norm() / bins.len() as f64;
-    let free = level(&slow_time(&strip, &open.frame(0), 5.0));
-    assert_eq!(open.frame(3), simulator(&edge, 1, Some(0)).frame(3), "nobody throws no shadow");
-    let (mut beside, mut darkest) = (Vec::new(), f64::INFINITY);
+    let free_level = level(&slow_time(&strip, &without_people.frame(0), 5.0));
+    assert_eq!(without_people.frame(3), simulator(&edge, 1, Some(0)).frame(3), "without people both models agree");
+    let (mut variations_beside, mut least_level) = (Vec::new(), f64::INFINITY);
     for index in 0..60 {
         let Some(person) = of_strip.people(index).first().copied() else { continue };
-        let off_m = (person.position.y - 10.0).abs();
-        if off_m > 0.45 {
+        let offset_m = (person.position.y - 10.0).abs();
+        if offset_m > 0.45 {
             continue;
         }
         let bins = [(&edge, &of_edge), (&strip, &of_strip)]
             .map(|(scene, simulator)| slow_time(scene, &simulator.frame(index), 5.0));
-        if off_m > 0.3 {
-            beside.push(bins.each_ref().map(|bins| variation(bins)));
+        if offset_m > 0.3 {
+            variations_beside.push(bins.each_ref().map(|bins| relative_variation(bins)));
         }
-        darkest = darkest.min(level(&bins[1]));
+        least_level = least_level.min(level(&bins[1]));
     }
-    assert!(darkest < 0.1 * free, "{darkest} of {free}");
-    assert!(!beside.is_empty(), "nobody came by");
-    let mean = |which: usize| beside.iter().map(|both| both[which]).sum::<f64>() / beside.len() as f64;
+    assert!(least_level < 0.1 * free_level, "{least_level} of {free_level}");
+    assert!(!variations_beside.is_empty(), "no person passes beside the path");
+    let mean = |model: usize| {
+        variations_beside.iter().map(|variations| variations[model]).sum::<f64>() / variations_beside.len() as f64
+    };
     assert!(mean(1) > 0.02 && mean(1) > 3.0 * mean(0), "strip {}, edge {}", mean(1), mean(0));
 }
 
@@ -299,7 +308,6 @@ fn neutral_keys_change_no_frame() {
     }
 }
 
-/// Every key can be drawn.
 #[test]
 fn every_key_of_sway_and_receiver_can_be_drawn() {
     let (path, text) = fixture("hall");
@@ -377,7 +385,7 @@ mod hard_cases {
                     "[[room.sway]]\nreflectors = 2\nposition_m = {position_m}\ncross_section_dbsm = 20.0\n\
                      amplitude_m = [{amplitude_m}, {amplitude_m}]\nfrequency_hz = [{frequency_hz}, {frequency_hz}]\n"
                 );
-                let scene = quiet(&format!("{sway}{NOBODY}"));
+                let scene = quiet_hall(&format!("{sway}{NOBODY}"));
                 let frame = simulator(&scene, 1, None).frame(2);
                 assert!(frame.codes.iter().all(|&code| code <= radome_dsp::MAX_CODE));
             }
