@@ -75,9 +75,9 @@ fn every_audible_path_is_kept() {
 }
 
 /// Returns powers of a person at an instant in a room of plane faces, and the numbers of possible and kept image pairs.
-/// The first power is that of all specular points by possible image pairs, each with its own obstructions. The second is
-/// that of audible points that frames leave out. The third is that of the difference to the points in frames, which share
-/// the obstructions of a segment.
+/// The first power is that of all specular points by possible image pairs, each with its own obstructions. The second
+/// is that of audible points that frames leave out. The third is that of the difference to the points in frames, which
+/// share the obstructions of a segment.
 fn compare_powers(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_direct: bool) -> ([f64; 3], [usize; 2]) {
     let people = [Snapshot::new(motion, time_s)];
     let middle = people[0].body[CHEST].centre;

@@ -26,8 +26,8 @@ use rand::Rng;
 use crate::common::WAVENUMBER;
 use crate::surfaces::rooms::{faces, triangles};
 
-/// Path length: the distance of a ray in f32 has errors up to milliradians. The length in f64 from the surfaces that the
-/// ray hits equals that of the image to 1e-11 rad, for paths of 10 m and of 20 m.
+/// Path length: the distance of a ray in f32 has errors up to milliradians. The length in f64 from the surfaces that
+/// the ray hits equals that of the image to 1e-11 rad, for paths of 10 m and of 20 m.
 #[test]
 fn path_lengths_from_hit_triangles_are_exact() {
     for (size_m, bound_rad) in [(DVec3::new(5.0, 2.0, 2.5), 1e-11), (DVec3::new(9.5, 6.0, 3.0), 1e-11)] {

@@ -44,8 +44,8 @@ fn rate(position: impl Fn(f64) -> DVec3, t: f64) -> DVec3 {
     (position(t + h) - position(t - h)) / (2.0 * h)
 }
 
-/// Positions and velocities of body parts have no steps. In a millisecond a foot moves 8 mm at most, and its acceleration
-/// is 100 m/s^2 at most, as in a heel strike.
+/// Positions and velocities of body parts have no steps. In a millisecond a foot moves 8 mm at most, and its
+/// acceleration is 100 m/s^2 at most, as in a heel strike.
 #[test]
 fn positions_and_velocities_are_continuous_in_all_actions() {
     let (motion, end_s) = motion_with_all_actions();

@@ -91,7 +91,8 @@ fn two_ray_ground_has_the_reference_gains() {
     }
 }
 
-/// Dense sum of physical optics: `int cos e^{-jk(Rt+Rr)}/(Rt Rr) dS` over the surface that is visible from both antennas.
+/// Dense sum of physical optics: `int cos e^{-jk(Rt+Rr)}/(Rt Rr) dS` over the surface that is visible from both
+/// antennas.
 fn dense_physical_optics(e: &Ellipsoid, tx: DVec3, rx: DVec3) -> Complex64 {
     let (rows, columns) = (1400usize, 2800usize);
     let mut sum = Complex64::ZERO;

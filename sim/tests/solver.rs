@@ -290,8 +290,8 @@ fn cylinders_agree_with_closed_forms_in_the_far_and_near_field() {
     }
 }
 
-/// Regression test: facets under the radar were as long as half a diagonal of the plate, and the echo was 25 dB too weak.
-/// A plate much wider than its range has the cross-section of the radar's mirror image, `pi R^2`.
+/// Regression test: facets under the radar were as long as half a diagonal of the plate, and the echo was 25 dB too
+/// weak. A plate much wider than its range has the cross-section of the radar's mirror image, `pi R^2`.
 #[test]
 fn a_wide_plate_has_the_echo_of_the_radars_mirror_image() {
     for (width_m, range_m) in [(10.0, 0.3), (4.0, 0.3), (0.3, 0.01), (100.0, 0.3)] {

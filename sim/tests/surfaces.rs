@@ -445,8 +445,8 @@ mod hard_cases {
         assert_refused(&l, "[[door]]\nposition_m = [8.0, 4.0]\n", &["door", "wall of [room.plan]"]);
     }
 
-    /// Regression test: a radar in a metal box detected only the box, without an error. It may be on a box, or within one
-    /// that transmits waves.
+    /// Regression test: a radar in a metal box detected only the box, without an error. It may be on a box, or within
+    /// one that transmits waves.
     #[test]
     fn a_radar_within_furniture_is_refused() {
         let furniture = |height_m: f64| {

@@ -94,8 +94,8 @@ fn weak_sway_changes_the_phase_of_a_strong_bin_within_a_frame() {
     assert!((30..90).contains(&upward), "{upward} of 120 turn upwards");
 }
 
-/// Motion at the frame rate, as of objects driven by the mains: the slope of the phase is the same in every frame, and the
-/// mean phase does not change.
+/// Motion at the frame rate, as of objects driven by the mains: the slope of the phase is the same in every frame, and
+/// the mean phase does not change.
 #[test]
 fn sway_at_the_frame_rate_is_the_same_in_every_frame() {
     let sway = "[[room.sway]]\nreflectors = 1\nposition_m = [4.0, 10.0, 1.2]\ncross_section_dbsm = -10.0\nspread_db = 0.0\n\

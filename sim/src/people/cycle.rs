@@ -219,9 +219,9 @@ pub(super) fn rms_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
     (squares / a.len().max(1) as f64).sqrt()
 }
 
-/// Finds the best cycle in a sequence of poses: first and last index, and cost. `positions` are those of joints, `[pose][joint]`,
-/// at even times; `shortest` and `longest` count poses. Two poses are similar if their joints, relative to the
-/// centroid, have similar positions and velocities.
+/// Finds the best cycle in a sequence of poses: first and last index, and cost. `positions` are those of joints,
+/// `[pose][joint]`, at even times; `shortest` and `longest` count poses. Two poses are similar if their joints,
+/// relative to the centroid, have similar positions and velocities.
 pub(super) fn best_cycle(positions: &[Vec<DVec3>], shortest: usize, longest: usize) -> Option<(usize, usize, f64)> {
     let centred: Vec<Vec<DVec3>> = positions.iter().map(|p| centred(p)).collect();
     let pose_distance = |a: usize, b: usize| rms_distance(&centred[a], &centred[b]);
