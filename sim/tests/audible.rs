@@ -23,9 +23,9 @@ fn directions(audible_pair: &AudiblePair) -> impl Iterator<Item = AudiblePair> {
 /// Counts a person's specular points in a frame: all, those that are kept, and those that are audible.
 fn count_specular_points(prepared: &PreparedScene, motion: &Motion, start_s: f64) -> [usize; 3] {
     let instants_s = [0.0, 0.5, 1.0].map(|fraction| start_s + fraction * FRAME_S);
-    let kept: Vec<_> = audible_paths(prepared, motion, &instants_s).iter().flat_map(directions).collect();
+    let kept_pairs: Vec<_> = audible_paths(prepared, motion, &instants_s).iter().flat_map(directions).collect();
     assert_eq!(
-        kept.first().map(|first| first.pair),
+        kept_pairs.first().map(|first| first.pair),
         prepared.body_pairs.first().copied(),
         "the direct pair is the first"
     );
@@ -33,7 +33,7 @@ fn count_specular_points(prepared: &PreparedScene, motion: &Motion, start_s: f64
     let mut audible = 0;
     for (pair_index, &pair) in prepared.body_pairs.iter().enumerate() {
         for segment in 0..SEGMENTS {
-            let is_kept = kept.iter().any(|kept| kept.pair == pair && kept.has(segment));
+            let is_kept = kept_pairs.iter().any(|kept| kept.pair == pair && kept.has(segment));
             let strongest = instants_s.map(|time_s| {
                 let (people, mut samples) = ([Snapshot::new(motion, time_s)], Vec::new());
                 all.trace(pair_index * SEGMENTS + segment, &people, None, &mut samples, &mut EchoReport::default());
@@ -46,7 +46,7 @@ fn count_specular_points(prepared: &PreparedScene, motion: &Motion, start_s: f64
             audible += usize::from(is_audible);
         }
     }
-    let kept = kept.iter().map(|pair| pair.segments.count_ones() as usize).sum();
+    let kept = kept_pairs.iter().map(|pair| pair.segments.count_ones() as usize).sum();
     [prepared.body_pairs.len() * SEGMENTS, kept, audible]
 }
 
@@ -84,13 +84,13 @@ fn compare_powers(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_d
     let reach = |e: &radome_sim::em::specular::Ellipsoid| e.semi_axes_m.max_element() + e.centre.distance(middle);
     let reach_m = people[0].body.iter().map(reach).fold(0.0, f64::max);
     let mut pairs = prepared.pairs_near(middle, reach_m).into_owned();
-    let kept = audible_paths(prepared, motion, &[time_s; 3]);
-    let counts = [pairs.len(), kept.iter().flat_map(directions).count()];
+    let kept_pairs = audible_paths(prepared, motion, &[time_s; 3]);
+    let counts = [pairs.len(), kept_pairs.iter().flat_map(directions).count()];
     pairs.retain(|(p, q)| !only_direct || *p == [0; 3] || *q == [0; 3]);
 
-    let paths_of_frame = Paths::new(prepared, motion, 0, &kept);
+    let paths_of_frame = Paths::new(prepared, motion, 0, &kept_pairs);
     let specular_points =
-        kept.iter().flat_map(|kept| (0..SEGMENTS).filter(move |&s| kept.has(s)).map(move |s| (kept.pair, s)));
+        kept_pairs.iter().flat_map(|kept| (0..SEGMENTS).filter(move |&s| kept.has(s)).map(move |s| (kept.pair, s)));
     let specular_points: Vec<_> = specular_points.collect();
     assert_eq!(paths_of_frame.count(), specular_points.len(), "nobody of these sits at a desk");
     let requests: Vec<_> = (0..specular_points.len()).map(|path| (path, None)).collect();

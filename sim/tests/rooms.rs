@@ -67,9 +67,9 @@ fn an_stl_room_of_three_materials_is_a_box_with_their_walls() {
     let scene = scene_in_folder(&folder, MESHES).expect("a good scene");
     let room = scene.room();
     assert!((room.size_m - glam::DVec3::new(5.0, 4.0, 2.5)).length() < 1e-6, "{}", room.size_m);
-    let f = scene.waveform().centre_frequency_hz();
+    let frequency_hz = scene.waveform().centre_frequency_hz();
     let slab = |material: Material, thickness_m| Wall::Slab {
-        permittivity: material.permittivity(f).expect("a dielectric"),
+        permittivity: material.permittivity(frequency_hz).expect("a dielectric"),
         thickness_m,
     };
     assert_eq!(room.walls[..4], [slab(Material::Plasterboard, 0.0125); 4]);
@@ -77,8 +77,8 @@ fn an_stl_room_of_three_materials_is_a_box_with_their_walls() {
     assert_eq!(room.walls[5], slab(Material::Concrete, 0.2));
     // The desk keeps its place relative to the corner of the room.
     let [desk] = scene.file().furniture.as_slice() else { panic!("{:?}", scene.file().furniture) };
-    let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
-    assert!(near(desk.position_m, [2.0, 2.0, 0.0]) && near(desk.size_m, [1.0, 0.5, 0.7]), "{desk:?}");
+    let are_near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+    assert!(are_near(desk.position_m, [2.0, 2.0, 0.0]) && are_near(desk.size_m, [1.0, 0.5, 0.7]), "{desk:?}");
     // A quarter of the sides and the top; an object on the floor has no underside.
     let area_m2 = 2.0 * 0.7 * 1.5 + 0.5;
     assert!((desk.cross_section_dbsm() - 10.0 * f64::log10(0.25 * area_m2)).abs() < 1e-6);
@@ -207,11 +207,11 @@ mod hard_cases {
         assert_change_refused("desk.stl", &|t| t.replace("vertex 1 ", "vertex 1e30 "), &["desk.stl", "hint: "]);
         assert_change_refused("desk.stl", &|_| stl(&[[[0.0; 3]; 4]], 1.0), &["desk.stl", "no triangle", "hint: "]);
         // After a rotation by 30 degrees, only floor and ceiling are perpendicular to an axis.
-        let turned = |quads: &[Quad]| {
-            let turn = |[x, y, z]: [f64; 3]| [0.866 * x - 0.5 * y, 0.5 * x + 0.866 * y, z];
-            stl(&quads.iter().map(|q| q.map(turn)).collect::<Vec<_>>(), 1000.0)
+        let rotated_stl = |quads: &[Quad]| {
+            let rotated = |[x, y, z]: [f64; 3]| [0.866 * x - 0.5 * y, 0.5 * x + 0.866 * y, z];
+            stl(&quads.iter().map(|q| q.map(rotated)).collect::<Vec<_>>(), 1000.0)
         };
-        assert_change_refused("walls.stl", &|_| turned(&all[..4]), &["is missing", "along the axes", "hint: "]);
+        assert_change_refused("walls.stl", &|_| rotated_stl(&all[..4]), &["is missing", "along the axes", "hint: "]);
     }
 
     #[test]

@@ -87,9 +87,9 @@ fn opposite_directions_share_specular_point_and_amplitude() {
             let people: Vec<Snapshot> =
                 people_and_motions.iter().map(|(_, motion)| Snapshot::new(motion, time_s)).collect();
             for (person_index, (_, motion)) in people_and_motions.iter().enumerate() {
-                let kept = audible_paths(&prepared, motion, &[time_s]);
-                let paths = Paths::new(&prepared, motion, person_index, &kept);
-                let opposite: Vec<_> = kept
+                let kept_pairs = audible_paths(&prepared, motion, &[time_s]);
+                let paths = Paths::new(&prepared, motion, person_index, &kept_pairs);
+                let opposite: Vec<_> = kept_pairs
                     .iter()
                     .map(|kept| radome_sim::echo::AudiblePair {
                         pair: (kept.pair.1, kept.pair.0),

@@ -394,15 +394,15 @@ mod hard_cases {
     #[test]
     fn plate_echoes_are_smooth_at_the_specular_direction() {
         let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
-        let at = |degrees: f64| {
+        let echo_db = |degrees: f64| {
             db(solve(&plate, &setup(None, degrees, 0.0, Wall::Conductor), Method::Facets, None, 0.1).sigma_m2)
         };
-        let peak = at(0.0);
+        let peak = echo_db(0.0);
         for exponent in 3..16 {
-            let off = 10f64.powi(-exponent);
+            let offset_deg = 10f64.powi(-exponent);
             // sinc^2 at k a sin(angle) is quadratic in the angle.
-            let u = 125.750_7 * off.to_radians().sin();
-            assert!((at(off) - peak + 10.0 * u * u / 3.0 / 10f64.ln()).abs() < 1e-7, "{off}");
+            let u = 125.750_7 * offset_deg.to_radians().sin();
+            assert!((echo_db(offset_deg) - peak + 10.0 * u * u / 3.0 / 10f64.ln()).abs() < 1e-7, "{offset_deg}");
         }
     }
 
@@ -413,18 +413,18 @@ mod hard_cases {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::plate(0.1, 0.07, 0.1);
         let radar = DVec3::new(1.2, 0.1, -0.05);
-        let integral = |turn: glam::DQuat| {
-            let mut turned = surface.clone();
-            turned.vertices.iter_mut().for_each(|v| *v = turn * *v);
-            turned.normals.iter_mut().for_each(|n| *n = turn * *n);
-            let radar = Radar { end: Endpoint::Near(turn * radar), polarisation: turn * DVec3::Z };
+        let integral = |rotation: glam::DQuat| {
+            let mut rotated = surface.clone();
+            rotated.vertices.iter_mut().for_each(|v| *v = rotation * *v);
+            rotated.normals.iter_mut().for_each(|n| *n = rotation * *n);
+            let radar = Radar { end: Endpoint::Near(rotation * radar), polarisation: rotation * DVec3::Z };
             let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.02 };
-            facet::integrate(&turned, accuracy, |p, n| radar.sample(p, n, true, &SKIN, k)).value
+            facet::integrate(&rotated, accuracy, |p, n| radar.sample(p, n, true, &SKIN, k)).value
         };
-        let still = integral(glam::DQuat::IDENTITY);
+        let unrotated = integral(glam::DQuat::IDENTITY);
         for (axis, angle) in [(DVec3::X, 0.7), (DVec3::new(0.6, 0.0, 0.8), 2.0), (DVec3::Y, -1.1)] {
-            let turned = integral(glam::DQuat::from_axis_angle(axis, angle));
-            assert!((turned - still).norm() < 1e-9 * still.norm(), "{axis} {angle}");
+            let rotated = integral(glam::DQuat::from_axis_angle(axis, angle));
+            assert!((rotated - unrotated).norm() < 1e-9 * unrotated.norm(), "{axis} {angle}");
         }
     }
 
@@ -436,9 +436,9 @@ mod hard_cases {
         let radar = Radar { end: Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), polarisation: DVec3::Z };
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
         let almost = Wall::HalfSpace { permittivity: Complex64::new(1.0, -1e14) };
-        let of =
+        let integral =
             |boundary: Wall| facet::integrate(&surface, accuracy, |p, n| radar.sample(p, n, false, &boundary, k)).value;
-        let (scalar, vectors) = (of(Wall::Conductor), of(almost));
+        let (scalar, vectors) = (integral(Wall::Conductor), integral(almost));
         assert!((scalar - vectors).norm() < 1e-5 * scalar.norm(), "{scalar} {vectors}");
     }
 
@@ -451,8 +451,8 @@ mod hard_cases {
         shuffled.triangles.iter_mut().for_each(|t| t.rotate_left(1));
         let radar = Radar { end: Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), polarisation: DVec3::Z };
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
-        let of = |s| facet::integrate(s, accuracy, |p, n| radar.sample(p, n, false, &Wall::Conductor, k));
-        let (a, b) = (of(&surface), of(&shuffled));
+        let integral = |s| facet::integrate(s, accuracy, |p, n| radar.sample(p, n, false, &Wall::Conductor, k));
+        let (a, b) = (integral(&surface), integral(&shuffled));
         assert_eq!(a.facets, b.facets);
         assert!((a.value - b.value).norm() < 1e-12 * a.value.norm());
     }
@@ -465,12 +465,12 @@ mod hard_cases {
         let radar = Radar { end: Endpoint::Near(DVec3::new(1.0, 0.02, 0.01)), polarisation: DVec3::Z };
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
         let plain = shape::plate(0.1, 0.1, 0.05);
-        let mut worse = plain.clone();
-        worse.triangles.extend([[0, 0, 0], [0, 1, 1], [0, 1, 2], [999, 0, 1]]);
-        let of = |s| facet::integrate(s, accuracy, |p, n| radar.sample(p, n, true, &Wall::Conductor, k)).value;
+        let mut degenerate = plain.clone();
+        degenerate.triangles.extend([[0, 0, 0], [0, 1, 1], [0, 1, 2], [999, 0, 1]]);
+        let integral = |s| facet::integrate(s, accuracy, |p, n| radar.sample(p, n, true, &Wall::Conductor, k)).value;
         // Vertices 0, 1 and 2 are collinear, so the triangle has no area.
-        assert!((of(&plain) - of(&worse)).norm() < 1e-12 * of(&plain).norm());
-        assert!(!worse.is_smooth());
+        assert!((integral(&plain) - integral(&degenerate)).norm() < 1e-12 * integral(&plain).norm());
+        assert!(!degenerate.is_smooth());
     }
 
     /// A radar that touches the surface, or is on it, gives a finite answer.
@@ -522,8 +522,8 @@ mod hard_cases {
             let near = Setup { range_m: Some(bad), ..s };
             assert!(Problem::new(&plate(0.1), &near, Method::Facets, None).is_err(), "{bad}");
             assert!(Problem::new(&plate(0.1), &s, Method::Facets, Some(bad)).is_err(), "{bad}");
-            let odd = Setup { frequency_hz: 1e4 * bad, ..s };
-            assert!(Problem::new(&plate(0.1), &odd, Method::Facets, None).is_err(), "{bad}");
+            let at_invalid_frequency = Setup { frequency_hz: 1e4 * bad, ..s };
+            assert!(Problem::new(&plate(0.1), &at_invalid_frequency, Method::Facets, None).is_err(), "{bad}");
         }
         let problem = Problem::new(&plate(0.1), &s, Method::Facets, None).expect("valid");
         assert!(problem.solve(f64::NAN).is_err() && problem.solve(0.0).is_err());

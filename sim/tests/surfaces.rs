@@ -261,15 +261,15 @@ mod hard_cases {
     #[test]
     fn reversed_triangles_change_no_surface() {
         let expected = surfaces(&box_keys("plasterboard"), "");
-        let good = triangles(&room_quads());
+        let all_triangles = triangles(&room_quads());
         for pattern in [0u32, 0xFFF, 0b0000_0001_0000, 0b1010_0110_0101, 0b0011_0011_0011] {
-            let turned: Vec<[[f64; 3]; 3]> = good
+            let reversed_triangles: Vec<[[f64; 3]; 3]> = all_triangles
                 .iter()
                 .enumerate()
                 .map(|(t, &[a, b, c])| if pattern >> t & 1 == 1 { [a, c, b] } else { [a, b, c] })
                 .collect();
             assert_same_surfaces(
-                &surfaces_from_file("", ("room.stl", MILLIMETRES, stl(&turned, 1000.0))),
+                &surfaces_from_file("", ("room.stl", MILLIMETRES, stl(&reversed_triangles, 1000.0))),
                 &expected,
                 &format!("{pattern:b}"),
             );
@@ -381,17 +381,17 @@ mod hard_cases {
             "",
             &["corners_m", "100 m"],
         );
-        let good = plan(&RECTANGLE);
-        assert_refused(&good.replace("height_m = 2.75", "height_m = 0.1"), "", &["height_m", "0.5 to 100 m"]);
+        let valid = plan(&RECTANGLE);
+        assert_refused(&valid.replace("height_m = 2.75", "height_m = 0.1"), "", &["height_m", "0.5 to 100 m"]);
         assert_refused(
-            &good.replace("walls = { material = \"plasterboard\"", "walls = { material = \"cheese\""),
+            &valid.replace("walls = { material = \"plasterboard\"", "walls = { material = \"cheese\""),
             "",
             &["walls", "cheese"],
         );
-        assert_refused(&format!("size_m = [5, 4, 3]\n{good}"), "", &["size_m", "beside [room.plan]"]);
-        assert_refused(&format!("x_low = {{ material = \"wood\" }}\n{good}"), "", &["x_low", "beside [room.plan]"]);
-        assert_refused(&good.replacen("floor", "#", 1), "", &["floor", "missing"]);
-        assert_refused(&format!("{good}\n[[room.mesh]]\nfile = \"a.stl\"\n"), "", &["plan", "either"]);
+        assert_refused(&format!("size_m = [5, 4, 3]\n{valid}"), "", &["size_m", "beside [room.plan]"]);
+        assert_refused(&format!("x_low = {{ material = \"wood\" }}\n{valid}"), "", &["x_low", "beside [room.plan]"]);
+        assert_refused(&valid.replacen("floor", "#", 1), "", &["floor", "missing"]);
+        assert_refused(&format!("{valid}\n[[room.mesh]]\nfile = \"a.stl\"\n"), "", &["plan", "either"]);
         let plan_with = |tables: &str| plan_keys(&RECTANGLE, tables);
         assert_refused(
             &plan_with("[[room.plan.wall]]\nindex = 4\nmaterial = \"wood\"\n"),

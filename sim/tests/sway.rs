@@ -54,8 +54,8 @@ fn a_swaying_reflector_has_the_doppler_of_its_speed() {
             let frame = simulator.frame(index);
             assert_eq!(frame.truth.map(|truth| truth.occupancy), Some(Occupancy::Empty));
             let bins = slow_time(&scene, &frame, 3.0);
-            let turn: Complex64 = bins.windows(2).map(|pair| pair[1] * pair[0].conj()).sum();
-            turn.arg() * w.wavelength_m() / (2.0 * TAU * w.chirp_interval_s)
+            let chirp_correlation: Complex64 = bins.windows(2).map(|pair| pair[1] * pair[0].conj()).sum();
+            chirp_correlation.arg() * w.wavelength_m() / (2.0 * TAU * w.chirp_interval_s)
         })
         .collect();
     // 2 pi times 2 Hz times 10 mm; a frame of 64 ms averages over an eighth of a period.

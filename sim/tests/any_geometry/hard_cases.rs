@@ -132,11 +132,11 @@ fn scene_with_duplicate_faces() -> Scene {
 
 /// Room in which half of the triangles have reversed normals.
 fn scene_with_reversed_normals() -> Scene {
-    let good = triangles(&faces([0.0; 3], SIZE_M));
-    let turn =
+    let triangles_of_room = triangles(&faces([0.0; 3], SIZE_M));
+    let reverse_some =
         |(t, [a, b, c]): (usize, [[f64; 3]; 3])| if 0b1010_0110_0101 >> t & 1 == 1 { [a, c, b] } else { [a, b, c] };
-    let turned: Vec<[[f64; 3]; 3]> = good.into_iter().enumerate().map(turn).collect();
-    scene_from_file(("room.stl", MILLIMETRES, stl(&turned, 1000.0)))
+    let reversed: Vec<[[f64; 3]; 3]> = triangles_of_room.into_iter().enumerate().map(reverse_some).collect();
+    scene_from_file(("room.stl", MILLIMETRES, stl(&reversed, 1000.0)))
 }
 
 /// The points at which the wall of three panels reflects the radar lie on a seam of two.
@@ -173,11 +173,11 @@ fn is_straight_from_wall(path: &ListedPath) -> bool {
 /// Two overlapping panels that reflect the radar act as one mirror, not two.
 #[test]
 fn overlapping_panels_reflect_once() {
-    let of = |wall: &[Quad], margin_db: f64| -> Vec<ListedPath> {
+    let straight_paths = |wall: &[Quad], margin_db: f64| -> Vec<ListedPath> {
         static_paths(&scene_with_wall(wall), margin_db).into_iter().filter(is_straight_from_wall).collect()
     };
-    let whole = of(&[panel(0.0, SIZE_M[0])], 10.0);
-    let overlapping = of(&[panel(0.0, 1.25), panel(0.25, SIZE_M[0])], 10.0);
+    let whole = straight_paths(&[panel(0.0, SIZE_M[0])], 10.0);
+    let overlapping = straight_paths(&[panel(0.0, 1.25), panel(0.25, SIZE_M[0])], 10.0);
     assert!(!whole.is_empty());
     assert_eq!(overlapping.len(), whole.len());
     assert_contains_paths(&whole, &overlapping, "overlapping panels");
@@ -258,13 +258,13 @@ fn a_hole_in_a_wall_removes_only_the_paths_at_it() {
     let is_far = |path: &ListedPath| {
         path.points_m.iter().all(|[x, y, _]| y.abs() > 1e-6 || !(low[0] - 1.0..high[0] + 1.0).contains(x))
     };
-    let far = |paths: Vec<ListedPath>| -> Vec<ListedPath> { paths.into_iter().filter(is_far).collect() };
+    let far_paths = |paths: Vec<ListedPath>| -> Vec<ListedPath> { paths.into_iter().filter(is_far).collect() };
     assert!(static_paths(&whole, 10.0).iter().any(is_straight_from_wall));
     assert!(!static_paths(&holed, 13.0).iter().any(is_straight_from_wall));
-    let expected = far(static_paths(&whole, 10.0));
+    let expected = far_paths(static_paths(&whole, 10.0));
     assert!(expected.len() > 5, "{} paths", expected.len());
     assert_contains_paths(&expected, &static_paths(&holed, 13.0), "holed");
-    assert_contains_paths(&far(static_paths(&holed, 10.0)), &static_paths(&whole, 13.0), "whole");
+    assert_contains_paths(&far_paths(static_paths(&holed, 10.0)), &static_paths(&whole, 13.0), "whole");
 }
 
 /// A room without a ceiling lacks exactly the paths by the ceiling; corners of walls and floor reflect as before.
@@ -274,17 +274,17 @@ fn an_open_ceiling_removes_only_the_paths_by_way_of_it() {
     let (closed, open) = (room("plasterboard"), room("open"));
     let is_by_ceiling = |path: &ListedPath| path.points_m.iter().any(|[.., z]| *z > SIZE_M[2] - 1e-6);
     // Paths that combine several contributions have no corners.
-    let below = |paths: Vec<ListedPath>| -> Vec<ListedPath> {
+    let other_paths = |paths: Vec<ListedPath>| -> Vec<ListedPath> {
         paths.into_iter().filter(|path| !path.points_m.is_empty() && !is_by_ceiling(path)).collect()
     };
     let of_closed = listed_paths(&closed, 10.0);
     assert!(of_closed.iter().filter(|path| is_by_ceiling(path)).count() > 5);
-    let expected = below(of_closed);
+    let expected = other_paths(of_closed);
     assert!(expected.len() > 20, "{} paths", expected.len());
     assert_contains_paths(&expected, &listed_paths(&open, 13.0), "open");
     let of_open = listed_paths(&open, 10.0);
     assert!(!of_open.iter().any(is_by_ceiling));
-    assert_contains_paths(&below(of_open), &listed_paths(&closed, 13.0), "closed");
+    assert_contains_paths(&other_paths(of_open), &listed_paths(&closed, 13.0), "closed");
 }
 
 fn metal_box() -> BoxRoom {
