@@ -26,34 +26,35 @@ use rand::Rng;
 use crate::common::WAVENUMBER;
 use crate::surfaces::rooms::{faces, triangles};
 
-/// f32 path length: a ray's own distance, found in f32, is wrong by up to milliradians. The length in f64 from the
-/// surfaces that the ray met equals the image's to 1e-11 rad, for paths of 10 m and of 20 m.
+/// Path length: the distance of a ray in f32 has errors up to milliradians. The length in f64 from the surfaces that
+/// the ray hits equals that of the image to 1e-11 rad, for paths of 10 m and of 20 m.
 #[test]
-fn lengths_from_what_was_met_are_exact() {
+fn path_lengths_from_hit_triangles_are_exact() {
     for (size_m, bound_rad) in [(DVec3::new(5.0, 2.0, 2.5), 1e-11), (DVec3::new(9.5, 6.0, 3.0), 1e-11)] {
         let room = BoxRoom::new(size_m, [Wall::Conductor; 6], WAVENUMBER, false);
         let mesh = box_mesh(size_m);
         let groups: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
         let tracer = RayTracer::new(mesh.clone(), &groups).expect("a good mesh");
         let mut rng = generator(9, Purpose::Build, [0, 0]);
-        let (mut of_ray, mut of_ids): (f64, f64) = (0.0, 0.0);
+        let (mut ray_error_rad, mut image_error_rad): (f64, f64) = (0.0, 0.0);
         for _ in 0..5000 {
-            let mut place = || DVec3::new(rng.random(), rng.random(), rng.random()) * (size_m - 0.1) + 0.05;
-            let (from, to) = (place(), place());
+            let mut random_position = || DVec3::new(rng.random(), rng.random(), rng.random()) * (size_m - 0.1) + 0.05;
+            let (from, to) = (random_position(), random_position());
             for index in [[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]] {
-                let way = room.polyline(index, from, to);
-                let ray = Ray::new(from, way[1] - from);
+                let polyline = room.polyline(index, from, to);
+                let ray = Ray::new(from, polyline[1] - from);
                 let hit = tracer.closest(&ray).expect("the room is closed");
-                let [corner, ..] = mesh.corners(hit.triangle as usize).expect("it was met");
+                let [corner, ..] = mesh.corners(hit.triangle as usize).expect("a triangle of the mesh");
                 let normal = mesh.area_vector(hit.triangle as usize).normalize();
                 let image = from - normal * (2.0 * normal.dot(from - corner));
                 let exact = room.image_position(index, from).distance(to);
-                of_ids = of_ids.max(WAVENUMBER * (image.distance(to) - exact).abs());
-                of_ray = of_ray.max(2.0 * WAVENUMBER * (hit.distance_m - from.distance(way[1])).abs());
+                image_error_rad = image_error_rad.max(WAVENUMBER * (image.distance(to) - exact).abs());
+                ray_error_rad =
+                    ray_error_rad.max(2.0 * WAVENUMBER * (hit.distance_m - from.distance(polyline[1])).abs());
             }
         }
-        assert!(of_ids < bound_rad, "{size_m}: {of_ids:e} rad");
-        assert!(of_ray > 1e-5, "{size_m}: what is avoided is there, {of_ray:e} rad");
+        assert!(image_error_rad < bound_rad, "{size_m}: {image_error_rad:e} rad");
+        assert!(ray_error_rad > 1e-5, "{size_m}: the length of the ray itself is less exact, {ray_error_rad:e} rad");
     }
 }
 

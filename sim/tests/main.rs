@@ -3,7 +3,7 @@
 mod actors;
 mod any_geometry;
 mod audible;
-mod chains;
+mod body_and_wall;
 mod common;
 mod hard_cases;
 mod path_sampling;

@@ -25,28 +25,28 @@ impl tracing::Subscriber for &'static Warnings {
 }
 
 #[test]
-fn a_material_outside_its_band_is_warned_of() {
+fn a_material_outside_its_band_gives_one_warning() {
     static WARNINGS: Warnings = Warnings(AtomicUsize::new(0));
     tracing::subscriber::set_global_default(&WARNINGS).expect("the only one");
-    let warnings = |text: &str| {
+    let warning_count = |text: &str| {
         common::parse(text);
         WARNINGS.0.swap(0, Ordering::Relaxed)
     };
     let screed = "[materials.screed]\npermittivity = [4.0, 0.1]\nband_ghz = [50, 70]\n";
     let people = "[[people.actor]]\nstep = [{ walk_to_m = [2.0, 2.0] }]\n";
-    let made_of = |text: &str, surface: &str, material: &str| {
-        let of = |material: &str| format!("{surface} = {{ material = \"{material}\"");
-        text.replace(&of("open"), &of(material))
+    let with_material = |text: &str, surface: &str, material: &str| {
+        let surface_key = |material: &str| format!("{surface} = {{ material = \"{material}\"");
+        text.replace(&surface_key("open"), &surface_key(material))
     };
-    let hall = made_of(&common::hall(&format!("{people}{screed}")), "floor", "screed");
-    let scene = made_of(&hall, "ceiling", "concrete").replace("\"open\"", "\"plasterboard\"");
-    assert_eq!(warnings(&scene), 0);
-    assert_eq!(warnings(&scene.replace("[50, 70]", "[1, 10]")), 1, "the floor");
+    let hall = with_material(&common::hall(&format!("{people}{screed}")), "floor", "screed");
+    let scene = with_material(&hall, "ceiling", "concrete").replace("\"open\"", "\"plasterboard\"");
+    assert_eq!(warning_count(&scene), 0);
+    assert_eq!(warning_count(&scene.replace("[50, 70]", "[1, 10]")), 1, "the floor");
     // The table's brick ends at 40 GHz. A material gives one warning, and not one for each of four walls.
-    assert_eq!(warnings(&scene.replace("plasterboard", "brick")), 1, "walls");
+    assert_eq!(warning_count(&scene.replace("plasterboard", "brick")), 1, "walls");
     // Furniture gives a warning too, and so do objects within a floor plan.
     let cupboard = "[[furniture]]\nname = \"cupboard\"\nposition_m = [4.0, 4.0, 0.0]\nsize_m = [1.0, 1.0, 1.0]\n";
-    assert_eq!(warnings(&format!("{scene}{cupboard}material = \"plywood\"\n")), 1, "a cupboard");
+    assert_eq!(warning_count(&format!("{scene}{cupboard}material = \"plywood\"\n")), 1, "a cupboard");
     let (before, rest) = scene.split_once("size_m").expect("written");
     let (_, after) = rest.split_once("[radar]").expect("written");
     let partition = |from_m: f64| {
@@ -60,5 +60,5 @@ fn a_material_outside_its_band_is_warned_of() {
         partition(8.0),
         partition(9.0)
     );
-    assert_eq!(warnings(&plan), 1, "two partitions");
+    assert_eq!(warning_count(&plan), 1, "two partitions");
 }

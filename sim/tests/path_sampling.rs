@@ -24,10 +24,10 @@ fn map_of(samples: &[f32]) -> Vec<f64> {
     doppler_power(&range_profiles(&samples, SAMPLES))
 }
 
-/// Frames with the sample times that the program chooses itself, against the program with a trace for every chirp.
+/// Frames with the sample times that the simulator chooses, compared with frames that trace every chirp.
 /// Walls, diffraction by limbs and by other people, and the omission of inaudible paths are included.
 #[test]
-fn the_programs_own_keys_hold_its_frames() {
+fn maps_from_path_samples_agree_with_tracing_every_chirp() {
     let walker = |from: [f64; 2], to: [f64; 2]| {
         let [a, b] = [from, to].map(|[x, y]| format!("{{ walk_to_m = [{x}, {y}] }}"));
         parse(&hall(&format!("[people]\nactor = [{{ step = [{a}, {b}] }}]\n")))
@@ -63,7 +63,7 @@ fn the_programs_own_keys_hold_its_frames() {
 /// draw other jitters if there are more of them. Over the cells that are 10 dB above the noise, all approximations
 /// together are within the tolerance. The other cells have the same mean power.
 #[test]
-fn frames_are_as_exact_as_their_tolerance() {
+fn frames_differ_from_finer_ones_by_less_than_the_tolerance() {
     for name in ["corridor", "room", "hall"] {
         let scene = scene(name).drawn(5).expect("a scene");
         let simulator = |tolerance_db: f64| {
@@ -71,24 +71,24 @@ fn frames_are_as_exact_as_their_tolerance() {
             let options = SimulateOptions { seed: 5, people, tolerance_db, ..SimulateOptions::default() };
             Simulator::new(&scene, options).expect("a simulator")
         };
-        let [ours, exact] = [0.5, 0.05].map(simulator);
+        let [default, exact] = [0.5, 0.05].map(simulator);
         let map = |simulator: &Simulator, index: u64| -> Vec<f64> {
             map_db(&simulator.frame(index), 0).iter().map(|db| 10f64.powf(0.1 * db)).collect()
         };
         let (mut squares, mut cells, mut powers) = (0.0, 0, [0.0; 2]);
         for index in (10..40).step_by(3) {
-            let (ours, exact) = (map(&ours, index), map(&exact, index));
+            let (default, exact) = (map(&default, index), map(&exact, index));
             let mut sorted = exact.clone();
             sorted.sort_by(f64::total_cmp);
             let noise = sorted[sorted.len() / 2] / std::f64::consts::LN_2;
-            for (ours, exact) in ours.iter().zip(&exact).filter(|(_, exact)| **exact > 10.0 * noise) {
-                squares += (10.0 * (ours / exact).log10()).powi(2);
+            for (default, exact) in default.iter().zip(&exact).filter(|(_, exact)| **exact > 10.0 * noise) {
+                squares += (10.0 * (default / exact).log10()).powi(2);
                 cells += 1;
             }
             let weak = |map: &[f64]| {
                 map.iter().zip(&exact).filter(|(_, exact)| **exact <= 10.0 * noise).map(|(cell, _)| cell).sum::<f64>()
             };
-            powers = [powers[0] + weak(&ours), powers[1] + weak(&exact)];
+            powers = [powers[0] + weak(&default), powers[1] + weak(&exact)];
         }
         let rms_db = (squares / f64::from(cells)).sqrt();
         let mean_db = 10.0 * (powers[0] / powers[1]).log10();

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use radome_dsp::Frame;
-use radome_sim::people::body::{CHEST, PELVIS};
+use radome_sim::people::body::{CHEST, FOOT, FOREARM, HEAD, PELVIS, SEGMENTS, SHANK, THIGH};
 use radome_sim::people::motion::{Bed, Motion, MotionBuilder, Person};
 use radome_sim::people::skin::EDGE_M;
 use radome_sim::people::walking_mesh::WalkingMesh;
@@ -14,7 +14,7 @@ use radome_sim::scenario::Scenario;
 use radome_sim::scene_file::{BodyFile, SceneFile};
 use radome_sim::{Scene, Simulator};
 
-use crate::common::{hall, map_db, parse, refusal, scene, simulator};
+use crate::common::{error_message, hall, map_db, parse, scene, simulator};
 
 const HEIGHT_M: f64 = 1.75;
 const TURN_RAD_PER_S: f64 = 1.8;
@@ -30,8 +30,8 @@ fn builder() -> MotionBuilder {
     MotionBuilder::new(person(), 0.0, [1.0, 1.0], 0.0).turning_at(Some(TURN_RAD_PER_S))
 }
 
-/// Motion with every possible action, and its end time.
-fn everything() -> (Motion, f64) {
+/// Motion with all actions, and the time at which they end.
+fn motion_with_all_actions() -> (Motion, f64) {
     let path = builder().walk_to([3.0, 1.0], 1.2).walk_to([3.0, 2.0], 1.2).walk_to([1.5, 2.0], 0.9);
     let path = path.stand(1.5).squat(0.4, 5.0).face(0.3).walk_to(BED.stand_m(&person().build), 0.8).lie(&BED, 16.0);
     let path = path.walk_to([1.0, 3.0], 1.0).sit_back(-0.5 * PI, 0.45, 0.38, 6.0).walk_to([2.0, 1.0], 1.3);
@@ -39,59 +39,63 @@ fn everything() -> (Motion, f64) {
     (path.stay(), end_s)
 }
 
-fn rate(of: impl Fn(f64) -> DVec3, t: f64) -> DVec3 {
+fn rate(position: impl Fn(f64) -> DVec3, t: f64) -> DVec3 {
     let h = 1e-4;
-    (of(t + h) - of(t - h)) / (2.0 * h)
+    (position(t + h) - position(t - h)) / (2.0 * h)
 }
 
-/// No place and no speed of any part ever jumps: in a millisecond a foot moves at most 8 mm, and its acceleration is at
-/// most the 100 m/s^2 of a heel strike.
+/// Positions and velocities of body parts have no steps. In a millisecond a foot moves 8 mm at most, and its
+/// acceleration is 100 m/s^2 at most, as in a heel strike.
 #[test]
-fn places_and_velocities_are_continuous_whatever_is_done() {
-    let (motion, end_s) = everything();
+fn positions_and_velocities_are_continuous_in_all_actions() {
+    let (motion, end_s) = motion_with_all_actions();
     let step_s = 1e-3;
     let at = |i: usize| motion.body(i as f64 * step_s);
-    let (mut before, mut now) = (at(0), at(1));
+    let (mut previous, mut now) = (at(0), at(1));
     let (mut fastest, mut hardest) = (0.0f64, 0.0f64);
     for i in 2..(end_s / step_s) as usize {
         let next = at(i);
         for s in 0..now.len() {
             let surface = DVec3::new(0.6, 0.0, 0.8);
-            let [a, b, c] = [&before[s], &now[s], &next[s]].map(|e| e.surface(surface));
+            let [a, b, c] = [&previous[s], &now[s], &next[s]].map(|e| e.surface(surface));
             fastest = fastest.max((c - b).length() / step_s);
             hardest = hardest.max((c - 2.0 * b + a).length() / (step_s * step_s));
         }
-        (before, now) = (now, next);
+        (previous, now) = (now, next);
     }
     assert!(fastest < 8.0 && hardest < 100.0, "{fastest} m/s, {hardest} m/s^2");
 }
 
 /// A standing person sways by millimetres; squatting and sitting down do not move the feet either.
 #[test]
-fn feet_do_not_slide_where_somebody_stands_squats_or_sits_down() {
+fn feet_do_not_slide_while_a_person_stands_squats_or_sits_down() {
     let path = builder().walk_to([3.0, 1.0], 1.2);
-    let stood_s = path.time_s() + 0.4;
+    let standing_s = path.time_s() + 0.4;
     let path = path.stand(2.0).squat(0.5, 5.0).stand(1.0).sit_back(0.0, 0.45, 0.38, 6.0);
     let end_s = path.time_s();
     let motion = path.stay();
-    for foot in [11, 12] {
-        let place = |t: f64| motion.body(t)[foot].centre;
-        let stood = place(stood_s);
-        let mut t = stood_s;
+    for foot in [FOOT, FOOT + 1] {
+        let position = |t: f64| motion.body(t)[foot].centre;
+        let standing_position = position(standing_s);
+        let mut t = standing_s;
         while t < end_s {
-            let speed = rate(place, t).length();
+            let speed = rate(position, t).length();
             assert!(speed < 0.02, "a foot slides at {speed} m/s, {t} s");
-            assert!(place(t).distance(stood) < 0.02, "a foot has moved {} m at {t} s", place(t).distance(stood));
+            assert!(
+                position(t).distance(standing_position) < 0.02,
+                "a foot has moved {} m at {t} s",
+                position(t).distance(standing_position)
+            );
             t += 0.01;
         }
     }
 }
 
 #[test]
-fn a_squat_lowers_the_head_by_what_was_asked() {
+fn a_squat_lowers_the_head_by_the_requested_depth() {
     for depth_m in [0.2, 0.4, 0.55] {
         let motion = builder().stand(1.0).squat(depth_m, 6.0).stay();
-        let head = |t: f64| motion.body(t)[0].centre.z;
+        let head = |t: f64| motion.body(t)[HEAD].centre.z;
         let (before, during, after) = (head(0.5), head(4.3), head(9.0));
         assert!((before - during - depth_m).abs() < 1e-6, "{} m", before - during);
         assert!((before - after).abs() < 1e-6);
@@ -104,28 +108,28 @@ fn turning_rate(motion: &Motion, t: f64) -> f64 {
 }
 
 #[test]
-fn turns_on_the_spot_and_on_the_way_keep_to_the_bound_and_end_where_they_should() {
+fn turns_have_a_bounded_rate_and_end_at_the_requested_heading() {
     for angle in [0.3, 1.2, 2.5, 3.1, -2.0] {
         let path = builder().stand(1.0).face(angle);
         let end_s = path.time_s();
         let motion = path.stay();
         assert!((motion.posture(end_s).heading_rad - angle).abs() < 1e-9);
-        let (mut fastest, mut highest) = (0.0f64, 0.0f64);
+        let (mut fastest, mut highest_lift_m) = (0.0f64, 0.0f64);
         for i in 0..((end_s + 1.0) * 100.0) as usize {
             let t = i as f64 * 0.01;
             fastest = fastest.max(turning_rate(&motion, t).abs());
             let hips = motion.body(t)[PELVIS].centre;
             assert!((hips.truncate() - glam::DVec2::ONE).length() < 0.05, "turns on the spot");
-            for foot in [11, 12] {
-                highest = highest.max(motion.body(t)[foot].centre.z - motion.body(0.5)[foot].centre.z);
+            for foot in [FOOT, FOOT + 1] {
+                highest_lift_m = highest_lift_m.max(motion.body(t)[foot].centre.z - motion.body(0.5)[foot].centre.z);
             }
         }
         assert!(fastest <= TURN_RAD_PER_S * 1.001, "{fastest} rad/s");
-        assert!(angle.abs() < 0.4 || highest > 0.02, "feet are lifted: {highest} m");
+        assert!(angle.abs() < 0.4 || highest_lift_m > 0.02, "feet are lifted: {highest_lift_m} m");
     }
     // The path has corners of all kinds, some of them close together.
-    let places = [[3.0, 1.0], [3.0, 2.5], [1.0, 2.5], [3.0, 2.4], [3.3, 2.6], [3.3, 2.3], [1.0, 1.0]];
-    let path = places.iter().fold(builder(), |path, &to| path.walk_to(to, 1.2)).stand(1.0);
+    let corners = [[3.0, 1.0], [3.0, 2.5], [1.0, 2.5], [3.0, 2.4], [3.3, 2.6], [3.3, 2.3], [1.0, 1.0]];
+    let path = corners.iter().fold(builder(), |path, &to| path.walk_to(to, 1.2)).stand(1.0);
     let end_s = path.time_s();
     let motion = path.stay();
     let samples: Vec<f64> = (0..(end_s * 200.0) as usize).map(|i| i as f64 * 0.005).collect();
@@ -136,17 +140,17 @@ fn turns_on_the_spot_and_on_the_way_keep_to_the_bound_and_end_where_they_should(
             turning_rate(&motion, t)
         );
     }
-    for place in places {
-        let off = |t: &f64| (motion.body(*t)[PELVIS].centre.truncate() - glam::DVec2::from_array(place)).length();
-        let nearest = samples.iter().map(off).fold(f64::INFINITY, f64::min);
-        assert!(nearest < 0.3, "{place:?} is passed {nearest} m off");
+    for corner in corners {
+        let distance = |t: &f64| (motion.body(*t)[PELVIS].centre.truncate() - glam::DVec2::from_array(corner)).length();
+        let nearest = samples.iter().map(distance).fold(f64::INFINITY, f64::min);
+        assert!(nearest < 0.3, "{corner:?} is passed {nearest} m off");
     }
 }
 
 /// Radial speeds seen from ahead: the trunk moves at walking speed, while feet stand and overtake it twofold to
 /// fourfold. A standing person has almost none.
 #[test]
-fn parts_of_a_walker_spread_in_radial_velocity_as_legs_and_arms_do() {
+fn trunk_feet_and_arms_of_a_walker_have_their_spread_of_radial_velocity() {
     let walker = |stride: f64, arm_swing: f64| {
         let mut person = person();
         (person.style.stride, person.style.arm_swing) = (stride, arm_swing);
@@ -159,14 +163,14 @@ fn parts_of_a_walker_spread_in_radial_velocity_as_legs_and_arms_do() {
     let average = walker(1.0, 1.0);
     let (low, high) = span(&average, CHEST, 1.0);
     assert!(low > 0.9 && high < 1.5, "the chest goes at {low} to {high} m/s");
-    let (low, high) = span(&average, 11, 1.0);
+    let (low, high) = span(&average, FOOT, 1.0);
     assert!(low < 0.3 && (2.4..4.8).contains(&high), "a foot goes at {low} to {high} m/s");
-    for part in 0..13 {
+    for part in 0..SEGMENTS {
         let (low, high) = span(&average, part, 8.0);
         assert!(low > -0.02 && high < 0.02, "part {part} of who stands goes at {low} to {high} m/s");
     }
     let arms = |swing: f64| {
-        let (low, high) = span(&walker(1.0, swing), 5, 1.0);
+        let (low, high) = span(&walker(1.0, swing), FOREARM, 1.0);
         high - low
     };
     assert!(arms(0.0) < 0.6 * arms(1.0) && arms(1.5) > 1.25 * arms(1.0), "{} {} {}", arms(0.0), arms(1.0), arms(1.5));
@@ -181,15 +185,15 @@ fn parts_of_a_walker_spread_in_radial_velocity_as_legs_and_arms_do() {
 /// The front of the chest of a lying person moves up and down with the breath by millimetres, seen from above; the rest
 /// of the body is still.
 #[test]
-fn who_lies_breathes_upwards_and_rests() {
+fn a_lying_person_moves_only_by_breathing() {
     let motion = builder().lying(&BED, 60.0).stay();
-    let front = |t: f64| motion.body(t)[CHEST].surface(DVec3::X);
-    let heights: Vec<f64> = (0..2000).map(|i| front(f64::from(i) * 0.02).z).collect();
+    let chest_front = |t: f64| motion.body(t)[CHEST].surface(DVec3::X);
+    let heights: Vec<f64> = (0..2000).map(|i| chest_front(f64::from(i) * 0.02).z).collect();
     let span = |v: &[f64]| {
         v.iter().copied().fold(f64::NEG_INFINITY, f64::max) - v.iter().copied().fold(f64::INFINITY, f64::min)
     };
     assert!((0.0035..0.014).contains(&span(&heights)), "{} m", span(&heights));
-    for part in [0, PELVIS, 7, 9, 11] {
+    for part in [HEAD, PELVIS, THIGH, SHANK, FOOT] {
         let centre = |t: f64| motion.body(t)[part].centre;
         for i in 0..400 {
             assert!(rate(centre, f64::from(i) * 0.1).length() < 1e-6, "part {part} moves");
@@ -197,30 +201,30 @@ fn who_lies_breathes_upwards_and_rests() {
     }
     let body = motion.body(20.0);
     assert!(body.iter().all(|e| (0.45..0.9).contains(&e.centre.z)), "all of the body is on the bed");
-    assert!(body[0].centre.x < 3.5 && body[11].centre.x > 4.6, "feet point where they should");
+    assert!(body[HEAD].centre.x < 3.5 && body[FOOT].centre.x > 4.6, "feet point where they should");
     // The person stands up again in front of the bed.
-    let stands = motion.body(70.0);
-    let before = BED.stand_m(&person().build);
-    assert!(stands[0].centre.z > 1.5, "{}", stands[0].centre.z);
-    assert!((stands[PELVIS].centre.truncate() - glam::DVec2::from_array(before)).length() < 0.05);
+    let standing_body = motion.body(70.0);
+    let standing_place = BED.stand_m(&person().build);
+    assert!(standing_body[HEAD].centre.z > 1.5, "{}", standing_body[HEAD].centre.z);
+    assert!((standing_body[PELVIS].centre.truncate() - glam::DVec2::from_array(standing_place)).length() < 0.05);
 }
 
 /// The skin follows the body in every action. It stays closed, its volume changes only by the folds of bent joints, and
 /// its velocities are the rates of its positions.
 #[test]
-fn skins_squat_and_lie_without_losing_flesh() {
-    let (motion, end_s) = everything();
+fn skins_keep_their_volume_in_all_actions() {
+    let (motion, end_s) = motion_with_all_actions();
     let walker = WalkingMesh::new(Arc::new(motion), EDGE_M);
-    let standing = walker.skin().rest().volume_m3();
+    let standing_volume_m3 = walker.skin().rest().volume_m3();
     let mut least = f64::INFINITY;
     for i in 0..60 {
         let t = end_s * f64::from(i) / 60.0;
-        let ratio = walker.mesh_at(t).volume_m3() / standing;
+        let ratio = walker.mesh_at(t).volume_m3() / standing_volume_m3;
         least = least.min(ratio);
         assert!((0.80..1.10).contains(&ratio), "{ratio} of the volume at {t} s");
-        let (moving, h) = (walker.posed(t), 1e-4);
+        let (posed, h) = (walker.posed(t), 1e-4);
         let (before, after) = (walker.mesh_at(t - h).vertices, walker.mesh_at(t + h).vertices);
-        for ((velocity, a), b) in moving.velocities_m_per_s.iter().zip(&before).zip(&after) {
+        for ((velocity, a), b) in posed.velocities_m_per_s.iter().zip(&before).zip(&after) {
             assert!((*velocity - (*b - *a) / (2.0 * h)).length() < 1e-3);
         }
     }
@@ -236,7 +240,7 @@ step = [{ enter_door = 0 }, { walk_to_m = [4.0, 9.0] }, { leave_door = 0 }]
 "#;
 
 #[test]
-fn who_comes_by_a_door_is_not_there_before_nor_after() {
+fn a_visitor_is_absent_before_entering_and_after_leaving() {
     let simulator = simulator(&parse(&hall(SCRIPT)), 1, None);
     let in_room = |frame| simulator.people(frame).iter().filter(|p| p.in_room).count();
     assert_eq!((simulator.people(5).len(), in_room(5)), (0, 0));
@@ -246,7 +250,8 @@ fn who_comes_by_a_door_is_not_there_before_nor_after() {
     assert_eq!(simulator.people(200).len(), 0);
 }
 
-fn walls_and_furniture_off(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64) {
+/// Least distances of people from furniture and from walls, m.
+fn clearances_m(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64) {
     let file: &SceneFile = scene.file();
     let [width, depth, _] = file.room.size_m;
     let near = |p: DVec3, [x, y]: [f64; 2], reach: f64| (p.x - x).hypot(p.y - y) < reach;
@@ -263,8 +268,8 @@ fn walls_and_furniture_off(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64)
             }
             from_walls = from_walls.min(p.x).min(p.y).min(width - p.x).min(depth - p.y);
             for f in file.furniture.iter().filter(|f| f.position_m[2] < 1.9) {
-                let off = |i: usize, v: f64| (f.position_m[i] - v).max(v - f.position_m[i] - f.size_m[i]).max(0.0);
-                from_furniture = from_furniture.min(off(0, p.x).hypot(off(1, p.y)));
+                let distance = |i: usize, v: f64| (f.position_m[i] - v).max(v - f.position_m[i] - f.size_m[i]).max(0.0);
+                from_furniture = from_furniture.min(distance(0, p.x).hypot(distance(1, p.y)));
             }
         }
         t += 0.05;
@@ -273,11 +278,11 @@ fn walls_and_furniture_off(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64)
 }
 
 #[test]
-fn ways_keep_off_furniture_and_walls() {
+fn paths_of_people_keep_their_distance_from_furniture_and_walls() {
     for name in ["bedroom", "bathroom"] {
         for seed in 0..12 {
             let drawn = scene(name).drawn(seed).expect("a draw");
-            let (furniture, walls) = walls_and_furniture_off(&drawn, seed, 60.0);
+            let (furniture, walls) = clearances_m(&drawn, seed, 60.0);
             assert!(furniture > 0.14 && walls > 0.2, "{name} {seed}: {furniture} m, {walls} m");
         }
     }
@@ -304,7 +309,7 @@ pace_area_m = [[4.0, 6.0], [13.0, 13.0]]
 "#,
     );
     for seed in 0..10 {
-        let (furniture, walls) = walls_and_furniture_off(&parse(&text), seed, 60.0);
+        let (furniture, walls) = clearances_m(&parse(&text), seed, 60.0);
         assert!(furniture > 0.2 && walls > 0.3, "{seed}: {furniture} m, {walls} m");
     }
 }
@@ -316,16 +321,16 @@ fn codes(scene: &Scene, seed: u64) -> Vec<u16> {
     (20..22).flat_map(|i| simulator.frame(i).codes).collect()
 }
 
-/// Disabled features do not change a byte, for both kinds of bodies. Enabled features do, and depend on the seed alone.
+/// Neutral keys change no byte, for both kinds of bodies. Other values do, and frames depend on the seed alone.
 #[test]
-fn what_is_off_leaves_every_byte_as_it_was() {
+fn neutral_keys_of_people_change_no_byte() {
     for body in [BodyFile::Ellipsoids, BodyFile::Mesh] {
-        let with = |keys: &str| parse(&hall(&format!("{}\n{keys}", WALKS.trim()))).with_body(body);
-        let (plain, off) = (with(""), with("stride = [1.0, 1.0]\narm_swing = [1.0, 1.0]"));
-        assert!(codes(&plain, 5) == codes(&off, 5), "{body:?}: off is not off");
-        let on = with("arm_swing = [0.5, 2.0]");
-        assert!(codes(&on, 5) == codes(&on, 5), "{body:?}: the same seed, other bytes");
-        assert!(codes(&on, 5) != codes(&plain, 5), "{body:?}: arm_swing does nothing");
+        let scene_with = |keys: &str| parse(&hall(&format!("{}\n{keys}", WALKS.trim()))).with_body(body);
+        let (plain, neutral) = (scene_with(""), scene_with("stride = [1.0, 1.0]\narm_swing = [1.0, 1.0]"));
+        assert!(codes(&plain, 5) == codes(&neutral, 5), "{body:?}: neutral keys change bytes");
+        let with_arm_swing = scene_with("arm_swing = [0.5, 2.0]");
+        assert!(codes(&with_arm_swing, 5) == codes(&with_arm_swing, 5), "{body:?}: the same seed, other bytes");
+        assert!(codes(&with_arm_swing, 5) != codes(&plain, 5), "{body:?}: arm_swing does nothing");
     }
 }
 
@@ -345,24 +350,28 @@ fn contrast_db(simulator: &Simulator, frame: u64) -> f64 {
 
 /// Moving people in the shipped scenes are far above the noise; people who lie or stand still are visible now and then.
 #[test]
-fn people_show_in_the_shipped_scenes() {
+fn people_are_above_the_noise_in_the_shipped_scenes() {
     for name in ["bedroom", "bathroom"] {
         for seed in [1, 2] {
             let simulator = simulator(&scene(name), seed, None);
-            let (mut moving, mut all) = (Vec::new(), Vec::new());
+            let (mut contrasts_moving_db, mut contrasts_db) = (Vec::new(), Vec::new());
             for frame in (0..400).step_by(8) {
                 let Some(person) = simulator.people(frame).into_iter().find(|p| p.in_room) else { continue };
                 let contrast = contrast_db(&simulator, frame);
-                all.push(contrast);
+                contrasts_db.push(contrast);
                 if person.velocity.length() > 0.3 && person.position.min_element() > 0.3 {
-                    moving.push(contrast);
+                    contrasts_moving_db.push(contrast);
                 }
             }
-            moving.sort_by(f64::total_cmp);
-            all.sort_by(f64::total_cmp);
-            let (weakest, middle, of_all) = (moving[0], moving[moving.len() / 2], all[all.len() / 2]);
-            let found = format!("{weakest:.1} and {middle:.1} dB while moving, {of_all:.1} dB of all");
-            assert!(moving.len() > 5 && weakest > 15.0 && middle > 30.0 && of_all > 20.0, "{name} {seed}: {found}");
+            contrasts_moving_db.sort_by(f64::total_cmp);
+            contrasts_db.sort_by(f64::total_cmp);
+            let (weakest_db, median_db) = (contrasts_moving_db[0], contrasts_moving_db[contrasts_moving_db.len() / 2]);
+            let median_of_all_db = contrasts_db[contrasts_db.len() / 2];
+            let found = format!("{weakest_db:.1} and {median_db:.1} dB while moving, {median_of_all_db:.1} dB of all");
+            assert!(
+                contrasts_moving_db.len() > 5 && weakest_db > 15.0 && median_db > 30.0 && median_of_all_db > 20.0,
+                "{name} {seed}: {found}"
+            );
         }
     }
 }
@@ -371,40 +380,40 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn scripts_that_make_no_sense_are_refused_by_key() {
+    fn invalid_scripts_are_refused_by_key() {
         let script = |steps: &str| format!("[people]\nactor = [{{ height_m = 1.6, step = [{steps}] }}]\n");
-        let place = "{ walk_to_m = [2.0, 2.0] }";
+        let walk = "{ walk_to_m = [2.0, 2.0] }";
         for (steps, expected) in [
             ("{ enter_door = 0 }".to_owned(), "[[door]]"),
-            (format!("{place}, {{ leave_door = 3 }}"), "[[door]]"),
-            (format!("{place}, {{ lie_s = 3.0 }}"), "[[bed]]"),
-            (format!("{place}, {{ squat_s = 3.0, depth_m = 0.9 }}"), "0.36 of the body's height"),
-            (format!("{place}, {{ stand_s = 3.0, depth_m = 0.3 }}"), "squat_s"),
-            (format!("{place}, {{ stand_s = 3.0, bed = 0 }}"), "lie_s"),
-            (format!("{place}, {{ face_deg = nan }}"), "face_deg"),
+            (format!("{walk}, {{ leave_door = 3 }}"), "[[door]]"),
+            (format!("{walk}, {{ lie_s = 3.0 }}"), "[[bed]]"),
+            (format!("{walk}, {{ squat_s = 3.0, depth_m = 0.9 }}"), "0.36 of the body's height"),
+            (format!("{walk}, {{ stand_s = 3.0, depth_m = 0.3 }}"), "squat_s"),
+            (format!("{walk}, {{ stand_s = 3.0, bed = 0 }}"), "lie_s"),
+            (format!("{walk}, {{ face_deg = nan }}"), "face_deg"),
             (
-                format!("{place}, {{ stand_s = 3.0, face_deg = 90.0 }}"),
+                format!("{walk}, {{ stand_s = 3.0, face_deg = 90.0 }}"),
                 "stand_s and face_deg, expected one of walk_to_m",
             ),
-            (format!("{place}, {{ speed_m_per_s = 1.0 }}"), "step is without any of them, expected"),
-            (format!("{place}, {{ walk_to_m = [1.0, 1.0], seat = 0 }}"), "none without sit_s"),
-            (format!("{place}, {{ stand_s = 1.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
-            (format!("{place}, {{ face_deg = 9.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
-            (format!("{place}, {{ sit_s = 9.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
+            (format!("{walk}, {{ speed_m_per_s = 1.0 }}"), "step is without any of them, expected"),
+            (format!("{walk}, {{ walk_to_m = [1.0, 1.0], seat = 0 }}"), "none without sit_s"),
+            (format!("{walk}, {{ stand_s = 1.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
+            (format!("{walk}, {{ face_deg = 9.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
+            (format!("{walk}, {{ sit_s = 9.0, speed_m_per_s = 1.0 }}"), "none without a walk"),
             ("{ face_deg = 90.0 }".to_owned(), "enter_door"),
         ] {
-            let message = refusal(&hall(&script(&steps)));
+            let message = error_message(&hall(&script(&steps)));
             assert!(message.contains(expected), "{steps}: {message}");
         }
         let door = "[[door]]\nposition_m = [0.0, 10.0]\n";
         for (steps, expected) in [
-            (format!("{place}, {{ enter_door = 0 }}"), "enter_door is 0, expected it in the first step only"),
+            (format!("{walk}, {{ enter_door = 0 }}"), "enter_door is 0, expected it in the first step only"),
             (
-                format!("{{ enter_door = 0 }}, {{ leave_door = 0 }}, {place}"),
+                format!("{{ enter_door = 0 }}, {{ leave_door = 0 }}, {walk}"),
                 "leave_door is 0, expected it in the last step only",
             ),
         ] {
-            let message = refusal(&hall(&format!("{door}{}", script(&steps))));
+            let message = error_message(&hall(&format!("{door}{}", script(&steps))));
             assert!(message.contains(expected), "{steps}: {message}");
         }
         for (keys, expected) in [
@@ -413,32 +422,35 @@ mod hard_cases {
             ("stride = [1.2, 0.8]", "stride"),
             ("arm_swing = [0.0, nan]", "arm_swing"),
         ] {
-            let message = refusal(&hall(&format!("[people]\n{keys}\nactor = [{{ step = [{place}] }}]\n")));
+            let message = error_message(&hall(&format!("[people]\n{keys}\nactor = [{{ step = [{walk}] }}]\n")));
             assert!(message.contains(expected), "{keys}: {message}");
         }
     }
 
-    /// A script's seat without `back_m` was a height and a heading, and not a place.
+    /// Regression test: a script's seat without `back_m` set the height and the heading, but not the place.
     #[test]
-    fn who_is_to_sit_on_a_seat_goes_there() {
-        for back in ["", "back_m = 0.38\n"] {
+    fn a_person_with_a_seat_sits_on_it() {
+        for back_key in ["", "back_m = 0.38\n"] {
             let text = hall(&format!(
-                "[[seat]]\nposition_m = [6.0, 10.0]\nheading_deg = 0.0\n{back}[people]\n[[people.actor]]\n\
+                "[[seat]]\nposition_m = [6.0, 10.0]\nheading_deg = 0.0\n{back_key}[people]\n[[people.actor]]\n\
                  step = [{{ walk_to_m = [3.0, 10.0] }}, {{ sit_s = 9.0, seat = 0, speed_m_per_s = 1.0 }}]\n"
             ));
-            let all = Scenario::new(&parse(&text), 1, None).between(0.0, 20.0);
-            let body = all[0].1.body(8.0);
-            let (hips, foot) = (body[PELVIS].centre, body[11].centre);
-            assert!((hips.x - 6.0).hypot(hips.y - 10.0) < 0.15 && hips.z < 0.7, "{back}: hips at {hips}");
-            assert!(foot.x > hips.x + 0.2, "{back}: the foot is at {foot}, the hips are at {hips}");
-            let stands = all[0].1.body(18.0)[PELVIS].centre;
-            assert!(stands.z > 0.8 && (6.2..6.6).contains(&stands.x), "{back}: stands before the seat, at {stands}");
+            let people = Scenario::new(&parse(&text), 1, None).between(0.0, 20.0);
+            let body = people[0].1.body(8.0);
+            let (hips, foot) = (body[PELVIS].centre, body[FOOT].centre);
+            assert!((hips.x - 6.0).hypot(hips.y - 10.0) < 0.15 && hips.z < 0.7, "{back_key}: hips at {hips}");
+            assert!(foot.x > hips.x + 0.2, "{back_key}: the foot is at {foot}, the hips are at {hips}");
+            let standing_hips = people[0].1.body(18.0)[PELVIS].centre;
+            assert!(
+                standing_hips.z > 0.8 && (6.2..6.6).contains(&standing_hips.x),
+                "{back_key}: stands before the seat, at {standing_hips}"
+            );
         }
     }
 
     /// Steps of zero length or duration, beds against the wall, and turns by zero and by a full circle.
     #[test]
-    fn odd_scripts_still_make_bodies() {
+    fn degenerate_scripts_have_finite_bodies() {
         let path = builder().walk_to([1.0, 1.0], 1.0).face(0.0).face(TAU).stand(0.0).squat(0.0, 0.0).squat(9.0, 0.1);
         let path = path.lie(&Bed { edge_m: 0.3, ..BED }, 0.0).sit_back(1.0, 0.2, 0.0, 0.0).face(PI);
         let end_s = path.time_s();

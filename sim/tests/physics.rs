@@ -14,16 +14,17 @@ use radome_sim::{Receiver, random};
 
 use crate::common::{self, NOBODY, hall, map_db, parse, peak, post, range_profiles, simulator, statistics};
 
-fn walker(from: f64, to: f64, speed: f64) -> String {
+/// The hall with a person who walks along x, ahead of the radar.
+fn hall_with_walker(from_m: f64, to_m: f64, speed_m_per_s: f64) -> String {
     hall(&format!(
-        "[people]\nactor = [{{ step = [{{ walk_to_m = [{from}, 10.0] }}, {{ walk_to_m = [{to}, 10.0], speed_m_per_s = {speed} }}] }}]\n"
+        "[people]\nactor = [{{ step = [{{ walk_to_m = [{from_m}, 10.0] }}, {{ walk_to_m = [{to_m}, 10.0], speed_m_per_s = {speed_m_per_s} }}] }}]\n"
     ))
 }
 
 #[test]
-fn who_walks_away_has_positive_velocity_at_the_right_range() {
+fn a_receding_person_has_positive_velocity_at_the_true_range() {
     for (from, to, sign) in [(4.0, 9.0, 1.0), (9.0, 4.0, -1.0)] {
-        let scene = parse(&walker(from, to, 1.2));
+        let scene = parse(&hall_with_walker(from, to, 1.2));
         let simulator = simulator(&scene, 3, None);
         let frame = simulator.frame(20);
         let (doppler, range) = peak(&map_db(&frame, 0), 128);
@@ -37,11 +38,21 @@ fn who_walks_away_has_positive_velocity_at_the_right_range() {
     }
 }
 
+/// Reflection of a slab at normal incidence, from the sum of its internal bounces.
+fn slab_reflection(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64) -> Complex64 {
+    let n = permittivity.sqrt();
+    let surface = (1.0 - n) / (1.0 + n);
+    let transmitted = Complex64::from(1.0) - surface * surface;
+    let round_trip = (Complex64::new(0.0, -2.0 * wavenumber_per_m * thickness_m) * n).exp();
+    let bounce = |i: u32| transmitted * surface * round_trip * (surface * surface * round_trip).powu(i);
+    surface - (0..400).map(bounce).sum::<Complex64>()
+}
+
 /// A metal wall on one side and a lossy one on the other: two echoes whose sum has a null where the closed form
-/// predicts it, with the lossy wall's complex coefficient. A sign error in conjugation moves it by twice that
+/// predicts it, with the lossy wall's complex coefficient. A sign error in conjugation moves the null by twice that
 /// coefficient's angle.
 #[test]
-fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
+fn the_echo_null_of_a_lossy_wall_agrees_with_the_closed_form() {
     let material = Material::Glass;
     // The wall is thin relative to the wavelength: the coefficient is nearly imaginary, so that conjugation shows.
     let thickness_m = 0.0003;
@@ -57,33 +68,29 @@ fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
 
     // Minimum of the simulated envelope, with in-phase and quadrature samples from the sampled synthesis.
     let synthesiser = Synthesiser::new(256);
-    let quadrature = |turn: Complex<f32>| {
+    let quadrature = |rotation: Complex<f32>| {
         let mut grid = synthesiser.grid();
         for path in &prepared.static_paths {
             let (phase_cycles, cycles_per_sample, a) = path.tones[0];
-            let amplitude = Complex::new(a.re as f32, a.im as f32) * turn;
+            let amplitude = Complex::new(a.re as f32, a.im as f32) * rotation;
             synthesiser.add(&Tone { phase_cycles, cycles_per_sample, amplitude }, &mut grid);
         }
-        let mut out = vec![0f32; 256];
-        synthesiser.transform(&grid, &mut out, &mut SynthesisScratch::default());
-        out
+        let mut samples = vec![0f32; 256];
+        synthesiser.transform(&grid, &mut samples, &mut SynthesisScratch::default());
+        samples
     };
     let (re, im) = (quadrature(Complex::new(1.0, 0.0)), quadrature(Complex::new(0.0, -1.0)));
     let envelope: Vec<f64> = re.iter().zip(&im).map(|(a, b)| f64::from(a.hypot(*b))).collect();
 
-    // Independently written closed form: reflection of glass by multiple internal bounces, amplitude 1/length.
+    // Independent closed form: the reflection of glass, and amplitudes of 1/length.
     let w = scene.waveform();
     let permittivity = material.permittivity(w.centre_frequency_hz()).expect("dielectric");
-    let n = permittivity.sqrt();
-    let k = TAU * w.centre_frequency_hz() / SPEED_OF_LIGHT_M_PER_S;
-    let r = (1.0 - n) / (1.0 + n);
-    let transmitted = Complex64::from(1.0) - r * r;
-    let trip = (Complex64::new(0.0, -2.0 * k * thickness_m) * n).exp();
-    let glass: Complex64 = r - (0..400).map(|i| transmitted * r * trip * (r * r * trip).powu(i)).sum::<Complex64>();
+    let wavenumber_per_m = TAU * w.centre_frequency_hz() / SPEED_OF_LIGHT_M_PER_S;
+    let glass = slab_reflection(permittivity, thickness_m, wavenumber_per_m);
     let filters = Filters::new(scene.receiver(), w);
     // Mirrored antennas: TX 3 mm to one side of the package's middle, RX1 4.5 mm to the other.
     let lengths = (2.0 * 9.53 - 0.003 + 0.0045, 2.0 * 10.47 + 0.003 - 0.0045);
-    let closed = |conjugate: bool| -> Vec<f64> {
+    let closed_form_envelope = |conjugate: bool| -> Vec<f64> {
         (0..256)
             .map(|n| {
                 let t = n as f64 / w.sample_rate_hz;
@@ -102,19 +109,26 @@ fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
             })
             .collect()
     };
-    let least = |x: &[f64]| (20..236).min_by(|&a, &b| x[a].total_cmp(&x[b])).expect("samples") as f64;
+    let null_sample = |x: &[f64]| (20..236).min_by(|&a, &b| x[a].total_cmp(&x[b])).expect("samples") as f64;
     // Nulls repeat every c / (difference of lengths) / slope.
     let period = SPEED_OF_LIGHT_M_PER_S / (lengths.1 - lengths.0) / w.slope_hz_per_s * w.sample_rate_hz;
-    let apart = |a: f64, b: f64| ((a - b + 0.5 * period).rem_euclid(period) - 0.5 * period).abs();
-    let (simulated, right, wrong) = (least(&envelope), least(&closed(true)), least(&closed(false)));
-    assert!(apart(right, wrong) > 0.08 * period, "the wall's coefficient is complex enough: {right} {wrong}");
-    assert!(apart(simulated, right) < 0.03 * period, "null at {simulated}, expected {right}, {wrong} if conjugated");
+    let null_distance = |a: f64, b: f64| ((a - b + 0.5 * period).rem_euclid(period) - 0.5 * period).abs();
+    let [expected, conjugated] = [true, false].map(|conjugate| null_sample(&closed_form_envelope(conjugate)));
+    let simulated = null_sample(&envelope);
+    assert!(
+        null_distance(expected, conjugated) > 0.08 * period,
+        "the wall's coefficient is complex enough: {expected} {conjugated}"
+    );
+    assert!(
+        null_distance(simulated, expected) < 0.03 * period,
+        "null at {simulated}, expected {expected}, {conjugated} if conjugated"
+    );
 }
 
 /// The radar equation, in LSB: a point of 0 dBsm on boresight at 2, 4 and 8 m.
 #[test]
-fn level_follows_the_radar_equation_with_the_fourth_power() {
-    let mut last: Option<f64> = None;
+fn echo_levels_follow_the_radar_equation() {
+    let mut previous: Option<f64> = None;
     for range in [2.0f64, 4.0, 8.0] {
         let scene = parse(&hall(&(post(range, 0.0) + NOBODY)));
         let prepared = PreparedScene::new(&scene, 0, 20.0);
@@ -127,17 +141,17 @@ fn level_follows_the_radar_equation_with_the_fourth_power() {
         let volt = (1e-3 * 10f64.powf(0.1 * (received_dbm + 47.0)) * 50.0 * 2.0).sqrt();
         let expected_db = 20.0 * (volt / (1.31 / 4096.0)).log10();
         assert!((20.0 * lsb.log10() - expected_db).abs() < 0.05, "{range} m: {lsb} LSB");
-        if let Some(last) = last {
-            assert!((20.0 * (last / lsb).log10() - 12.04).abs() < 0.05);
+        if let Some(previous) = previous {
+            assert!((20.0 * (previous / lsb).log10() - 12.04).abs() < 0.05);
         }
-        last = Some(lsb);
+        previous = Some(lsb);
     }
 }
 
 /// Power |X|^2 of thermal noise is exponential. The standard deviation of its decibels is 5.57, and their mean is 2.51
 /// below the decibels of the mean.
 #[test]
-fn empty_maps_are_exponential_noise() {
+fn empty_maps_have_exponential_power() {
     let scene = parse(&hall(NOBODY));
     let simulator = simulator(&scene, 5, Some(0));
     let mut all = Vec::new();
@@ -168,28 +182,28 @@ fn noise_has_the_measured_spectrum_at_both_gains() {
     request.end_frequency_hz = 60.5e9;
     let receiver = Receiver { anti_alias_cutoff_scale: 1.06, ..Receiver::typical() };
     scene = scene.with_receiver(receiver.clone());
-    let at = |samples, gain| {
-        let mut r = request.clone();
-        r.samples_per_chirp = samples;
-        r.if_gain_db = gain;
-        density_lsb2(scene.receiver(), &radome_dsp::Waveform::realise(r).expect("valid"))
+    let density = |samples, gain| {
+        let mut changed = request.clone();
+        changed.samples_per_chirp = samples;
+        changed.if_gain_db = gain;
+        density_lsb2(scene.receiver(), &radome_dsp::Waveform::realise(changed).expect("valid"))
     };
-    let low = at(64, 23.0);
+    let at_23_db = density(64, 23.0);
     for (bin, measured) in
         [(1, 3.5), (2, 2.4), (3, 1.9), (4, 1.7), (6, 1.6), (8, 1.4), (16, 1.4), (20, 1.2), (24, 0.9), (32, 0.8)]
     {
-        let error_db = 10.0 * (low[bin] / measured).log10();
-        assert!(error_db.abs() < 1.5, "23 dB, bin {bin}: {} for {measured}", low[bin]);
+        let error_db = 10.0 * (at_23_db[bin] / measured).log10();
+        assert!(error_db.abs() < 1.5, "23 dB, bin {bin}: {} for {measured}", at_23_db[bin]);
     }
-    let high = at(128, 48.0);
+    let at_48_db = density(128, 48.0);
     for (bin, measured) in [(3, 10.3), (10, 8.4), (20, 7.5), (30, 6.0), (40, 3.8), (50, 1.8), (60, 1.2)] {
-        let error_db = 20.0 * (high[bin].sqrt() / measured).log10();
-        assert!(error_db.abs() < 1.5, "48 dB, bin {bin}: {} for {measured}", high[bin].sqrt());
+        let error_db = 20.0 * (at_48_db[bin].sqrt() / measured).log10();
+        assert!(error_db.abs() < 1.5, "48 dB, bin {bin}: {} for {measured}", at_48_db[bin].sqrt());
     }
 }
 
 #[test]
-fn drawn_noise_has_the_density_it_was_asked_for() {
+fn drawn_noise_has_the_requested_density() {
     let density: Vec<f64> = (0..=32).map(|bin| 1.0 + 20.0 / (1.0 + f64::from(bin))).collect();
     let shaper = NoiseShaper::new(&density, 64);
     let mut rng = random::generator(9, random::Purpose::Noise, [0, 0]);
@@ -207,15 +221,15 @@ fn drawn_noise_has_the_density_it_was_asked_for() {
             *p += s.norm_sqr() / 64.0 / f64::from(chirps);
         }
     }
-    for (bin, (got, wanted)) in power.iter().zip(&density).enumerate() {
+    for (bin, (found, expected)) in power.iter().zip(&density).enumerate() {
         // Rounding's twelfth is left to the quantiser; 6000 draws are accurate to 2 %.
-        assert!((got / (wanted - 1.0 / 12.0) - 1.0).abs() < 0.07, "bin {bin}: {got} for {wanted}");
+        assert!((found / (expected - 1.0 / 12.0) - 1.0).abs() < 0.07, "bin {bin}: {found} for {expected}");
     }
 }
 
 /// A beat beyond half the rate folds, attenuated by the filter at its true frequency.
 #[test]
-fn far_walls_fold_as_the_chip_folds_them() {
+fn a_beat_beyond_half_the_sample_rate_is_folded() {
     let scene = parse(
         &hall(NOBODY)
             .replace("size_m = [20.0, 20.0, 3.0]", "size_m = [27.0, 20.0, 3.0]")
@@ -228,33 +242,33 @@ fn far_walls_fold_as_the_chip_folds_them() {
     let frame = simulator(&scene, 0, Some(0)).frame(0);
     let chirp: Vec<f64> = frame.chirp(0, 0).iter().map(|&c| f64::from(c) - 2048.0).collect();
     let spectrum = &range_profiles(&chirp, 256)[0];
-    let top = (3..129).max_by(|&a, &b| spectrum[a].norm().total_cmp(&spectrum[b].norm())).expect("bins");
-    let folded = (1.0 - cycles) * 256.0;
-    assert!((top as f64 - folded).abs() < 1.0, "bin {top}, folded {folded}");
+    let strongest = (3..129).max_by(|&a, &b| spectrum[a].norm().total_cmp(&spectrum[b].norm())).expect("bins");
+    let folded_bin = (1.0 - cycles) * 256.0;
+    assert!((strongest as f64 - folded_bin).abs() < 1.0, "bin {strongest}, folded {folded_bin}");
 }
 
 #[test]
-fn truth_counts_who_has_a_part_in_the_room() {
+fn truth_counts_people_who_are_partly_in_the_room() {
     let text = hall(
         "[people]\nactor = [{ step = [{ walk_to_m = [-2.0, 10.0] }, { walk_to_m = [6.0, 10.0], speed_m_per_s = 1.0 }] },\n\
          { step = [{ walk_to_m = [8.0, 6.0] }, { stand_s = 5.0 }, { walk_to_m = [8.0, -9.0], speed_m_per_s = 1.0 }] }]\n",
     );
     let scene = parse(&text);
     let simulator = simulator(&scene, 1, None);
-    let at = |seconds: f64| simulator.truth((seconds * 10.0) as u64);
-    assert_eq!((at(0.5).occupancy, at(0.5).transition), (Occupancy::One, false));
-    assert_eq!((at(2.0).occupancy, at(2.0).transition), (Occupancy::Two, true));
-    assert_eq!((at(5.0).occupancy, at(5.0).transition), (Occupancy::Two, false));
-    assert_eq!((at(11.0).occupancy, at(11.0).transition), (Occupancy::Two, true));
-    assert_eq!((at(13.0).occupancy, at(13.0).transition), (Occupancy::One, false));
+    let truth_at = |seconds: f64| simulator.truth((seconds * 10.0) as u64);
+    assert_eq!((truth_at(0.5).occupancy, truth_at(0.5).transition), (Occupancy::One, false));
+    assert_eq!((truth_at(2.0).occupancy, truth_at(2.0).transition), (Occupancy::Two, true));
+    assert_eq!((truth_at(5.0).occupancy, truth_at(5.0).transition), (Occupancy::Two, false));
+    assert_eq!((truth_at(11.0).occupancy, truth_at(11.0).transition), (Occupancy::Two, true));
+    assert_eq!((truth_at(13.0).occupancy, truth_at(13.0).transition), (Occupancy::One, false));
     assert_eq!(common::simulator(&scene, 1, Some(1)).truth(130).occupancy, Occupancy::One);
 }
 
 #[test]
 fn a_person_in_front_shades_the_one_behind() {
-    let energy = |front_y: f64| {
+    let power_behind = |front_y_m: f64| {
         let text = hall(&format!(
-            "[people]\nactor = [{{ step = [{{ walk_to_m = [4.0, {front_y}] }}] }},\n\
+            "[people]\nactor = [{{ step = [{{ walk_to_m = [4.0, {front_y_m}] }}] }},\n\
              {{ step = [{{ walk_to_m = [9.0, 10.0] }}, {{ walk_to_m = [7.0, 10.0], speed_m_per_s = 1.0 }}] }}]\n"
         ));
         let map = map_db(&simulator(&parse(&text), 2, None).frame(10), 0);
@@ -264,7 +278,7 @@ fn a_person_in_front_shades_the_one_behind() {
             .map(|(d, r)| 10f64.powf(0.1 * map[d * 128 + r]))
             .sum::<f64>()
     };
-    let (behind, beside) = (energy(10.0), energy(14.0));
+    let (behind, beside) = (power_behind(10.0), power_behind(14.0));
     assert!(10.0 * (beside / behind).log10() > 5.0, "{} dB", 10.0 * (beside / behind).log10());
 }
 
@@ -273,7 +287,7 @@ mod hard_cases {
     use radome_sim::SimulateOptions;
 
     #[test]
-    fn the_quantiser_rounds_clips_and_survives_anything() {
+    fn the_quantiser_rounds_clips_and_accepts_non_finite_values() {
         let cases = [(0.4, 0), (0.5, 1), (2047.5, 2048), (4094.6, 4095), (9e9, 4095), (-9e9, 0), (-0.4, 0)];
         for (lsb, code) in cases {
             assert_eq!(quantise(lsb), code, "{lsb}");
@@ -283,15 +297,14 @@ mod hard_cases {
         assert_eq!(quantise(f32::NEG_INFINITY), 0);
     }
 
-    /// From far away to 5 cm, at the antenna, and through it: frames are finite, such cases are counted, and levels are
-    /// below the ADC limit.
+    /// People at 5 cm, at the antenna and beyond: frames are complete, and paths with limited levels are counted.
     #[test]
-    fn somebody_at_five_centimetres_and_somebody_walking_through_the_radar() {
+    fn people_at_and_through_the_radar_are_simulated_and_counted() {
         let close = hall("[people]\nactor = [{ step = [{ walk_to_m = [1.17, 10.0] }] }]\n");
         let (frame, report) = simulator(&parse(&close), 4, None).frame_with_report(0);
         assert!(report.clamped > 0, "{report:?}");
         assert!(frame.codes.iter().any(|&c| c.abs_diff(2048) > 15), "a strong echo");
-        let through = parse(&walker(3.0, -1.5, 1.0));
+        let through = parse(&hall_with_walker(3.0, -1.5, 1.0));
         let simulator = simulator(&through, 4, None);
         for index in 0..50 {
             let (frame, _) = simulator.frame_with_report(index);
@@ -300,10 +313,10 @@ mod hard_cases {
         assert!((0..50).any(|i| simulator.frame_with_report(i).1.clamped > 0));
     }
 
-    /// Leakage that nearly fills the ADC does not hide a walker 90 dB below it from a map without quantisation trouble.
+    /// Leakage that nearly fills the range of the ADC does not hide a walker 90 dB below it.
     #[test]
-    fn a_target_far_below_the_leakage_is_still_there() {
-        let text = walker(12.0, 10.0, 1.0).replace(
+    fn a_walker_90_db_below_the_leakage_is_the_strongest_cell() {
+        let text = hall_with_walker(12.0, 10.0, 1.0).replace(
             "rx = [{ dc_code = 2048.0 },",
             "rx = [{ dc_code = 2048.0, leakage = [{ delay_s = 0.3e-9, amplitude_lsb = 1900.0 }] },",
         );
@@ -319,8 +332,8 @@ mod hard_cases {
     }
 
     #[test]
-    fn options_that_cannot_be_met_are_refused() {
-        let scene = parse(&walker(4.0, 5.0, 1.0));
+    fn invalid_options_are_errors() {
+        let scene = parse(&hall_with_walker(4.0, 5.0, 1.0));
         let new = |options| radome_sim::Simulator::new(&scene, options).map(|_| ());
         let many = new(SimulateOptions { people: Some(3), ..SimulateOptions::default() });
         assert!(many.expect_err("one actor").to_string().contains("at most 1"));

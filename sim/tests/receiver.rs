@@ -11,7 +11,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use crate::common::{NOBODY, hall, parse, range_bin, rms, scene, simulator};
 
 /// Board in front of a metal wall 2.4 m away, without other objects, with a quiet and stable receiver.
-fn wall(clutter: &str, receiver: &str) -> Scene {
+fn scene_with_wall(clutter: &str, receiver: &str) -> Scene {
     let text = hall(NOBODY)
         .replace("x_high = { material = \"open\" }", "x_high = { material = \"metal\" }")
         .replace("position_m = [1.0, 10.0, 1.2]", "position_m = [17.6, 10.0, 1.2]")
@@ -32,25 +32,25 @@ fn echo_at(scene: &Scene, frame: &Frame, range_m: f64) -> (f64, f64) {
     (sum.norm(), sum.arg())
 }
 
-fn within_half_a_turn(angle_rad: f64) -> f64 {
+fn wrapped_to_half_a_turn(angle_rad: f64) -> f64 {
     angle_rad - std::f64::consts::TAU * (angle_rad / std::f64::consts::TAU).round()
 }
 
 /// Unwrapped phase (rad) and amplitude of the wall's range bin in the mean chirp of successive frames.
-fn series(scene: &Scene, seed: u64, frames: u64) -> Vec<(f64, f64)> {
+fn phases_and_amplitudes(scene: &Scene, seed: u64, frames: u64) -> Vec<(f64, f64)> {
     let simulator = simulator(scene, seed, Some(0));
-    let (mut last, mut turned, mut all) = (0.0, 0.0, Vec::new());
+    let (mut last, mut unwrapped_rad, mut all) = (0.0, 0.0, Vec::new());
     for index in 0..frames {
         let (amplitude, angle) = echo_at(scene, &simulator.frame(index), 2.4);
-        turned += within_half_a_turn(angle - last);
+        unwrapped_rad += wrapped_to_half_a_turn(angle - last);
         last = angle;
-        all.push((turned, amplitude));
+        all.push((unwrapped_rad, amplitude));
     }
     all
 }
 
 /// Rms of the changes over `frames` frames.
-fn change(values: &[f64], frames: usize) -> f64 {
+fn rms_change(values: &[f64], frames: usize) -> f64 {
     let square = |(a, b): (&f64, &f64)| (b - a).powi(2);
     let count = values.len() - frames;
     (values.iter().zip(&values[frames..]).map(square).sum::<f64>() / count as f64).sqrt()
@@ -59,28 +59,28 @@ fn change(values: &[f64], frames: usize) -> f64 {
 /// Drift and jitter are as measured in real rooms: 20 to 60 mrad between frames, 0.1 to 0.6 rad in ten seconds, 0.6 to
 /// 4 % of amplitude. In an empty room more than noise remains after static removal, though far less than a person.
 #[test]
-fn clutter_jitters_and_drifts_as_measured() {
+fn clutter_has_the_measured_jitter_and_drift() {
     let typical = "phase_jitter_rad = 0.03\nphase_drift_rad_per_10s = 0.3\namplitude_jitter = 0.01";
     let (mut jitters, mut drifts, mut amplitudes) = (Vec::new(), Vec::new(), Vec::new());
     for seed in 0..4 {
-        let series = series(&wall(typical, ""), seed, 300);
+        let series = phases_and_amplitudes(&scene_with_wall(typical, ""), seed, 300);
         let phase: Vec<f64> = series.iter().map(|(phase, _)| *phase).collect();
         let mean = series.iter().map(|(_, level)| level).sum::<f64>() / series.len() as f64;
         let level: Vec<f64> = series.iter().map(|(_, level)| level / mean).collect();
-        jitters.push(change(&phase, 1) / 2f64.sqrt());
+        jitters.push(rms_change(&phase, 1) / 2f64.sqrt());
         // Values are averaged over seconds, so that jitter does not count as drift.
         let seconds: Vec<f64> = phase.chunks(10).map(|of| of.iter().sum::<f64>() / 10.0).collect();
-        drifts.push(change(&seconds, 10));
-        amplitudes.push(change(&level, 1) / 2f64.sqrt());
+        drifts.push(rms_change(&seconds, 10));
+        amplitudes.push(rms_change(&level, 1) / 2f64.sqrt());
     }
     assert!(jitters.iter().all(|j| (0.02..0.06).contains(j)), "{jitters:?}");
     assert!(drifts.iter().all(|d| (0.1..0.6).contains(d)), "{drifts:?}");
     assert!(amplitudes.iter().all(|a| (0.006..0.04).contains(a)), "{amplitudes:?}");
-    let still = series(&wall("", ""), 1, 40);
+    let still = phases_and_amplitudes(&scene_with_wall("", ""), 1, 40);
     let phase: Vec<f64> = still.iter().map(|(phase, _)| *phase).collect();
-    assert!(change(&phase, 1) < 1e-3 && change(&phase, 20) < 1e-3);
+    assert!(rms_change(&phase, 1) < 1e-3 && rms_change(&phase, 20) < 1e-3);
     // Residual after static removal.
-    let left_db = |scene: &Scene| {
+    let residual_db = |scene: &Scene| {
         let simulator = simulator(scene, 1, Some(0));
         let mut slow_time = SlowTimeStatistics::new(scene.waveform(), 10.0);
         (0..100).for_each(|index| slow_time.push(&simulator.frame(index)));
@@ -88,8 +88,12 @@ fn clutter_jitters_and_drifts_as_measured() {
         let power = |of: Option<f64>| 10.0 * of.expect("a window").log10();
         power(slow_time.moving(0, bin)) - power(slow_time.still(0, bin))
     };
-    let (jittering, resting) = (left_db(&wall(typical, "")), left_db(&wall("", "")));
-    assert!((-30.0..-8.0).contains(&jittering) && resting < -50.0, "{jittering} dB, at rest {resting} dB");
+    let (jittering_residual_db, still_residual_db) =
+        (residual_db(&scene_with_wall(typical, "")), residual_db(&scene_with_wall("", "")));
+    assert!(
+        (-30.0..-8.0).contains(&jittering_residual_db) && still_residual_db < -50.0,
+        "{jittering_residual_db} dB, at rest {still_residual_db} dB"
+    );
 }
 
 /// Half of the power of the echoes' drift comes from the chip and is common to all echoes: two posts, 400 boards, ten
@@ -112,7 +116,7 @@ fn half_of_the_drift_is_common_to_all_echoes() {
         let [before, after] = [0, 100].map(|index| simulator.frame(index));
         let changes = [3.0, 5.0].map(|range_m| {
             let [before, after] = [&before, &after].map(|frame| echo_at(&scene, frame, range_m).1);
-            within_half_a_turn(after - before)
+            wrapped_to_half_a_turn(after - before)
         });
         squares.iter_mut().zip(changes).for_each(|(square, change)| *square += change * change);
         product += changes[0] * changes[1];
@@ -125,7 +129,7 @@ fn half_of_the_drift_is_common_to_all_echoes() {
 
 /// Datasets whose maps use one receiver are simulated without the receivers behind it: its samples are bit-identical.
 #[test]
-fn a_receiver_hears_the_same_whoever_else_listens() {
+fn samples_of_a_receiver_do_not_depend_on_the_other_receivers() {
     for (name, people) in [("corridor", 2), ("room", 1), ("bathroom", 1)] {
         let all = scene(name);
         for last in 0..all.waveform().shape().rx {
@@ -143,7 +147,7 @@ fn a_receiver_hears_the_same_whoever_else_listens() {
 
 /// Skins are evaluated from the middle of all antennas, which differs by millimetres for fewer antennas.
 #[test]
-fn a_receiver_hears_the_same_of_skins_within_their_tolerance() {
+fn skin_echoes_of_a_receiver_depend_on_the_other_receivers_within_their_tolerance() {
     let all = scene("corridor-mesh");
     let one = all.clone().with_receivers(all.waveform().request.rx_antennas.up_to(0));
     let (of_all, of_one) = (simulator(&all, 5, Some(1)), simulator(&one, 5, Some(1)));
@@ -158,11 +162,11 @@ fn a_receiver_hears_the_same_of_skins_within_their_tolerance() {
 
 /// Steps have about the requested rate and size, and nothing changes between them.
 #[test]
-fn clutter_steps_now_and_then() {
-    let scene = wall("phase_step_rad = 0.6\nphase_step_interval_s = 4.0", "");
+fn clutter_steps_have_the_requested_rate_and_size() {
+    let scene = scene_with_wall("phase_step_rad = 0.6\nphase_step_interval_s = 4.0", "");
     let mut steps = Vec::new();
     for seed in 0..6 {
-        let series = series(&scene, seed, 400);
+        let series = phases_and_amplitudes(&scene, seed, 400);
         steps.extend(series.windows(2).map(|pair| (pair[1].0 - pair[0].0).abs()).filter(|step| *step > 5e-3));
     }
     // Six times 40 s.
@@ -173,10 +177,10 @@ fn clutter_steps_now_and_then() {
 
 /// The phase noise of a wall is proportional to its delay: its contribution to the codes agrees with the closed form.
 #[test]
-fn phase_noise_of_a_wall_is_its_delay_times_the_oscillators_rate() {
+fn phase_noise_of_a_wall_is_proportional_to_its_delay() {
     let noise = PhaseNoise { level_dbc_per_hz: -50.0, offset_hz: 1e5 };
     let key = format!("[receiver.phase_noise]\nlevel_dbc_per_hz = {}", noise.level_dbc_per_hz);
-    let (with, without) = (wall("", &key), wall("", ""));
+    let (with, without) = (scene_with_wall("", &key), scene_with_wall("", ""));
     assert_eq!(with.receiver().phase_noise, Some(noise));
     let frames = [&with, &without].map(|scene| simulator(scene, 1, Some(0)).frame(0));
     let shape = with.waveform().shape();
@@ -189,18 +193,18 @@ fn phase_noise_of_a_wall_is_its_delay_times_the_oscillators_rate() {
     let rate = std::f64::consts::TAU * noise.offset_hz * (1e-5 * with.waveform().sample_rate_hz).sqrt();
     // Each of the two frames is rounded separately.
     let expected = ((wall_rms * delay_s * rate).powi(2) + 1.0 / 6.0).sqrt();
-    let got = rms(&added[..per_rx]);
+    let found = rms(&added[..per_rx]);
     assert!(wall_rms > 20.0 && expected > 1.0, "{wall_rms} LSB, {expected} LSB");
-    assert!((got / expected - 1.0).abs() < 0.08, "{got} LSB, expected {expected} LSB");
+    assert!((found / expected - 1.0).abs() < 0.08, "{found} LSB, expected {expected} LSB");
     // All receivers share one oscillator and see the wall at nearly the same phase.
     let product: f64 = added[..per_rx].iter().zip(&added[per_rx..2 * per_rx]).map(|(a, b)| a * b).sum();
-    assert!(product / per_rx as f64 > 0.5 * got * got, "{product}");
+    assert!(product / per_rx as f64 > 0.5 * found * found, "{product}");
 }
 
 /// People, as ellipsoids and as skins: the phase-noise contribution is the phase's rate times the derivative of the
 /// echoes over `2 pi` times the slope, since a beat frequency is the slope times its delay.
 #[test]
-fn phase_noise_of_people_follows_their_delays() {
+fn phase_noise_of_people_is_proportional_to_their_delays() {
     let noise = PhaseNoise { level_dbc_per_hz: -30.0, offset_hz: 1e5 };
     for (name, frame) in [("corridor", 60), ("corridor-mesh", 60)] {
         let quiet = scene(name);
@@ -223,7 +227,7 @@ fn phase_noise_of_people_follows_their_delays() {
         let (shape, per_cycle) = (w.shape(), std::f64::consts::TAU * w.slope_hz_per_s / w.sample_rate_hz);
         let rates = PhaseRates::new(&noise, w.sample_rate_hz);
         let mut rng = generator(7, Purpose::PhaseNoise, [frame, 0]);
-        let (mut product, mut expected_power, mut got_power) = (0.0, 0.0, 0.0);
+        let (mut product, mut expected_power, mut found_power) = (0.0, 0.0, 0.0);
         for chirp in 0..shape.chirps {
             let mut rate = vec![0f32; shape.samples];
             rates.add(&mut rng, &vec![1.0; shape.samples], &mut rate);
@@ -234,15 +238,15 @@ fn phase_noise_of_people_follows_their_delays() {
                 let i = chirp * shape.samples + n;
                 // Contribution of people to the phase noise; clutter in their shadow is tested elsewhere.
                 let code = |frame: &radome_dsp::Frame| f64::from(frame.codes[i]);
-                let got = code(&noisy) - code(&plain) - (code(&empty_noisy) - code(&empty));
-                product += expected * got;
+                let found = code(&noisy) - code(&plain) - (code(&empty_noisy) - code(&empty));
+                product += expected * found;
                 expected_power += expected * expected;
-                got_power += got * got;
+                found_power += found * found;
             }
         }
         let ratio = product / expected_power;
         let rms = (expected_power / (shape.chirps * shape.samples) as f64).sqrt();
         assert!(rms > 0.05, "{name}: nothing to see, {rms} LSB");
-        assert!((ratio - 1.0).abs() < 0.1, "{name}: {ratio}, {rms} LSB of {got_power}");
+        assert!((ratio - 1.0).abs() < 0.1, "{name}: {ratio}, {rms} LSB of {found_power}");
     }
 }

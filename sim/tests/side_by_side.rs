@@ -10,39 +10,45 @@ use crate::common;
 const FRAME_S: f64 = 0.064;
 
 /// Compares all paths of a person at an instant, traced together and one by one. Returns the number of paths, and the
-/// number of those louder than `least_lsb`.
-fn compare(paths: &Paths, people: &[Snapshot], least_lsb: f64, at: &str) -> [usize; 2] {
-    let asked: Vec<_> = (0..paths.count()).map(|path| (path, None)).collect();
-    let (mut report, mut report_of_one) = (EchoReport::default(), EchoReport::default());
-    let bare = paths.trace_all(&asked, people, &mut report);
-    let mut met = bare.clone();
-    paths.shade((0..).zip(&mut met), people);
-    let (mut keys, mut loud) = (Vec::new(), 0);
-    for (path, (met, bare)) in met.iter().zip(&bare).enumerate() {
-        keys.clear();
-        let place = paths.trace(path, people, None, &mut keys, &mut report_of_one);
-        assert_eq!(met.keys().len(), keys.len(), "{at}, path {path}");
-        assert_eq!(met.place.is_some(), place.is_some(), "{at}, path {path}");
-        if let Some((met, one)) = met.place.zip(place) {
-            assert!((met - one).length() < 1e-6, "{at}, path {path}: {met} {one}");
+/// number of those stronger than `threshold_lsb`.
+fn compare(paths: &Paths, people: &[Snapshot], threshold_lsb: f64, context: &str) -> [usize; 2] {
+    let requests: Vec<_> = (0..paths.count()).map(|path| (path, None)).collect();
+    let (mut report, mut report_of_single) = (EchoReport::default(), EchoReport::default());
+    let without_people = paths.trace_all(&requests, people, &mut report);
+    let mut traced = without_people.clone();
+    paths.shade((0..).zip(&mut traced), people);
+    let (mut samples, mut audible) = (Vec::new(), 0);
+    for (path, (traced, without_people)) in traced.iter().zip(&without_people).enumerate() {
+        samples.clear();
+        let specular_point = paths.trace(path, people, None, &mut samples, &mut report_of_single);
+        assert_eq!(traced.keys().len(), samples.len(), "{context}, path {path}");
+        assert_eq!(traced.place.is_some(), specular_point.is_some(), "{context}, path {path}");
+        if let Some((traced, single)) = traced.place.zip(specular_point) {
+            assert!((traced - single).length() < 1e-6, "{context}, path {path}: {traced} {single}");
         }
-        for ((met, bare), one) in met.keys().iter().zip(bare.keys()).zip(&keys) {
-            assert!((met.delay_s - one.delay_s).abs() < 1e-19, "{at}, path {path}: {met:?} {one:?}");
-            assert!((met.delay_rate - one.delay_rate).abs() < 1e-14, "{at}, path {path}: {met:?} {one:?}");
-            let (error_lsb, lsb) = ((met.amplitude - one.amplitude).norm(), one.amplitude.norm());
-            assert!(error_lsb < 1e-6 * lsb + 1e-9 * least_lsb, "{at}, path {path}: {met:?} {one:?}");
+        for ((traced, without_people), single) in traced.keys().iter().zip(without_people.keys()).zip(&samples) {
+            assert!((traced.delay_s - single.delay_s).abs() < 1e-19, "{context}, path {path}: {traced:?} {single:?}");
+            assert!(
+                (traced.delay_rate - single.delay_rate).abs() < 1e-14,
+                "{context}, path {path}: {traced:?} {single:?}"
+            );
+            let (error_lsb, lsb) = ((traced.amplitude - single.amplitude).norm(), single.amplitude.norm());
+            assert!(error_lsb < 1e-6 * lsb + 1e-9 * threshold_lsb, "{context}, path {path}: {traced:?} {single:?}");
             // People increase no amplitude: a path that is inaudible without them is inaudible with them.
-            assert!(met.amplitude.norm() <= bare.amplitude.norm() * (1.0 + 1e-12), "{at}, path {path}");
+            assert!(
+                traced.amplitude.norm() <= without_people.amplitude.norm() * (1.0 + 1e-12),
+                "{context}, path {path}"
+            );
         }
-        loud += usize::from(keys.first().is_some_and(|key| key.amplitude.norm() > least_lsb));
+        audible += usize::from(samples.first().is_some_and(|sample| sample.amplitude.norm() > threshold_lsb));
     }
-    assert_eq!(report, report_of_one, "{at}");
-    [met.len(), loud]
+    assert_eq!(report, report_of_single, "{context}");
+    [traced.len(), audible]
 }
 
 /// Walkers, sitters and passers-by in rooms of several sizes and walls, by all pairs of images.
 #[test]
-fn paths_side_by_side_are_those_one_by_one() {
+fn paths_traced_together_agree_with_paths_traced_one_by_one() {
     for (name, seeds) in [("corridor", 1..3), ("room", 1..3), ("hall", 1..7)] {
         let mut sums = [0; 2];
         for seed in seeds {
@@ -51,12 +57,13 @@ fn paths_side_by_side_are_those_one_by_one() {
             let scenario = Scenario::new(&scene, seed, None);
             for i in 0..12 {
                 let time_s = 2.0 + 2.74 * f64::from(i);
-                let everybody = scenario.between(time_s, time_s + FRAME_S);
-                let people: Vec<Snapshot> = everybody.iter().map(|(_, motion)| Snapshot::new(motion, time_s)).collect();
-                for (me, (_, motion)) in everybody.iter().enumerate() {
-                    let paths = Paths::new(&prepared, motion, me, &prepared.body_pairs);
-                    let at = format!("{name}, seed {seed}, person {me} at {time_s} s");
-                    let counts = compare(&paths, &people, prepared.threshold_lsb, &at);
+                let people_and_motions = scenario.between(time_s, time_s + FRAME_S);
+                let people: Vec<Snapshot> =
+                    people_and_motions.iter().map(|(_, motion)| Snapshot::new(motion, time_s)).collect();
+                for (person_index, (_, motion)) in people_and_motions.iter().enumerate() {
+                    let paths = Paths::new(&prepared, motion, person_index, &prepared.body_pairs);
+                    let context = format!("{name}, seed {seed}, person {person_index} at {time_s} s");
+                    let counts = compare(&paths, &people, prepared.threshold_lsb, &context);
                     sums.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
                 }
             }
@@ -76,12 +83,13 @@ fn opposite_directions_share_specular_point_and_amplitude() {
         let (mut compared, mut error, mut power) = (0, 0.0, 0.0);
         for i in 0..12 {
             let time_s = 2.0 + 2.74 * f64::from(i);
-            let everybody = scenario.between(time_s, time_s + FRAME_S);
-            let people: Vec<Snapshot> = everybody.iter().map(|(_, motion)| Snapshot::new(motion, time_s)).collect();
-            for (me, (_, motion)) in everybody.iter().enumerate() {
-                let kept = audible_paths(&prepared, motion, &[time_s]);
-                let paths = Paths::new(&prepared, motion, me, &kept);
-                let opposite: Vec<_> = kept
+            let people_and_motions = scenario.between(time_s, time_s + FRAME_S);
+            let people: Vec<Snapshot> =
+                people_and_motions.iter().map(|(_, motion)| Snapshot::new(motion, time_s)).collect();
+            for (person_index, (_, motion)) in people_and_motions.iter().enumerate() {
+                let kept_pairs = audible_paths(&prepared, motion, &[time_s]);
+                let paths = Paths::new(&prepared, motion, person_index, &kept_pairs);
+                let opposite: Vec<_> = kept_pairs
                     .iter()
                     .map(|kept| radome_sim::echo::AudiblePair {
                         pair: (kept.pair.1, kept.pair.0),
@@ -89,24 +97,29 @@ fn opposite_directions_share_specular_point_and_amplitude() {
                         ..*kept
                     })
                     .collect();
-                let opposite = Paths::new(&prepared, motion, me, &opposite);
-                let asked: Vec<_> = (0..paths.count()).map(|path| (path, None)).collect();
-                let mut met = paths.trace_all(&asked, &people, &mut EchoReport::default());
-                paths.shade((0..).zip(&mut met), &people);
-                for (path, met) in met.iter().enumerate().filter(|&(path, _)| paths.is_both_ways(path)) {
-                    let mut keys = Vec::new();
-                    let place = opposite.trace(path, &people, None, &mut keys, &mut EchoReport::default());
-                    let is_heard = keys.first().is_some_and(|key| key.amplitude.norm() > prepared.threshold_lsb);
-                    if place.is_none() || met.place.is_none() || !is_heard {
+                let opposite = Paths::new(&prepared, motion, person_index, &opposite);
+                let requests: Vec<_> = (0..paths.count()).map(|path| (path, None)).collect();
+                let mut traced = paths.trace_all(&requests, &people, &mut EchoReport::default());
+                paths.shade((0..).zip(&mut traced), &people);
+                for (path, traced) in traced.iter().enumerate().filter(|&(path, _)| paths.is_both_ways(path)) {
+                    let mut samples = Vec::new();
+                    let specular_point = opposite.trace(path, &people, None, &mut samples, &mut EchoReport::default());
+                    let is_audible =
+                        samples.first().is_some_and(|sample| sample.amplitude.norm() > prepared.threshold_lsb);
+                    if specular_point.is_none() || traced.place.is_none() || !is_audible {
                         continue;
                     }
-                    let at = format!("{name}, person {me} at {time_s} s, path {path}");
-                    for (ours, key) in met.exchanged().keys().iter().zip(&keys) {
-                        let apart_m = (ours.delay_s - key.delay_s).abs() * SPEED_OF_LIGHT_M_PER_S;
-                        let rate = (ours.delay_rate - key.delay_rate).abs() * SPEED_OF_LIGHT_M_PER_S;
-                        assert!(apart_m < 3e-5 && rate < 0.02, "{at}: {apart_m} m, {rate} m/s");
-                        error += (ours.amplitude - key.amplitude).norm_sqr();
-                        power += key.amplitude.norm_sqr();
+                    let context = format!("{name}, person {person_index} at {time_s} s, path {path}");
+                    for (reversed, sample) in traced.exchanged().keys().iter().zip(&samples) {
+                        let difference_m = (reversed.delay_s - sample.delay_s).abs() * SPEED_OF_LIGHT_M_PER_S;
+                        let rate_difference_m_per_s =
+                            (reversed.delay_rate - sample.delay_rate).abs() * SPEED_OF_LIGHT_M_PER_S;
+                        assert!(
+                            difference_m < 3e-5 && rate_difference_m_per_s < 0.02,
+                            "{context}: {difference_m} m, {rate_difference_m_per_s} m/s"
+                        );
+                        error += (reversed.amplitude - sample.amplitude).norm_sqr();
+                        power += sample.amplitude.norm_sqr();
                     }
                     compared += 1;
                 }

@@ -41,16 +41,16 @@ fn solve(target: &Target, setup: &Setup, method: Method, edge_m: Option<f64>, to
     problem.solve(tolerance_db).expect("valid tolerance")
 }
 
-fn known_db(target: &Target, setup: &Setup) -> f64 {
+fn closed_form_db(target: &Target, setup: &Setup) -> f64 {
     db(reference_value(target, setup).expect("a closed form").sigma_m2)
 }
 
-/// Regression test: edges of one face took from the field on the way to the other, and parts of both were multiplied. Corners
-/// of scenes were wrong by up to 6 dB.
+/// Regression test: edges of one face attenuated the field on its way to the other face, and both factors were
+/// multiplied. Cross-sections of corners were wrong by up to 6 dB.
 #[test]
-fn corners_of_scenes_have_the_cross_section_of_dihedrals() {
+fn image_paths_of_a_corner_have_the_cross_section_of_a_dihedral() {
     let range_m = 3.0;
-    for (edge_m, within_db) in [(0.05, 1.0), (0.08, 0.7), (0.12, 0.7), (0.15, 0.7), (0.3, 0.5), (1.0, 0.2)] {
+    for (edge_m, tolerance_db) in [(0.05, 1.0), (0.08, 0.7), (0.12, 0.7), (0.15, 0.7), (0.3, 0.5), (1.0, 0.2)] {
         let half_m = 0.5 * edge_m;
         let face = |corners: [[f64; 3]; 4]| Facet::new(corners.map(DVec3::from_array).to_vec(), Wall::Conductor);
         let faces = vec![
@@ -62,20 +62,23 @@ fn corners_of_scenes_have_the_cross_section_of_dihedrals() {
         let paths = ImagePaths::with_sequences(Arc::new(environment), antenna, [vec![0, 1], vec![1, 0]]);
         assert_eq!(paths.images().len(), 2, "both orders make one image");
         let target = Target::Dihedral { width_m: edge_m, height_m: edge_m };
-        let alone = solve(&target, &setup(Some(range_m), 45.0, 0.0, Wall::Conductor), Method::Images, None, 0.1);
+        let of_dihedral = solve(&target, &setup(Some(range_m), 45.0, 0.0, Wall::Conductor), Method::Images, None, 0.1);
         // A path through the common edge, and one beside it.
-        for beside_m in [DVec3::ZERO, DVec3::new(-0.003, 0.003, 0.0)] {
+        for offset_m in [DVec3::ZERO, DVec3::new(-0.003, 0.003, 0.0)] {
             let field =
-                paths.illuminate(&common::isotropic(antenna, DVec3::Z), 1, antenna + beside_m).field.magnitude();
+                paths.illuminate(&common::isotropic(antenna, DVec3::Z), 1, antenna + offset_m).field.magnitude();
             // The echo of a cross-section that is as strong as an image at twice the range.
-            let [got, expected] = [PI * range_m * range_m * field * field, alone.sigma_m2].map(db);
-            assert!((got - expected).abs() < within_db, "{edge_m} m, {beside_m}: {got} dBsm, expected {expected}");
+            let [found, expected] = [PI * range_m * range_m * field * field, of_dihedral.sigma_m2].map(db);
+            assert!(
+                (found - expected).abs() < tolerance_db,
+                "{edge_m} m, {offset_m}: {found} dBsm, expected {expected}"
+            );
         }
     }
 }
 
 #[test]
-fn triangle_integrals_are_those_of_25_digit_quadrature() {
+fn triangle_integrals_agree_with_25_digit_quadrature() {
     let reference = reference();
     let cases = reference["triangle_integral"]["cases"].as_array().expect("cases");
     assert!(cases.len() >= 12);
@@ -88,21 +91,21 @@ fn triangle_integrals_are_those_of_25_digit_quadrature() {
 }
 
 #[test]
-fn plates_have_their_sidelobes_near_a_null_too() {
+fn plates_agree_with_the_reference_in_lobes_and_near_nulls() {
     let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
     for row in reference_rows("plate") {
         let s = setup(None, number(&row["theta_deg"]), 0.0, Wall::Conductor);
         let expected = number(&row["sigma_m2"]);
         for method in [Method::Facets, Method::Images] {
-            let got = solve(&plate, &s, method, None, 0.1).sigma_m2;
-            assert!((got / expected - 1.0).abs() < 1e-6, "{row} {method:?}: {got}");
+            let found = solve(&plate, &s, method, None, 0.1).sigma_m2;
+            assert!((found / expected - 1.0).abs() < 1e-6, "{row} {method:?}: {found}");
         }
-        assert!((known_db(&plate, &s) - db(expected)).abs() < 1e-9);
+        assert!((closed_form_db(&plate, &s) - db(expected)).abs() < 1e-9);
     }
 }
 
 #[test]
-fn plates_in_the_near_field_to_a_hundredth_of_a_decibel() {
+fn near_field_plates_agree_with_the_reference_within_a_hundredth_of_a_decibel() {
     for row in reference_rows("plate_near_field") {
         let side = number(&row["a_m"]);
         let plate = Target::Plate { width_m: side, height_m: side };
@@ -113,12 +116,12 @@ fn plates_in_the_near_field_to_a_hundredth_of_a_decibel() {
         assert!(error.abs() < 0.01, "{row}: {error} dB");
         assert!(outcome.estimate_db.expect("estimate") < 0.01);
         // Quadrature that the program prints beside the result.
-        assert!((known_db(&plate, &s) - expected).abs() < 1e-5, "{row}");
+        assert!((closed_form_db(&plate, &s) - expected).abs() < 1e-5, "{row}");
     }
 }
 
 #[test]
-fn a_dihedral_far_and_near() {
+fn a_dihedral_agrees_with_the_reference_in_the_far_and_near_field() {
     let dihedral = Target::Dihedral { width_m: 0.1, height_m: 0.1 };
     let expected = number(&reference()["dihedral"]["dBsm"]);
     for range in [None, Some(100.0), Some(1000.0)] {
@@ -133,30 +136,30 @@ fn a_dihedral_far_and_near() {
 }
 
 #[test]
-fn trihedrals_at_all_tabulated_angles() {
+fn trihedrals_agree_with_the_reference_at_all_tabulated_angles() {
     for row in reference_rows("trihedral") {
         let s = setup(None, number(&row["az"]), number(&row["el"]), Wall::Conductor);
         for (outline, key) in [(Outline::Triangular, "tri_dBsm"), (Outline::Square, "sq_dBsm")] {
             let target = Target::Trihedral { edge_m: 0.1, outline };
             let expected = number(&row[key]);
-            let got = db(solve(&target, &s, Method::Images, None, 0.1).sigma_m2);
-            assert!((got - expected).abs() < 0.3, "{row} {outline:?}: {got}");
+            let found = db(solve(&target, &s, Method::Images, None, 0.1).sigma_m2);
+            assert!((found - expected).abs() < 0.3, "{row} {outline:?}: {found}");
             // The reference's square apertures are numerical overlaps, good to 0.04 dB.
-            assert!((known_db(&target, &s) - expected).abs() < 0.04, "{row} {outline:?}");
+            assert!((closed_form_db(&target, &s) - expected).abs() < 0.04, "{row} {outline:?}");
         }
     }
 }
 
-/// The cavity of Ling, Chou and Lee (1989): waveguide modes beside rays and physical optics. Rays ignore diffraction at the
-/// rim and along the walls, whose part falls with the square root of the wavelength. It is larger where the field
-/// stands upright on the side walls.
+/// The cavity of Ling, Chou and Lee (1989): rays and physical optics, compared with waveguide modes. Rays ignore
+/// diffraction at the rim and along the walls, whose share falls with the square root of the wavelength. It is larger
+/// where the electric field is perpendicular to the side walls.
 #[test]
-fn cavities_approach_waveguide_modes() {
+fn cavities_agree_with_waveguide_modes() {
     // Ten wavelengths wide and five or ten deep at 60 GHz.
     let error_db = |depth_m: f64, frequency_hz: f64, azimuth_deg: f64, polarisation: Polarisation| {
         let target = Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m };
         let s = Setup { frequency_hz, polarisation, ..setup(None, azimuth_deg, 0.0, Wall::Conductor) };
-        db(solve(&target, &s, Method::Images, None, 0.1).sigma_m2) - known_db(&target, &s)
+        db(solve(&target, &s, Method::Images, None, 0.1).sigma_m2) - closed_form_db(&target, &s)
     };
     for depth_m in [0.025, 0.05] {
         for azimuth_deg in [15.0, 20.0, 25.0, 30.0, 35.0, 40.0] {
@@ -175,17 +178,17 @@ fn cavities_approach_waveguide_modes() {
     // A cavity as deep as it is wide returns nothing at 45 degrees: each ray leaves by two side walls, to the other side.
     let deep = Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m: 0.05 };
     let at = |azimuth_deg: f64| setup(None, azimuth_deg, 0.0, Wall::Conductor);
-    let dip = |azimuth_deg: f64| {
+    let solved_and_exact_db = |azimuth_deg: f64| {
         let s = at(azimuth_deg);
-        [db(solve(&deep, &s, Method::Images, None, 0.1).sigma_m2), known_db(&deep, &s)]
+        [db(solve(&deep, &s, Method::Images, None, 0.1).sigma_m2), closed_form_db(&deep, &s)]
     };
-    let (lobe, null) = (dip(25.0), dip(45.0));
+    let (lobe, null) = (solved_and_exact_db(25.0), solved_and_exact_db(45.0));
     assert!(lobe[0] - null[0] > 15.0 && lobe[1] - null[1] > 15.0, "{lobe:?} {null:?}");
     // A flat one returns what a plate of its aperture does, but for the modes that it does not carry.
     let flat = Target::Cavity { width_m: 0.05, height_m: 0.05, depth_m: 1e-4 };
     let plate = Target::Plate { width_m: 0.05, height_m: 0.05 };
     let above = Setup { frequency_hz: 960e9, ..at(0.0) };
-    assert!((known_db(&flat, &above) - known_db(&plate, &above)).abs() < 0.05);
+    assert!((closed_form_db(&flat, &above) - closed_form_db(&plate, &above)).abs() < 0.05);
     // More bounces than sequences have facets, and a radar beside the aperture.
     for azimuth_deg in [80.0, 90.0, 120.0] {
         assert!(Problem::new(&deep, &at(azimuth_deg), Method::Images, None).is_err(), "{azimuth_deg}");
@@ -193,7 +196,7 @@ fn cavities_approach_waveguide_modes() {
 }
 
 #[test]
-fn mie_is_the_reference_mie() {
+fn mie_series_agree_with_the_reference() {
     let wavelength_m = 299_792_458.0 / 60e9;
     for row in reference_rows("sphere") {
         let radius = number(&row["r_m"]);
@@ -205,7 +208,7 @@ fn mie_is_the_reference_mie() {
 }
 
 #[test]
-fn spheres_of_twenty_thousand_triangles_are_mies() {
+fn spheres_of_twenty_thousand_triangles_agree_with_mie_series() {
     for radius_m in [0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1] {
         let target = Target::Sphere { radius_m };
         let tolerance = if radius_m < 0.025 { 0.2 } else { 0.1 };
@@ -217,7 +220,7 @@ fn spheres_of_twenty_thousand_triangles_are_mies() {
                 assert_eq!(problem.triangles(), 20480);
                 let outcome = problem.solve(0.1).expect("valid");
                 assert!(outcome.estimate_db.expect("estimate") < 0.1, "{radius_m} m {boundary:?}");
-                let error = db(outcome.sigma_m2) - known_db(&target, &s);
+                let error = db(outcome.sigma_m2) - closed_form_db(&target, &s);
                 assert!(error.abs() < tolerance, "{radius_m} m {boundary:?}: {error} dB");
             }
         }
@@ -238,7 +241,7 @@ fn facets_of_spheres_agree_with_the_closed_form_of_physical_optics() {
 /// Meshes of every reference body, at its directions, agree with the specular point formula that dense integration
 /// confirmed.
 #[test]
-fn ellipsoids_on_meshes() {
+fn meshes_of_ellipsoids_agree_with_the_specular_point_formula() {
     for row in reference_rows("ellipsoid_highlight") {
         let semi_axes_m = vector(&row["axes"]);
         let target = Target::Ellipsoid { semi_axes_m };
@@ -248,27 +251,27 @@ fn ellipsoids_on_meshes() {
         let (azimuth, elevation) = (towards.y.atan2(towards.x).to_degrees(), towards.z.asin().to_degrees());
         let s = setup(Some(range_m), azimuth, elevation, Wall::Conductor);
         let edge_m = 0.2 * semi_axes_m.min_element();
-        let error = db(solve(&target, &s, Method::Skin, Some(edge_m), 0.1).sigma_m2) - known_db(&target, &s);
+        let error = db(solve(&target, &s, Method::Skin, Some(edge_m), 0.1).sigma_m2) - closed_form_db(&target, &s);
         assert!(error.abs() < 0.1, "{row}: {error} dB");
     }
 }
 
 /// A torso on a 14 mm mesh, all around, near and far: the requirement is 0.2 dB, and the error is within a tenth of it.
 #[test]
-fn a_torso_on_a_14_mm_mesh() {
+fn a_torso_of_14_mm_triangles_agrees_with_the_closed_form() {
     let target = Target::Ellipsoid { semi_axes_m: DVec3::new(0.12, 0.17, 0.3) };
     for range in [None, Some(1.0), Some(4.0)] {
         for i in 0..24 {
             let s = setup(range, 15.0 * f64::from(i), -60.0 + 5.0 * f64::from(i), SKIN);
             let outcome = solve(&target, &s, Method::Skin, Some(0.014), 0.2);
-            let error = db(outcome.sigma_m2) - known_db(&target, &s);
+            let error = db(outcome.sigma_m2) - closed_form_db(&target, &s);
             assert!(error.abs() < 0.02, "{range:?} view {i}: {error} dB");
         }
     }
 }
 
 #[test]
-fn cylinders_far_and_near() {
+fn cylinders_agree_with_closed_forms_in_the_far_and_near_field() {
     let cylinder = |radius_m, height_m| Target::Cylinder { radius_m, height_m };
     for (s, name) in [
         (setup(None, 20.0, 0.0, Wall::Conductor), "broadside"),
@@ -276,21 +279,21 @@ fn cylinders_far_and_near() {
         (setup(Some(3.0), 20.0, 0.0, Wall::Conductor), "near"),
     ] {
         let target = cylinder(0.05, 0.3);
-        let error = db(solve(&target, &s, Method::Facets, Some(0.004), 0.05).sigma_m2) - known_db(&target, &s);
+        let error = db(solve(&target, &s, Method::Facets, Some(0.004), 0.05).sigma_m2) - closed_form_db(&target, &s);
         assert!(error.abs() < 0.1, "{name}: {error} dB");
     }
     // The Fresnel integral along an infinite cylinder equals the reference's.
     for row in reference_rows("cylinder_infinite") {
         let s = setup(Some(number(&row["R_surface_m"])), 0.0, 0.0, Wall::Conductor);
-        let long = known_db(&cylinder(number(&row["a_m"]), 1e5), &s);
-        assert!((long - number(&row["sigma_eff_dBsm"])).abs() < 1e-2, "{row}: {long}");
+        let infinite = closed_form_db(&cylinder(number(&row["a_m"]), 1e5), &s);
+        assert!((infinite - number(&row["sigma_eff_dBsm"])).abs() < 1e-2, "{row}: {infinite}");
     }
 }
 
-/// A plate much wider than its range is the radar's mirror image, `pi R^2`. Facets under the radar must be far smaller
-/// than the plate: they stayed as long as its half diagonal, and the plate was 25 dB too weak.
+/// Regression test: facets under the radar were as long as half a diagonal of the plate, and the echo was 25 dB too
+/// weak. A plate much wider than its range has the cross-section of the radar's mirror image, `pi R^2`.
 #[test]
-fn a_wide_plate_is_a_mirror() {
+fn a_wide_plate_has_the_echo_of_the_radars_mirror_image() {
     for (width_m, range_m) in [(10.0, 0.3), (4.0, 0.3), (0.3, 0.01), (100.0, 0.3)] {
         let plate = Target::Plate { width_m, height_m: width_m };
         let outcome = solve(&plate, &setup(Some(range_m), 0.0, 0.0, Wall::Conductor), Method::Facets, None, 0.1);
@@ -301,14 +304,14 @@ fn a_wide_plate_is_a_mirror() {
 
 /// The cross-section stays finite through the focus of a concave mirror, where geometrical optics is infinite.
 #[test]
-fn a_mirror_is_finite_at_its_caustic() {
+fn a_concave_mirror_agrees_with_the_reference_at_its_caustic() {
     let mirror = Target::Mirror { radius_m: 1.0, aperture_m: 0.2 };
     let k = setup(None, 0.0, 0.0, Wall::Conductor).wavenumber_per_m();
     for row in reference_rows("concave_mirror") {
         let range = number(&row["R_m"]);
         let s = setup(Some(range), 0.0, 0.0, Wall::Conductor);
         let expected = db(k * k / PI * number(&row["abs_I"]).powi(2) * range.powi(4));
-        assert!((known_db(&mirror, &s) - expected).abs() < 0.001, "{row}");
+        assert!((closed_form_db(&mirror, &s) - expected).abs() < 0.001, "{row}");
         let outcome = solve(&mirror, &s, Method::Facets, None, 0.02);
         let error = db(outcome.sigma_m2) - expected;
         assert!(error.abs() < 0.01, "{row}: {error} dB");
@@ -319,14 +322,14 @@ fn a_mirror_is_finite_at_its_caustic() {
 /// Files contain only triangles: a mesh of a ball acts as a ball, a corner as a corner, and a body hidden behind
 /// another is not seen.
 #[test]
-fn meshes_without_normals_are_what_they_look_like() {
+fn meshes_without_normals_agree_with_the_shapes_that_they_represent() {
     let ball = shape::icosphere(DVec3::splat(0.05), 32);
     let s = setup(None, 12.0, 34.0, Wall::Conductor);
     let surface = Surface::from_mesh(&ball.mesh(), 0.6);
     let target = Target::Surface { surface };
     assert_eq!(Method::automatic(&target, true), Method::Skin);
     let outcome = solve(&target, &s, Method::Skin, None, 0.1);
-    let error = db(outcome.sigma_m2) - known_db(&Target::Sphere { radius_m: 0.05 }, &s);
+    let error = db(outcome.sigma_m2) - closed_form_db(&Target::Sphere { radius_m: 0.05 }, &s);
     assert!(error.abs() < 0.1, "{error} dB");
 
     // With the same ball right behind a larger one, only the larger one is seen.
@@ -336,9 +339,9 @@ fn meshes_without_normals_are_what_they_look_like() {
     let behind = s.towards() * -0.5;
     two.vertices.extend(ball.vertices.iter().map(|v| *v + behind));
     two.triangles.extend(ball.triangles.iter().map(|t| t.map(|i| i + count)));
-    let solved =
+    let solve_mesh =
         |mesh: &Mesh| solve(&Target::Surface { surface: Surface::from_mesh(mesh, 0.6) }, &s, Method::Skin, None, 0.1);
-    let (one, both) = (solved(&large.mesh()), solved(&two));
+    let (one, both) = (solve_mesh(&large.mesh()), solve_mesh(&two));
     assert!((both.sigma_m2 / one.sigma_m2 - 1.0).abs() < 1e-3, "{} {}", both.sigma_m2, one.sigma_m2);
 
     // Trihedral of three triangles.
@@ -353,7 +356,7 @@ fn meshes_without_normals_are_what_they_look_like() {
 
 /// A target behind plasterboard: a skin sphere through 12.5 mm of it, both ways, against the closed form.
 #[test]
-fn two_ways_through_plasterboard() {
+fn a_sphere_behind_plasterboard_is_two_transmissions_weaker() {
     use radome_sim::em::fresnel::{slab, straight_through};
     use radome_sim::material::Material;
     let eps = Material::Plasterboard.permittivity(60e9).expect("dielectric");
@@ -363,7 +366,7 @@ fn two_ways_through_plasterboard() {
     let free = solve(&sphere, &s, Method::Skin, Some(0.005), 0.05).sigma_m2;
     let through = straight_through(eps, 0.0125, k, 1.0).te;
     let behind = db(free * through.norm_sqr().powi(2));
-    let expected = known_db(&sphere, &s) + 40.0 * slab(eps, 0.0125, k, 1.0).transmission.te.norm().log10();
+    let expected = closed_form_db(&sphere, &s) + 40.0 * slab(eps, 0.0125, k, 1.0).transmission.te.norm().log10();
     assert!((behind - expected).abs() < 0.1, "{behind} {expected}");
     // 5.5 dB each way, according to the design study.
     assert!((40.0 * through.norm().log10() + 11.0).abs() < 0.2);
@@ -376,12 +379,12 @@ mod hard_cases {
     /// Caustic: through the focus of a concave mirror in steps of half a per cent, where geometrical optics is infinite
     /// and up to 18 dB wrong beside it. The solver follows the exact integral everywhere, without special settings.
     #[test]
-    fn the_focus_of_a_mirror_is_passed_smoothly() {
+    fn a_concave_mirror_agrees_with_the_exact_integral_through_its_focus() {
         let mirror = Target::Mirror { radius_m: 1.0, aperture_m: 0.2 };
         for step in -6..=6 {
             let s = setup(Some(1.0 + 0.005 * f64::from(step)), 0.0, 0.0, Wall::Conductor);
             let automatic = Method::automatic(&mirror, false);
-            let error = db(solve(&mirror, &s, automatic, None, 0.02).sigma_m2) - known_db(&mirror, &s);
+            let error = db(solve(&mirror, &s, automatic, None, 0.02).sigma_m2) - closed_form_db(&mirror, &s);
             assert!(error.abs() < 0.1, "step {step}, {automatic:?}: {error} dB");
         }
     }
@@ -389,58 +392,58 @@ mod hard_cases {
     /// Facet integral near specular: a plate rotated through its specular direction by steps down to 1e-16 rad gives a
     /// smooth result.
     #[test]
-    fn nothing_happens_at_the_specular_direction() {
+    fn plate_echoes_are_smooth_at_the_specular_direction() {
         let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
-        let at = |degrees: f64| {
+        let echo_db = |degrees: f64| {
             db(solve(&plate, &setup(None, degrees, 0.0, Wall::Conductor), Method::Facets, None, 0.1).sigma_m2)
         };
-        let peak = at(0.0);
+        let peak = echo_db(0.0);
         for exponent in 3..16 {
-            let off = 10f64.powi(-exponent);
+            let offset_deg = 10f64.powi(-exponent);
             // sinc^2 at k a sin(angle) is quadratic in the angle.
-            let u = 125.750_7 * off.to_radians().sin();
-            assert!((at(off) - peak + 10.0 * u * u / 3.0 / 10f64.ln()).abs() < 1e-7, "{off}");
+            let u = 125.750_7 * offset_deg.to_radians().sin();
+            assert!((echo_db(offset_deg) - peak + 10.0 * u * u / 3.0 / 10f64.ln()).abs() < 1e-7, "{offset_deg}");
         }
     }
 
     /// Both polarisations and every direction of the edges (including edge-degenerate ones), compared with a rotated
     /// plate.
     #[test]
-    fn turning_everything_together_changes_nothing() {
+    fn the_integral_does_not_depend_on_the_common_orientation() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::plate(0.1, 0.07, 0.1);
         let radar = DVec3::new(1.2, 0.1, -0.05);
-        let integral = |turn: glam::DQuat| {
-            let mut turned = surface.clone();
-            turned.vertices.iter_mut().for_each(|v| *v = turn * *v);
-            turned.normals.iter_mut().for_each(|n| *n = turn * *n);
-            let radar = Radar { end: Endpoint::Near(turn * radar), polarisation: turn * DVec3::Z };
+        let integral = |rotation: glam::DQuat| {
+            let mut rotated = surface.clone();
+            rotated.vertices.iter_mut().for_each(|v| *v = rotation * *v);
+            rotated.normals.iter_mut().for_each(|n| *n = rotation * *n);
+            let radar = Radar { end: Endpoint::Near(rotation * radar), polarisation: rotation * DVec3::Z };
             let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.02 };
-            facet::integrate(&turned, accuracy, |p, n| radar.sample(p, n, true, &SKIN, k)).value
+            facet::integrate(&rotated, accuracy, |p, n| radar.sample(p, n, true, &SKIN, k)).value
         };
-        let still = integral(glam::DQuat::IDENTITY);
+        let unrotated = integral(glam::DQuat::IDENTITY);
         for (axis, angle) in [(DVec3::X, 0.7), (DVec3::new(0.6, 0.0, 0.8), 2.0), (DVec3::Y, -1.1)] {
-            let turned = integral(glam::DQuat::from_axis_angle(axis, angle));
-            assert!((turned - still).norm() < 1e-9 * still.norm(), "{axis} {angle}");
+            let rotated = integral(glam::DQuat::from_axis_angle(axis, angle));
+            assert!((rotated - unrotated).norm() < 1e-9 * unrotated.norm(), "{axis} {angle}");
         }
     }
 
     /// The scalar code path for conductors agrees with the vector form: a conductor as the limit of a dielectric.
     #[test]
-    fn the_scalar_path_is_the_vectors() {
+    fn the_scalar_integral_of_conductors_agrees_with_the_vector_integral() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::ellipsoid(DVec3::new(0.05, 0.06, 0.08), 0.01);
         let radar = Radar { end: Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), polarisation: DVec3::Z };
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
         let almost = Wall::HalfSpace { permittivity: Complex64::new(1.0, -1e14) };
-        let of =
+        let integral =
             |boundary: Wall| facet::integrate(&surface, accuracy, |p, n| radar.sample(p, n, false, &boundary, k)).value;
-        let (scalar, vectors) = (of(Wall::Conductor), of(almost));
+        let (scalar, vectors) = (integral(Wall::Conductor), integral(almost));
         assert!((scalar - vectors).norm() < 1e-5 * scalar.norm(), "{scalar} {vectors}");
     }
 
     #[test]
-    fn the_order_of_triangles_does_not_matter() {
+    fn the_integral_does_not_depend_on_the_order_of_triangles() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::ellipsoid(DVec3::new(0.05, 0.06, 0.08), 0.01);
         let mut shuffled = surface.clone();
@@ -448,8 +451,8 @@ mod hard_cases {
         shuffled.triangles.iter_mut().for_each(|t| t.rotate_left(1));
         let radar = Radar { end: Endpoint::Near(DVec3::new(0.7, 0.4, 0.2)), polarisation: DVec3::Z };
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
-        let of = |s| facet::integrate(s, accuracy, |p, n| radar.sample(p, n, false, &Wall::Conductor, k));
-        let (a, b) = (of(&surface), of(&shuffled));
+        let integral = |s| facet::integrate(s, accuracy, |p, n| radar.sample(p, n, false, &Wall::Conductor, k));
+        let (a, b) = (integral(&surface), integral(&shuffled));
         assert_eq!(a.facets, b.facets);
         assert!((a.value - b.value).norm() < 1e-12 * a.value.norm());
     }
@@ -462,17 +465,17 @@ mod hard_cases {
         let radar = Radar { end: Endpoint::Near(DVec3::new(1.0, 0.02, 0.01)), polarisation: DVec3::Z };
         let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
         let plain = shape::plate(0.1, 0.1, 0.05);
-        let mut worse = plain.clone();
-        worse.triangles.extend([[0, 0, 0], [0, 1, 1], [0, 1, 2], [999, 0, 1]]);
-        let of = |s| facet::integrate(s, accuracy, |p, n| radar.sample(p, n, true, &Wall::Conductor, k)).value;
+        let mut degenerate = plain.clone();
+        degenerate.triangles.extend([[0, 0, 0], [0, 1, 1], [0, 1, 2], [999, 0, 1]]);
+        let integral = |s| facet::integrate(s, accuracy, |p, n| radar.sample(p, n, true, &Wall::Conductor, k)).value;
         // Vertices 0, 1 and 2 are collinear, so the triangle has no area.
-        assert!((of(&plain) - of(&worse)).norm() < 1e-12 * of(&plain).norm());
-        assert!(!worse.is_smooth());
+        assert!((integral(&plain) - integral(&degenerate)).norm() < 1e-12 * integral(&plain).norm());
+        assert!(!degenerate.is_smooth());
     }
 
     /// A radar that touches the surface, or is on it, gives a finite answer.
     #[test]
-    fn no_range_is_too_short_for_a_finite_answer() {
+    fn a_radar_at_the_surface_has_a_finite_integral() {
         let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
         let surface = shape::plate(0.02, 0.02, 0.02);
         for distance in [0.0, 1e-12, 1e-6, 1e-3] {
@@ -486,7 +489,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn grazing_incidence_fades() {
+    fn the_echo_at_grazing_incidence_is_weak_and_finite() {
         let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
         for boundary in [Wall::Conductor, SKIN] {
             for off in [1e-3, 1e-6, 1e-9, 0.0] {
@@ -498,7 +501,7 @@ mod hard_cases {
 
     /// Half-lit facets: the shadow line of a sphere is invisible in the result for any mesh size.
     #[test]
-    fn shadow_lines_do_not_show() {
+    fn the_echo_of_a_sphere_does_not_depend_on_the_orientation_of_its_mesh() {
         let target = Target::Sphere { radius_m: 0.05 };
         let mut values = Vec::new();
         for turn in 0..8 {
@@ -511,7 +514,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn impossible_targets_are_refused() {
+    fn invalid_targets_and_setups_are_refused() {
         let plate = |width_m| Target::Plate { width_m, height_m: 0.1 };
         let s = setup(None, 0.0, 0.0, Wall::Conductor);
         for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9] {
@@ -519,8 +522,8 @@ mod hard_cases {
             let near = Setup { range_m: Some(bad), ..s };
             assert!(Problem::new(&plate(0.1), &near, Method::Facets, None).is_err(), "{bad}");
             assert!(Problem::new(&plate(0.1), &s, Method::Facets, Some(bad)).is_err(), "{bad}");
-            let odd = Setup { frequency_hz: 1e4 * bad, ..s };
-            assert!(Problem::new(&plate(0.1), &odd, Method::Facets, None).is_err(), "{bad}");
+            let at_invalid_frequency = Setup { frequency_hz: 1e4 * bad, ..s };
+            assert!(Problem::new(&plate(0.1), &at_invalid_frequency, Method::Facets, None).is_err(), "{bad}");
         }
         let problem = Problem::new(&plate(0.1), &s, Method::Facets, None).expect("valid");
         assert!(problem.solve(f64::NAN).is_err() && problem.solve(0.0).is_err());

@@ -21,7 +21,7 @@ fn stream(simulator: &Simulator, from: u64, frames: usize, threads: usize) -> Ve
 }
 
 #[test]
-fn a_stream_goes_on_from_where_it_is_sent_or_cloned() {
+fn a_stream_continues_from_its_position_after_seek_and_clone() {
     let mut simulator = simulator(&scene("desk"), 4, Some(1));
     let mut frame = Frame::zeroed(simulator.waveform().shape());
     let mut next = |simulator: &mut Simulator| {
@@ -38,7 +38,7 @@ fn a_stream_goes_on_from_where_it_is_sent_or_cloned() {
 }
 
 #[test]
-fn a_stream_ends_after_the_frames_asked_for() {
+fn a_stream_ends_after_the_requested_frames() {
     let options = SimulateOptions { frames: Some(5), ..SimulateOptions::default() };
     let mut simulator = Simulator::new(&scene("desk"), options).expect("valid");
     assert_eq!(simulator.frame_count(), Some(5));
@@ -52,7 +52,7 @@ fn a_stream_ends_after_the_frames_asked_for() {
 }
 
 #[test]
-fn twenty_seconds_of_the_corridor_hold_all_three_classes() {
+fn twenty_seconds_of_the_corridor_contain_all_three_classes() {
     let scene = scene("corridor");
     let mut complete = 0;
     for seed in 0..20 {
@@ -60,14 +60,14 @@ fn twenty_seconds_of_the_corridor_hold_all_three_classes() {
         let labels: Vec<Occupancy> = (0..200).map(|i| simulator.truth(i).occupancy).collect();
         assert!(labels[..15].iter().all(|&l| l == Occupancy::Empty), "begins empty (seed {seed})");
         complete += usize::from(Occupancy::ALL.iter().all(|class| labels.contains(class)));
-        let nobody = self::simulator(&scene, seed, Some(0));
-        assert!((0..200).all(|i| nobody.truth(i).occupancy == Occupancy::Empty));
+        let empty = self::simulator(&scene, seed, Some(0));
+        assert!((0..200).all(|i| empty.truth(i).occupancy == Occupancy::Empty));
     }
     assert!(complete >= 18, "{complete} of 20");
 }
 
 #[test]
-fn people_keep_out_of_each_other_and_walk_at_human_speed() {
+fn people_walk_at_human_speed_and_hip_height() {
     for name in ["corridor", "room"] {
         let simulator = simulator(&scene(name), 3, None);
         for index in 0..400 {
@@ -81,7 +81,7 @@ fn people_keep_out_of_each_other_and_walk_at_human_speed() {
 
 /// Empty fixture maps are noise; people raise a few per cent of the cells by many decibels.
 #[test]
-fn corridor_maps_are_noise_until_somebody_comes() {
+fn corridor_maps_are_noise_without_people_and_raised_with_them() {
     let scene = scene("corridor");
     let empty = simulator(&scene, 1, Some(0));
     let noise = map_db(&empty.frame(9), 0);
@@ -89,30 +89,31 @@ fn corridor_maps_are_noise_until_somebody_comes() {
     assert!((5.4..5.9).contains(&sigma), "{sigma}");
     let mean =
         |range: usize| 10.0 * ((0..128).map(|d| 10f64.powf(0.1 * noise[d * 128 + range])).sum::<f64>() / 128.0).log10();
-    let floor: Vec<f64> = (0..128).map(mean).collect();
-    let busy = simulator(&scene, 1, None);
-    let index =
-        (0..300).find(|&i| busy.truth(i).occupancy == Occupancy::Two && busy.people(i).len() == 2).expect("two");
-    let map = map_db(&busy.frame(index + 10), 0);
-    let raised = map.iter().enumerate().filter(|(i, v)| **v - floor[i % 128] > 9.0).count();
+    let noise_db: Vec<f64> = (0..128).map(mean).collect();
+    let with_people = simulator(&scene, 1, None);
+    let index = (0..300)
+        .find(|&i| with_people.truth(i).occupancy == Occupancy::Two && with_people.people(i).len() == 2)
+        .expect("two");
+    let map = map_db(&with_people.frame(index + 10), 0);
+    let raised = map.iter().enumerate().filter(|(i, v)| **v - noise_db[i % 128] > 9.0).count();
     let strongest =
-        map.iter().enumerate().filter(|(i, _)| i % 128 > 2).map(|(i, v)| v - floor[i % 128]).fold(0.0, f64::max);
+        map.iter().enumerate().filter(|(i, _)| i % 128 > 2).map(|(i, v)| v - noise_db[i % 128]).fold(0.0, f64::max);
     assert!(raised > 60, "{raised} cells");
     assert!(strongest > 20.0, "{strongest} dB");
 }
 
 #[test]
-fn desk_people_are_drawn_or_forced() {
+fn the_number_of_people_at_a_desk_is_drawn_or_given() {
     let scene = scene("desk");
-    let mut seen = [0; 3];
+    let mut counts = [0; 3];
     for seed in 0..30 {
         let simulator = simulator(&scene, seed, None);
-        seen[simulator.truth(0).occupancy.index()] += 1;
+        counts[simulator.truth(0).occupancy.index()] += 1;
         for person in simulator.people(0) {
             assert!((0.2..1.5).contains(&person.range_m), "seed {seed}: {person:?}");
         }
     }
-    assert!(seen.iter().all(|&n| n >= 4), "{seen:?}");
+    assert!(counts.iter().all(|&n| n >= 4), "{counts:?}");
     for people in 0..3 {
         assert_eq!(simulator(&scene, 7, Some(people)).truth(3).occupancy.index(), people);
     }
@@ -120,12 +121,12 @@ fn desk_people_are_drawn_or_forced() {
 
 /// A breathing chest shows its rate in slow time over frames.
 #[test]
-fn breathing_is_seen_over_half_a_minute() {
+fn breathing_is_the_strongest_frequency_over_forty_seconds() {
     let scene = scene("desk");
     let quiet = (0..50).find(|&seed| {
         let s = simulator(&scene, seed, Some(1));
-        let moved = (0..400).step_by(5).map(|i| s.people(i)[0].velocity.length()).fold(0.0, f64::max);
-        moved < 0.02
+        let fastest = (0..400).step_by(5).map(|i| s.people(i)[0].velocity.length()).fold(0.0, f64::max);
+        fastest < 0.02
     });
     let simulator = simulator(&scene, quiet.expect("somebody sits still"), Some(1));
     let w = scene.waveform();
@@ -140,13 +141,13 @@ fn breathing_is_seen_over_half_a_minute() {
         unwrapped.push(last + (pair[1] * pair[0].conj()).arg());
     }
     let (mean, sigma) = statistics(&unwrapped);
-    let at = |hz: f64| -> f64 {
+    let spectrum = |hz: f64| -> f64 {
         let step = std::f64::consts::TAU * hz * w.frame_interval_s();
-        let turned = |i: usize| Complex64::from_polar(unwrapped[i] - mean, -step * i as f64);
-        (0..unwrapped.len()).map(turned).sum::<Complex64>().norm()
+        let rotated = |i: usize| Complex64::from_polar(unwrapped[i] - mean, -step * i as f64);
+        (0..unwrapped.len()).map(rotated).sum::<Complex64>().norm()
     };
     let strongest =
-        |low: f64, high: f64| (0..60).map(|i| at(low + (high - low) * f64::from(i) / 59.0)).fold(0.0, f64::max);
+        |low: f64, high: f64| (0..60).map(|i| spectrum(low + (high - low) * f64::from(i) / 59.0)).fold(0.0, f64::max);
     assert!(strongest(0.18, 0.37) > 2.0 * strongest(0.7, 4.0), "{} {}", strongest(0.18, 0.37), strongest(0.7, 4.0));
     // 4 to 12 mm peak to peak, with sway on top: a few radians.
     assert!((1.0..30.0).contains(&sigma), "{sigma} rad");
@@ -156,7 +157,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn the_same_bytes_on_any_number_of_threads_and_in_any_order() {
+    fn frames_do_not_depend_on_threads_and_order() {
         let scene = scene("corridor");
         let one = stream(&simulator(&scene, 11, None), 55, 9, 1);
         let two = stream(&simulator(&scene, 11, None), 55, 9, 2);

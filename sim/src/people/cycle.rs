@@ -219,9 +219,9 @@ pub(super) fn rms_distance(a: &[DVec3], b: &[DVec3]) -> f64 {
     (squares / a.len().max(1) as f64).sqrt()
 }
 
-/// Finds the best cycle in a sequence of poses: first and last index, and cost. `positions` are those of joints, `[pose][joint]`,
-/// at even times; `shortest` and `longest` count poses. Two poses are similar if their joints, relative to the
-/// centroid, have similar positions and velocities.
+/// Finds the best cycle in a sequence of poses: first and last index, and cost. `positions` are those of joints,
+/// `[pose][joint]`, at even times; `shortest` and `longest` count poses. Two poses are similar if their joints,
+/// relative to the centroid, have similar positions and velocities.
 pub(super) fn best_cycle(positions: &[Vec<DVec3>], shortest: usize, longest: usize) -> Option<(usize, usize, f64)> {
     let centred: Vec<Vec<DVec3>> = positions.iter().map(|p| centred(p)).collect();
     let pose_distance = |a: usize, b: usize| rms_distance(&centred[a], &centred[b]);
@@ -296,13 +296,13 @@ mod tests {
             DVec3::new(at(p.min(0.55)) + (p - 0.55).max(0.0) * 2.0, 0.0, z)
         };
         let points = |surge: &dyn Fn(usize) -> DVec3| -> Vec<Vec<DVec3>> {
-            let of = |k: usize| (k, k as f64 / 100.0);
-            (0..100).map(of).map(|(k, p)| vec![foot(p, 0.0) + surge(k), foot(p, 0.5) + surge(k)]).collect()
+            let index_and_phase = |k: usize| (k, k as f64 / 100.0);
+            (0..100).map(index_and_phase).map(|(k, p)| vec![foot(p, 0.0) + surge(k), foot(p, 0.5) + surge(k)]).collect()
         };
-        let even = Stance::of(&points(&|_| DVec3::ZERO), 1.75);
-        let surge = even.surge_m();
+        let uncorrected = Stance::of(&points(&|_| DVec3::ZERO), 1.75);
+        let surge = uncorrected.surge_m();
         let surging = Stance::of(&points(&|k| surge[k]), 1.75);
-        let [before, after] = [&even, &surging].map(|s| s.sliding(1.2).standing_rms_m_per_s);
+        let [before, after] = [&uncorrected, &surging].map(|s| s.sliding(1.2).standing_rms_m_per_s);
         assert!(before > 0.1 && after < 0.5 * before, "{before} to {after} m/s");
     }
 }

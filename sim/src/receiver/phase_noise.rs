@@ -4,10 +4,10 @@
 //! `phi(t) - phi(t - tau)`. For delays of a room it is `tau phi'` (to 0.9 % at 21.7 m and 500 kHz). The exact rate is
 //! that of half a delay earlier, which matters only between echoes far apart and at large offsets.
 //!
-//! A beat `Re a exp(j theta)` receives the additional signal `phi'(t) Re j tau a exp(j theta)`. A second grid of the same
-//! tones, each times `j` and its delay, therefore gives the noise of all echoes at once. It includes every cancellation
-//! between them. On one side of a beat there is `(2 pi f tau)^2` of the oscillator's noise: -47.6 dB at 1 m and 100 kHz,
-//! -33.6 dB at 5 m.
+//! A beat `Re a exp(j theta)` receives the additional signal `phi'(t) Re j tau a exp(j theta)`. A second grid of the
+//! same tones, each times `j` and its delay, therefore gives the noise of all echoes at once. It includes every
+//! cancellation between them. On one side of a beat there is `(2 pi f tau)^2` of the oscillator's noise: -47.6 dB at
+//! 1 m and 100 kHz, -33.6 dB at 5 m.
 //!
 //! For an oscillator whose noise falls with the square of the offset, `phi'` is white. The model neglects that the IF
 //! filters act differently on the sidebands and on the beat.

@@ -67,8 +67,8 @@ impl Floor {
     }
 }
 
-/// Whether a position lies outside the box around the room, outside the walls of its plan, or where the files of the room
-/// have no floor that leads to the radar.
+/// Whether a position lies outside the box around the room, outside the walls of its plan, or where the files of the
+/// room have no floor that leads to the radar.
 pub(crate) fn is_outside(scene: &Scene, position: [f64; 2]) -> bool {
     let room = &scene.file.room;
     let is_in_box = (0..2).all(|axis| (0.0..=room.size_m[axis]).contains(&position[axis]));

@@ -198,8 +198,8 @@ impl Scene {
     /// # Errors
     /// Those of [`Scene::load`], except for reading the scene's own file.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
-        /// Largest number of values of a list that are tried. Each takes as long as reading the scene. The first and the
-        /// last value are tried with the ends of the ranges.
+        /// Largest number of values of a list that are tried. Each takes as long as reading the scene. The first and
+        /// the last value are tried with the ends of the ranges.
         const MOST_TRIED: usize = 100;
         let mut scene = Self::parse_fixed(text, path)?;
         if !scene.file.random.is_empty() {
@@ -540,7 +540,7 @@ fn line_of_key(text: &str, key: &str) -> usize {
     lines_of_key(text, key).next().map_or(1, |(line, _)| line)
 }
 
-/// Line on which a key has a value. If several lines have the key, it is the only one of them that also has the value, or
+/// Line on which a key has a value. If several lines have the key, it is the only one that also has the value, or
 /// `None` if there is not exactly one. 1 if the key is written nowhere.
 fn line_of_value(text: &str, key: &str, value: &str) -> Option<usize> {
     // Numbers may be written in several ways, as 2 and 2.0.

@@ -251,9 +251,9 @@ fn six_walls(
             FileError::new("walls", problem, hint)
         })?;
         positions_m[i] = face.weighted_offset / face.area_m2;
-        let most =
+        let main_piece =
             face.area_by_piece_m2.iter().max_by(|a, b| a.1.total_cmp(b.1)).and_then(|(&piece, _)| pieces.get(piece));
-        surfaces[i] = most.map(|p| p.surface.clone()).unwrap_or_default();
+        surfaces[i] = main_piece.map(|p| p.surface.clone()).unwrap_or_default();
     }
     Ok((positions_m, surfaces))
 }

@@ -34,7 +34,7 @@ const BOXES: [(usize, [f64; 3], [f64; 3]); 10] = [
 ];
 
 /// Rotation of a joint about +x at a phase, rad: positive moves a hanging limb backwards (towards -z).
-pub fn angle(joint: usize, phase: f64) -> f64 {
+pub fn joint_angle_rad(joint: usize, phase: f64) -> f64 {
     let leg = |phase: f64| -0.4 * (TAU * phase).cos();
     // Knees bend while their leg swings forward, in the second half of its cycle.
     let knee = |phase: f64| 1.0 * (-(TAU * phase).sin()).max(0.0).powi(2);
@@ -58,15 +58,15 @@ pub fn vertices() -> Vec<([f64; 3], usize)> {
 
 pub fn triangles() -> Vec<[u32; 3]> {
     let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
-    let of =
+    let box_triangles =
         |b: u32| quads.into_iter().flat_map(move |[p, q, r, s]| [[p, q, r], [p, r, s]].map(|t| t.map(|v| v + 8 * b)));
-    (0..BOXES.len() as u32).flat_map(of).collect()
+    (0..BOXES.len() as u32).flat_map(box_triangles).collect()
 }
 
-fn local(joint: usize) -> [f64; 3] {
-    let (_, parent, at) = JOINTS[joint];
-    let of = parent.map_or([0.0; 3], |p| JOINTS[p].2);
-    [at[0] - of[0], at[1] - of[1], at[2] - of[2]]
+fn local_position(joint: usize) -> [f64; 3] {
+    let (_, parent, position) = JOINTS[joint];
+    let parent_position = parent.map_or([0.0; 3], |p| JOINTS[p].2);
+    [position[0] - parent_position[0], position[1] - parent_position[1], position[2] - parent_position[2]]
 }
 
 /// glTF document before it is written.
@@ -83,7 +83,7 @@ impl Gltf {
         serde_json::to_vec(&json).expect("JSON")
     }
 
-    fn add(&mut self, bytes: Vec<u8>, kind: u32, shape: &str, count: usize) -> usize {
+    fn add_accessor(&mut self, bytes: Vec<u8>, component_type: u32, element_type: &str, count: usize) -> usize {
         let offset = self.buffer.len();
         self.buffer.extend(&bytes);
         self.buffer.resize(self.buffer.len().next_multiple_of(4), 0);
@@ -94,16 +94,17 @@ impl Gltf {
         };
         let view = json!({ "buffer": 0, "byteOffset": offset, "byteLength": bytes.len() });
         let view = list(&mut self.json, "bufferViews", view);
-        let accessor = json!({ "bufferView": view, "componentType": kind, "count": count, "type": shape });
+        let accessor =
+            json!({ "bufferView": view, "componentType": component_type, "count": count, "type": element_type });
         let index = list(&mut self.json, "accessors", accessor);
         self.json["buffers"][0]["byteLength"] = json!(self.buffer.len());
         index
     }
 
-    fn floats(&mut self, numbers: impl IntoIterator<Item = f64>, shape: &str, width: usize) -> usize {
+    fn add_floats(&mut self, numbers: impl IntoIterator<Item = f64>, element_type: &str, width: usize) -> usize {
         let bytes: Vec<u8> = numbers.into_iter().flat_map(|n| (n as f32).to_le_bytes()).collect();
         let count = bytes.len() / 4 / width;
-        self.add(bytes, 5126, shape, count)
+        self.add_accessor(bytes, 5126, element_type, count)
     }
 }
 
@@ -115,37 +116,38 @@ pub fn gltf(size: f64) -> Gltf {
     });
     let mut file = Gltf { json, buffer: Vec::new() };
     let all = vertices();
-    let position = file.floats(all.iter().flat_map(|(p, _)| p.map(|c| c * size)), "VEC3", 3);
+    let position = file.add_floats(all.iter().flat_map(|(p, _)| p.map(|c| c * size)), "VEC3", 3);
     let (low, high) = (
         [0, 1, 2].map(|a| all.iter().map(|(p, _)| p[a] * size).fold(f64::INFINITY, f64::min)),
         [0, 1, 2].map(|a| all.iter().map(|(p, _)| p[a] * size).fold(f64::NEG_INFINITY, f64::max)),
     );
     (file.json["accessors"][position]["min"], file.json["accessors"][position]["max"]) = (json!(low), json!(high));
-    let joints = file.add(all.iter().flat_map(|(_, j)| [*j as u8, 0, 0, 0]).collect(), 5121, "VEC4", all.len());
-    let weights = file.floats(all.iter().flat_map(|_| [1.0, 0.0, 0.0, 0.0]), "VEC4", 4);
+    let joints =
+        file.add_accessor(all.iter().flat_map(|(_, j)| [*j as u8, 0, 0, 0]).collect(), 5121, "VEC4", all.len());
+    let weights = file.add_floats(all.iter().flat_map(|_| [1.0, 0.0, 0.0, 0.0]), "VEC4", 4);
     let indices: Vec<u8> = triangles().iter().flatten().flat_map(|v| (*v as u16).to_le_bytes()).collect();
-    let indices = file.add(indices, 5123, "SCALAR", 3 * triangles().len());
-    let inverse = JOINTS.iter().flat_map(|(_, _, at)| {
-        let [x, y, z] = at.map(|c| -c * size);
+    let indices = file.add_accessor(indices, 5123, "SCALAR", 3 * triangles().len());
+    let inverse = JOINTS.iter().flat_map(|(_, _, position)| {
+        let [x, y, z] = position.map(|c| -c * size);
         [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, z, 1.0]
     });
-    let inverse = file.floats(inverse.collect::<Vec<_>>(), "MAT4", 16);
-    let times = file.floats((0..=KEYS).map(|k| CYCLE_S * k as f64 / KEYS as f64), "SCALAR", 1);
+    let inverse = file.add_floats(inverse.collect::<Vec<_>>(), "MAT4", 16);
+    let times = file.add_floats((0..=KEYS).map(|k| CYCLE_S * k as f64 / KEYS as f64), "SCALAR", 1);
     (file.json["accessors"][times]["min"], file.json["accessors"][times]["max"]) = (json!([0.0]), json!([CYCLE_S]));
     let mut nodes: Vec<Value> = Vec::new();
     let (mut samplers, mut channels) = (Vec::new(), Vec::new());
     for (j, (name, ..)) in JOINTS.iter().enumerate() {
         let children: Vec<usize> = (0..JOINTS.len()).filter(|&c| JOINTS[c].1 == Some(j)).collect();
-        let mut node = json!({ "name": name, "translation": local(j).map(|c| c * size) });
+        let mut node = json!({ "name": name, "translation": local_position(j).map(|c| c * size) });
         if !children.is_empty() {
             node["children"] = json!(children);
         }
         nodes.push(node);
         let turns = (0..=KEYS).flat_map(|k| {
-            let (sine, cosine) = (0.5 * angle(j, k as f64 / KEYS as f64)).sin_cos();
+            let (sine, cosine) = (0.5 * joint_angle_rad(j, k as f64 / KEYS as f64)).sin_cos();
             [sine, 0.0, 0.0, cosine]
         });
-        let turns = file.floats(turns.collect::<Vec<_>>(), "VEC4", 4);
+        let turns = file.add_floats(turns.collect::<Vec<_>>(), "VEC4", 4);
         samplers.push(json!({ "input": times, "output": turns, "interpolation": "LINEAR" }));
         channels.push(json!({ "sampler": j, "target": { "node": j, "path": "rotation" } }));
     }
@@ -161,16 +163,16 @@ pub fn gltf(size: f64) -> Gltf {
 /// The person as COLLADA, in centimetres, with z up.
 pub fn collada() -> String {
     // (x, y, z) with y up is (x, -z, y) with z up.
-    let up = |[x, y, z]: [f64; 3]| [100.0 * x, -100.0 * z, 100.0 * y];
-    let words = |numbers: Vec<f64>| numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    let to_z_up_cm = |[x, y, z]: [f64; 3]| [100.0 * x, -100.0 * z, 100.0 * y];
+    let joined = |numbers: Vec<f64>| numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
     let all = vertices();
-    let positions = words(all.iter().flat_map(|(p, _)| up(*p)).collect());
+    let positions = joined(all.iter().flat_map(|(p, _)| to_z_up_cm(*p)).collect());
     let corners: Vec<String> = triangles().iter().flatten().map(u32::to_string).collect();
-    let inverse = words(
+    let inverse = joined(
         JOINTS
             .iter()
-            .flat_map(|(_, _, at)| {
-                let [x, y, z] = up(*at);
+            .flat_map(|(_, _, position)| {
+                let [x, y, z] = to_z_up_cm(*position);
                 [1.0, 0.0, 0.0, -x, 0.0, 1.0, 0.0, -y, 0.0, 0.0, 1.0, -z, 0.0, 0.0, 0.0, 1.0]
             })
             .collect(),
@@ -178,10 +180,10 @@ pub fn collada() -> String {
     let names: Vec<&str> = JOINTS.iter().map(|j| j.0).collect();
     let pairs: Vec<String> = all.iter().map(|(_, j)| format!("{j} 0")).collect();
     let counts = vec!["1"; all.len()].join(" ");
-    let times = words((0..=KEYS).map(|k| CYCLE_S * k as f64 / KEYS as f64).collect());
+    let times = joined((0..=KEYS).map(|k| CYCLE_S * k as f64 / KEYS as f64).collect());
     let mut animations = String::new();
     for (j, name) in names.iter().enumerate() {
-        let degrees = words((0..=KEYS).map(|k| angle(j, k as f64 / KEYS as f64).to_degrees()).collect());
+        let degrees = joined((0..=KEYS).map(|k| joint_angle_rad(j, k as f64 / KEYS as f64).to_degrees()).collect());
         animations += &format!(
             "<animation><source id=\"{name}-in\"><float_array>{times}</float_array></source>\n\
              <source id=\"{name}-out\"><float_array>{degrees}</float_array></source>\n\
@@ -190,13 +192,14 @@ pub fn collada() -> String {
              <channel source=\"#{name}-sampler\" target=\"{name}/turn.ANGLE\"/></animation>\n"
         );
     }
-    fn node(j: usize, up: &dyn Fn([f64; 3]) -> [f64; 3]) -> String {
-        let (name, at) = (JOINTS[j].0, up(local(j)));
-        let children: String = (0..JOINTS.len()).filter(|&c| JOINTS[c].1 == Some(j)).map(|c| node(c, up)).collect();
+    fn node(j: usize, to_z_up_cm: &dyn Fn([f64; 3]) -> [f64; 3]) -> String {
+        let (name, position) = (JOINTS[j].0, to_z_up_cm(local_position(j)));
+        let children: String =
+            (0..JOINTS.len()).filter(|&c| JOINTS[c].1 == Some(j)).map(|c| node(c, to_z_up_cm)).collect();
         format!(
             "<node id=\"{name}\" sid=\"{name}\" type=\"JOINT\">\n<translate sid=\"at\">{} {} {}</translate>\
              <rotate sid=\"turn\">1 0 0 0</rotate><scale>1 1 1</scale>\n{children}</node>\n",
-            at[0], at[1], at[2]
+            position[0], position[1], position[2]
         )
     }
     format!(
@@ -220,7 +223,7 @@ pub fn collada() -> String {
         corners = corners.join(" "),
         names = names.join(" "),
         pairs = pairs.join(" "),
-        root = node(0, &up),
+        root = node(0, &to_z_up_cm),
     )
 }
 
@@ -228,25 +231,25 @@ pub fn collada() -> String {
 pub fn bvh() -> String {
     let inch = 1.0 / 0.0254;
     let limb = |side: &str, x: f64| {
-        let at = |v: [f64; 3]| v.map(|c| format!("{:.4}", c * inch)).join(" ");
+        let inches_text = |v: [f64; 3]| v.map(|c| format!("{:.4}", c * inch)).join(" ");
         format!(
             "JOINT {side}UpLeg {{\n OFFSET {}\n CHANNELS 3 Zrotation Xrotation Yrotation\n JOINT {side}Leg {{\n  OFFSET {}\n  \
              CHANNELS 3 Zrotation Xrotation Yrotation\n  JOINT {side}Foot {{\n   OFFSET {}\n   CHANNELS 3 Zrotation Xrotation Yrotation\n   \
              End Site\n   {{\n    OFFSET {}\n   }}\n  }}\n }}\n}}\n",
-            at([x, 0.0, 0.0]),
-            at([0.0, -0.42, 0.0]),
-            at([0.0, -0.42, 0.0]),
-            at([0.0, -0.03, 0.15])
+            inches_text([x, 0.0, 0.0]),
+            inches_text([0.0, -0.42, 0.0]),
+            inches_text([0.0, -0.42, 0.0]),
+            inches_text([0.0, -0.03, 0.15])
         )
     };
     let arm = |side: &str, x: f64| {
-        let at = |v: [f64; 3]| v.map(|c| format!("{:.4}", c * inch)).join(" ");
+        let inches_text = |v: [f64; 3]| v.map(|c| format!("{:.4}", c * inch)).join(" ");
         format!(
             "JOINT {side}Arm {{\n OFFSET {}\n CHANNELS 3 Zrotation Xrotation Yrotation\n JOINT {side}ForeArm {{\n  OFFSET {}\n  \
              CHANNELS 3 Zrotation Xrotation Yrotation\n  JOINT {side}Hand {{\n   OFFSET {}\n   CHANNELS 3 Zrotation Xrotation Yrotation\n  }}\n }}\n}}\n",
-            at([x, 0.5, 0.0]),
-            at([0.0, -0.3, 0.0]),
-            at([0.0, -0.28, 0.0])
+            inches_text([x, 0.5, 0.0]),
+            inches_text([0.0, -0.3, 0.0]),
+            inches_text([0.0, -0.28, 0.0])
         )
     };
     let mut text = format!(
@@ -262,12 +265,15 @@ pub fn bvh() -> String {
         let phase = f as f64 / 30.0;
         let mut numbers = vec![0.0, 0.93 * inch, 1.4 * phase * inch, 0.0, 0.0, 0.0];
         for (thigh, knee) in [(1, 2), (3, 4)] {
-            for degrees in [angle(thigh, phase), angle(knee, phase), -0.5 * angle(knee, phase)].map(f64::to_degrees) {
+            for degrees in
+                [joint_angle_rad(thigh, phase), joint_angle_rad(knee, phase), -0.5 * joint_angle_rad(knee, phase)]
+                    .map(f64::to_degrees)
+            {
                 numbers.extend([0.0, degrees, 0.0]);
             }
         }
         for arm in [5, 6] {
-            numbers.extend([0.0, angle(arm, phase).to_degrees(), 0.0, 0.0, -20.0, 0.0, 0.0, 0.0, 0.0]);
+            numbers.extend([0.0, joint_angle_rad(arm, phase).to_degrees(), 0.0, 0.0, -20.0, 0.0, 0.0, 0.0, 0.0]);
         }
         text += &numbers.iter().map(|n| format!("{n:.4}")).collect::<Vec<_>>().join(" ");
         text += "\n";

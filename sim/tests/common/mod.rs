@@ -127,7 +127,7 @@ pub fn parse(text: &str) -> Scene {
 }
 
 /// Error message for the text of an invalid scene.
-pub fn refusal(text: &str) -> String {
+pub fn error_message(text: &str) -> String {
     Scene::parse(text, Path::new("a/b.toml")).map(|_| ()).expect_err(text).to_string()
 }
 

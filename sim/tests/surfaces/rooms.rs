@@ -13,26 +13,26 @@ use crate::common;
 pub type Quad = [[f64; 3]; 4];
 
 /// Units and axes of files.
-pub const MM: &str = "unit = \"mm\"\nup = \"z\"";
-pub const M: &str = "unit = \"m\"\nup = \"z\"";
+pub const MILLIMETRES: &str = "unit = \"mm\"\nup = \"z\"";
+pub const METRES: &str = "unit = \"m\"\nup = \"z\"";
 
 /// Inner size of the room of most tests, m: numbers that are exact in f32, in metres and in millimetres.
 pub const SIZE_M: [f64; 3] = [5.25, 4.5, 2.75];
 
 /// Makes a scene with keys of `[room]` and further tables. The radar is at (0.5, 1, 1.2) and looks along x.
-pub fn made(room: &str, tables: &str, folder: &Path) -> Scene {
+pub fn room_scene(room: &str, tables: &str, folder: &Path) -> Scene {
     let text = common::hall_with_room(room, tables);
     Scene::parse(&text, &folder.join("scene.toml")).expect("a good scene")
 }
 
 /// Parses a scene without people, with keys of `[room]` and further tables. The radar is at (0.5, 1, 1.2).
-pub fn parse(room: &str, tables: &str, folder: &Path) -> Result<Scene, SceneError> {
+pub fn parse_room(room: &str, tables: &str, folder: &Path) -> Result<Scene, SceneError> {
     let text = common::hall_with_room(room, &format!("[people.desk]\nmax_people = 0\n{tables}"));
     Scene::parse(&text, &folder.join("scene.toml"))
 }
 
 pub fn surfaces(room: &str, tables: &str) -> Surfaces {
-    parse(room, tables, Path::new("")).expect("a good scene").surfaces()
+    parse_room(room, tables, Path::new("")).expect("a good scene").surfaces()
 }
 
 /// Keys of a box of plasterboard with another ceiling.
@@ -46,8 +46,8 @@ pub fn box_keys(ceiling: &str) -> String {
 
 /// Outward faces of a box: low and high x, low and high y, low and high z.
 pub fn faces(low: [f64; 3], high: [f64; 3]) -> [Quad; 6] {
-    let at = |i: usize| [0, 1, 2].map(|a| if i >> a & 1 == 0 { low[a] } else { high[a] });
-    [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]].map(|q| q.map(at))
+    let corner = |i: usize| [0, 1, 2].map(|a| if i >> a & 1 == 0 { low[a] } else { high[a] });
+    [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]].map(|q| q.map(corner))
 }
 
 pub fn triangles(quads: &[Quad]) -> Vec<[[f64; 3]; 3]> {
@@ -82,12 +82,13 @@ pub fn obj(quads: &[(Quad, &str)]) -> String {
 /// glTF document of quadrilaterals, y up, with embedded numbers.
 pub fn gltf(quads: &[Quad]) -> String {
     // (x, y, z) with z up is (x, z, -y) in the document.
-    let places: Vec<[f32; 3]> = quads.iter().flatten().map(|&[x, y, z]| [x as f32, z as f32, -y as f32]).collect();
+    let positions: Vec<[f32; 3]> = quads.iter().flatten().map(|&[x, y, z]| [x as f32, z as f32, -y as f32]).collect();
     let indices: Vec<u16> = (0..quads.len() as u16).flat_map(|q| [0, 1, 2, 0, 2, 3].map(|i| 4 * q + i)).collect();
-    let end =
-        |pick: fn(f32, f32) -> f32| [0, 1, 2].map(|axis| places.iter().map(|p| p[axis]).reduce(pick).expect("some"));
-    let mut bytes: Vec<u8> = places.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
-    let split = bytes.len();
+    let extreme = |least_or_greatest: fn(f32, f32) -> f32| {
+        [0, 1, 2].map(|axis| positions.iter().map(|p| p[axis]).reduce(least_or_greatest).expect("some"))
+    };
+    let mut bytes: Vec<u8> = positions.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
+    let index_offset = bytes.len();
     bytes.extend(indices.iter().flat_map(|i| i.to_le_bytes()));
     let data = base64::engine::general_purpose::STANDARD.encode(&bytes);
     serde_json::json!({
@@ -95,13 +96,13 @@ pub fn gltf(quads: &[Quad]) -> String {
         "nodes": [{ "name": "room", "mesh": 0 }],
         "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 }, "indices": 1 }] }],
         "accessors": [
-            { "bufferView": 0, "componentType": 5126, "count": places.len(), "type": "VEC3",
-              "min": end(f32::min), "max": end(f32::max) },
+            { "bufferView": 0, "componentType": 5126, "count": positions.len(), "type": "VEC3",
+              "min": extreme(f32::min), "max": extreme(f32::max) },
             { "bufferView": 1, "componentType": 5123, "count": indices.len(), "type": "SCALAR" },
         ],
         "bufferViews": [
-            { "buffer": 0, "byteOffset": 0, "byteLength": split },
-            { "buffer": 0, "byteOffset": split, "byteLength": bytes.len() - split },
+            { "buffer": 0, "byteOffset": 0, "byteLength": index_offset },
+            { "buffer": 0, "byteOffset": index_offset, "byteLength": bytes.len() - index_offset },
         ],
         "buffers": [{ "byteLength": bytes.len(), "uri": format!("data:application/octet-stream;base64,{data}") }],
     })
@@ -115,8 +116,8 @@ pub type File<'a> = (&'a str, &'a str, String);
 pub fn room_files() -> [File<'static>; 3] {
     let quads = faces([0.0; 3], SIZE_M);
     [
-        ("room.stl", MM, stl(&triangles(&quads), 1000.0)),
-        ("room.obj", M, obj(&quads.map(|quad| (quad, "plaster")))),
+        ("room.stl", MILLIMETRES, stl(&triangles(&quads), 1000.0)),
+        ("room.obj", METRES, obj(&quads.map(|quad| (quad, "plaster")))),
         ("room.gltf", "", gltf(&quads)),
     ]
 }
@@ -134,36 +135,40 @@ pub fn mesh_table(folder: &Path, (name, unit, content): &File) -> String {
 }
 
 /// Surfaces of a plasterboard room from a file, in a folder of its own; `keys` precede its table.
-pub fn from_file(keys: &str, file: File) -> Surfaces {
+pub fn surfaces_from_file(keys: &str, file: File) -> Surfaces {
     let folder = tempfile::tempdir().expect("a folder");
     let room = format!("{keys}{}", mesh_table(folder.path(), &file));
-    parse(&room, "", folder.path()).expect("a good scene").surfaces()
+    parse_room(&room, "", folder.path()).expect("a good scene").surfaces()
 }
 
 /// Returns whether two faces have the same corners within a nanometre, the same material and the same air.
-fn is_same(a: &Face, b: &Face) -> bool {
-    const NEAR_M: f64 = 1e-9;
+fn is_same_face(a: &Face, b: &Face) -> bool {
+    const TOLERANCE_M: f64 = 1e-9;
     let (p, q) = (&a.polygon, &b.polygon);
     let corners = |face: &Face| face.polygon.loops().flatten().copied().collect::<Vec<_>>();
     let (from, to) = (corners(a), corners(b));
     from.len() == to.len()
         && p.holes.len() == q.holes.len()
-        && p.normal.distance(q.normal) < NEAR_M
-        && (p.offset_m - q.offset_m).abs() < NEAR_M
-        && from.iter().all(|c| to.iter().any(|d| c.distance(*d) < NEAR_M))
+        && p.normal.distance(q.normal) < TOLERANCE_M
+        && (p.offset_m - q.offset_m).abs() < TOLERANCE_M
+        && from.iter().all(|c| to.iter().any(|d| c.distance(*d) < TOLERANCE_M))
         && (a.wall, a.sides) == (b.wall, b.sides)
 }
 
 /// Asserts that two descriptions agree: the same faces in any order, and as many edges of each kind.
-pub fn assert_same(found: &Surfaces, expected: &Surfaces, what: &str) {
-    assert_eq!(found.faces.len(), expected.faces.len(), "{what}: {:?}", found.faces);
+pub fn assert_same_surfaces(found: &Surfaces, expected: &Surfaces, name: &str) {
+    assert_eq!(found.faces.len(), expected.faces.len(), "{name}: {:?}", found.faces);
     for face in &expected.faces {
-        assert_eq!(found.faces.iter().filter(|other| is_same(face, other)).count(), 1, "{what}: {face:?} in {found:?}");
+        assert_eq!(
+            found.faces.iter().filter(|other| is_same_face(face, other)).count(),
+            1,
+            "{name}: {face:?} in {found:?}"
+        );
     }
     for kind in [is_inner, is_flat, is_seam, is_wedge, is_free] {
-        assert_eq!(count(found, kind), count(expected, kind), "{what}");
+        assert_eq!(count(found, kind), count(expected, kind), "{name}");
     }
-    assert_eq!(small_triangles(found), small_triangles(expected), "{what}");
+    assert_eq!(small_triangles(found), small_triangles(expected), "{name}");
 }
 
 /// Number of triangles that are not part of faces.

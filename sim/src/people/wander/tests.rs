@@ -125,8 +125,8 @@ fn hips_keep_their_distance_from_walls_furniture_and_the_radar() {
                     let off_walls = (0..2).map(|k| at[k].min(SIZE_M[k] - at[k])).fold(f64::INFINITY, f64::min);
                     assert!(off_walls > KEEP_OFF_M - SWAY_M, "{mode} {seed}: {off_walls} m off a wall at {t} s");
                     let [low, high] = TABLE_M;
-                    let off = [0, 1].map(|k| (low[k] - at[k]).max(at[k] - high[k]).max(0.0));
-                    let off_table = off[0].hypot(off[1]);
+                    let axis_gaps_m = [0, 1].map(|k| (low[k] - at[k]).max(at[k] - high[k]).max(0.0));
+                    let off_table = axis_gaps_m[0].hypot(axis_gaps_m[1]);
                     assert!(off_table > KEEP_OFF_M - SWAY_M, "{mode} {seed}: {off_table} m off the table at {t} s");
                     assert!(distance_m(at, RADAR_M) > 0.5 - SWAY_M, "{mode} {seed}: at the radar at {t} s");
                 }
@@ -195,12 +195,12 @@ fn people_walk_together_follow_and_meet_in_the_modes_of_these_names() {
         }
         count as f64 / (6.0 * 1200.0)
     };
-    let near = |limit_m: f64| {
+    let is_close = |limit_m: f64| {
         move |a: &Motion, b: &Motion, t: f64| distance_m(a.walk(t).position_m, b.walk(t).position_m) < limit_m
     };
-    let independent = time_share("independent", &near(1.2));
-    let together = time_share("together", &near(1.2));
-    let follows = time_share("follow", &near(2.2));
+    let independent = time_share("independent", &is_close(1.2));
+    let together = time_share("together", &is_close(1.2));
+    let follows = time_share("follow", &is_close(2.2));
     assert!(together > 0.6 && together > independent + 0.2, "{together} together, {independent} independent");
     assert!(follows > 0.6, "{follows}");
     let face_to_face = |a: &Motion, b: &Motion, t: f64| {
