@@ -186,8 +186,8 @@ impl Lister<'_> {
     fn shade(&self, polyline: &[DVec3]) -> Complex64 {
         let wavelength_m = self.prepared.wavelength_m;
         match self.scene.file().people.shadow {
-            ShadowFile::Edge => diffraction::along(polyline, &self.columns, wavelength_m).into(),
-            ShadowFile::Strip => diffraction::along_strips(polyline, &self.columns, wavelength_m),
+            ShadowFile::Edge => diffraction::past_columns(polyline, &self.columns, wavelength_m).into(),
+            ShadowFile::Strip => diffraction::past_strips(polyline, &self.columns, wavelength_m),
         }
     }
 

@@ -12,7 +12,7 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use super::obstruction::{Bystanders, SharedWays, Way, limb_column, opposite};
 use super::path_rows::{Drift, LengthRows, ReceivedRows, WideFields, launched, lengths, received, reflected};
 use super::{EchoReport, Instant, LEAST_DISTANCE_M, Pair, Paths, Snapshot, VELOCITY_STEP_S, faded, inside_room};
-use crate::diffraction::weaken_rows;
+use crate::diffraction::attenuate_rows;
 use crate::em::Phasor3;
 use crate::em::image::{BoxRoom, order};
 use crate::em::specular::LEAST_COSINE;
@@ -328,7 +328,7 @@ impl Paths<'_> {
             let other = opposite(segment).and_then(|other| own.body.get(other)).map(limb_column);
             for column in [Some(own.trunk), other].iter().flatten() {
                 for source in sources {
-                    weaken_rows(self.level, &seen.point, source, column, self.prepared.wavelength_m, &mut factors);
+                    attenuate_rows(self.level, &seen.point, source, column, self.prepared.wavelength_m, &mut factors);
                 }
             }
         }

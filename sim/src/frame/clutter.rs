@@ -58,7 +58,7 @@ impl FrameSimulator {
                 let people = columns_between(&at_ends, self.middle_s(chirp) / active_s);
                 // Amplitudes at the ADC are conjugated.
                 let weight = |(_, (path, weight)): &(usize, (&StaticPath, &Complex64))| {
-                    *weight * diffraction::along_strips(&path.polyline, &people, self.prepared.wavelength_m).conj()
+                    *weight * diffraction::past_strips(&path.polyline, &people, self.prepared.wavelength_m).conj()
                 };
                 changing.iter().map(weight).collect()
             })
@@ -100,7 +100,7 @@ impl FrameSimulator {
                 paths
                     .enumerate()
                     .map(|(i, (path, jitter))| {
-                        let shade = diffraction::along(&path.polyline, &columns, self.prepared.wavelength_m);
+                        let shade = diffraction::past_columns(&path.polyline, &columns, self.prepared.wavelength_m);
                         let step = steps.get(i).copied().unwrap_or_default();
                         let turn = half_drift * (common + drift(t, &path.drift)) + step;
                         jitter * Complex64::from_polar(shade, turn)
@@ -180,7 +180,7 @@ fn may_shade(polyline: &[DVec3], at_times: &[Vec<Column>]) -> bool {
         people.iter().enumerate().any(|(i, column)| {
             let next = at_times.get(time + 1).and_then(|people| people.get(i)).unwrap_or(column);
             let moved_m = (next.x - column.x).hypot(next.y - column.y) + (next.radius_m - column.radius_m).abs();
-            diffraction::reaches(polyline, column, moved_m)
+            diffraction::may_affect(polyline, column, moved_m)
         })
     })
 }
