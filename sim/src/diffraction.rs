@@ -74,7 +74,8 @@ impl LegGeometry {
         if cross * cross > reach_m * reach_m * plan_square_m2 {
             return None;
         }
-        let fraction = if plan_square_m2 > 1e-12 { (-(ax * dx + ay * dy) / plan_square_m2).clamp(0.0, 1.0) } else { 0.5 };
+        let fraction =
+            if plan_square_m2 > 1e-12 { (-(ax * dx + ay * dy) / plan_square_m2).clamp(0.0, 1.0) } else { 0.5 };
         let square = (ax + fraction * dx).powi(2) + (ay + fraction * dy).powi(2);
         if square > reach_m * reach_m {
             return None;
@@ -102,7 +103,13 @@ pub fn past(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> f64 {
 compiled_for_levels! {
     /// Computes Fresnel's diffraction parameter of a column for a row of straight legs; minus infinity where the column
     /// is too far away to matter.
-    fn fresnel_parameter_rows(from: &WideRow3, to: &WideRow3, column: &Column, wavelength_m: f64, nu: &mut WideRow) = fresnel_parameter_body;
+    fn fresnel_parameter_rows(
+        from: &WideRow3,
+        to: &WideRow3,
+        column: &Column,
+        wavelength_m: f64,
+        nu: &mut WideRow,
+    ) = fresnel_parameter_body;
 }
 
 #[inline(always)]

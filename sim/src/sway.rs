@@ -134,8 +134,10 @@ impl SwayingReflectors {
             let motion: Vec<[f64; 4]> =
                 (0..=parts).map(|end| reflector.motion.at(start_s + interval_s * end as f64)).collect();
             for path in &reflector.paths {
-                let shades: Vec<f64> =
-                    columns.iter().map(|people| diffraction::past_columns(&path.polyline, people, wavelength_m)).collect();
+                let shades: Vec<f64> = columns
+                    .iter()
+                    .map(|people| diffraction::past_columns(&path.polyline, people, wavelength_m))
+                    .collect();
                 let shade = |at: f64| neighbours(&shades, at).map_or(1.0, |(a, b, part)| a + (b - a) * part);
                 let keys: Vec<Vec<(PathSample, PathDerivatives)>> =
                     motion.iter().enumerate().map(|(end, x)| path.keys(x, shade(end as f64 / parts as f64))).collect();

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use num_complex::Complex64;
-use radome_sim::echo::{AudiblePair, EchoReport, HEARD, Paths, Snapshot, audible_paths};
+use radome_sim::echo::{AUDIBLE_FRACTION, AudiblePair, EchoReport, Paths, Snapshot, audible_paths};
 use radome_sim::people::body::{CHEST, SEGMENTS};
 use radome_sim::people::motion::Motion;
 use radome_sim::prepared_scene::PreparedScene;
@@ -40,7 +40,7 @@ fn count(prepared: &PreparedScene, motion: &Motion, start_s: f64) -> [usize; 3] 
                 keys.first().map_or(0.0, |key| key.amplitude.norm())
             });
             let strongest = strongest.into_iter().fold(0.0, f64::max);
-            let is_heard = strongest > HEARD * prepared.threshold_lsb;
+            let is_heard = strongest > AUDIBLE_FRACTION * prepared.threshold_lsb;
             let over = strongest / prepared.threshold_lsb;
             assert!(is_kept || !is_heard, "{pair:?} {segment} at {start_s} s: {over} of the threshold");
             received += usize::from(is_heard);
@@ -95,7 +95,7 @@ fn compared(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_direct:
     assert_eq!(of_frame.count(), specular_points.len(), "nobody of these sits at a desk");
     let asked: Vec<_> = (0..specular_points.len()).map(|path| (path, None)).collect();
     let met = of_frame.trace_all(&asked, &people, &mut EchoReport::default());
-    let amplitudes = met.iter().map(|met| met.keys().first().map_or(Complex64::ZERO, |key| key.amplitude));
+    let amplitudes = met.iter().map(|met| met.samples().first().map_or(Complex64::ZERO, |key| key.amplitude));
     let mut shared: HashMap<_, Complex64> = HashMap::new();
     for (((p, q), segment), amplitude) in specular_points.into_iter().zip(amplitudes) {
         // By reciprocity, the opposite direction has the same amplitude.
@@ -113,7 +113,7 @@ fn compared(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_direct:
             powers[0] += own.norm_sqr();
             match shared.get(&(pair, segment)) {
                 Some(shared) => powers[2] += (own - shared).norm_sqr(),
-                None if own.norm() > HEARD * prepared.threshold_lsb => powers[1] += own.norm_sqr(),
+                None if own.norm() > AUDIBLE_FRACTION * prepared.threshold_lsb => powers[1] += own.norm_sqr(),
                 None => {}
             }
         }

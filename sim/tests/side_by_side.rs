@@ -16,17 +16,17 @@ fn compare(paths: &Paths, people: &[Snapshot], least_lsb: f64, at: &str) -> [usi
     let (mut report, mut report_of_one) = (EchoReport::default(), EchoReport::default());
     let bare = paths.trace_all(&asked, people, &mut report);
     let mut met = bare.clone();
-    paths.shade((0..).zip(&mut met), people);
+    paths.obstruct_by_people((0..).zip(&mut met), people);
     let (mut keys, mut loud) = (Vec::new(), 0);
     for (path, (met, bare)) in met.iter().zip(&bare).enumerate() {
         keys.clear();
         let place = paths.trace(path, people, None, &mut keys, &mut report_of_one);
-        assert_eq!(met.keys().len(), keys.len(), "{at}, path {path}");
-        assert_eq!(met.place.is_some(), place.is_some(), "{at}, path {path}");
-        if let Some((met, one)) = met.place.zip(place) {
+        assert_eq!(met.samples().len(), keys.len(), "{at}, path {path}");
+        assert_eq!(met.unit.is_some(), place.is_some(), "{at}, path {path}");
+        if let Some((met, one)) = met.unit.zip(place) {
             assert!((met - one).length() < 1e-6, "{at}, path {path}: {met} {one}");
         }
-        for ((met, bare), one) in met.keys().iter().zip(bare.keys()).zip(&keys) {
+        for ((met, bare), one) in met.samples().iter().zip(bare.samples()).zip(&keys) {
             assert!((met.delay_s - one.delay_s).abs() < 1e-19, "{at}, path {path}: {met:?} {one:?}");
             assert!((met.delay_rate - one.delay_rate).abs() < 1e-14, "{at}, path {path}: {met:?} {one:?}");
             let (error_lsb, lsb) = ((met.amplitude - one.amplitude).norm(), one.amplitude.norm());
@@ -92,16 +92,16 @@ fn opposite_directions_share_specular_point_and_amplitude() {
                 let opposite = Paths::new(&prepared, motion, me, &opposite);
                 let asked: Vec<_> = (0..paths.count()).map(|path| (path, None)).collect();
                 let mut met = paths.trace_all(&asked, &people, &mut EchoReport::default());
-                paths.shade((0..).zip(&mut met), &people);
+                paths.obstruct_by_people((0..).zip(&mut met), &people);
                 for (path, met) in met.iter().enumerate().filter(|&(path, _)| paths.is_both_ways(path)) {
                     let mut keys = Vec::new();
                     let place = opposite.trace(path, &people, None, &mut keys, &mut EchoReport::default());
                     let is_heard = keys.first().is_some_and(|key| key.amplitude.norm() > prepared.threshold_lsb);
-                    if place.is_none() || met.place.is_none() || !is_heard {
+                    if place.is_none() || met.unit.is_none() || !is_heard {
                         continue;
                     }
                     let at = format!("{name}, person {me} at {time_s} s, path {path}");
-                    for (ours, key) in met.exchanged().keys().iter().zip(&keys) {
+                    for (ours, key) in met.reversed().samples().iter().zip(&keys) {
                         let apart_m = (ours.delay_s - key.delay_s).abs() * SPEED_OF_LIGHT_M_PER_S;
                         let rate = (ours.delay_rate - key.delay_rate).abs() * SPEED_OF_LIGHT_M_PER_S;
                         assert!(apart_m < 3e-5 && rate < 0.02, "{at}: {apart_m} m, {rate} m/s");

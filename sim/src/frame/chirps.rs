@@ -31,7 +31,7 @@ impl FrameSimulator {
                 None => grids.iter_mut().for_each(Grids::clear),
             }
             self.lay_static(begin..end, traced.halvings, static_grids, &mut grids);
-            for halvings in (0..=traced.tracks.most_halvings()).filter(|&h| !traced.tracks.is_empty_at(h)) {
+            for halvings in (0..=traced.tracks.max_halvings()).filter(|&h| !traced.tracks.is_empty_at(h)) {
                 for (interval, places) in self.intervals_of(begin..end, halvings) {
                     let tracks = traced.tracks.at(halvings, interval);
                     self.synthesiser.spread_tracks(&self.prepared.chirp, tracks, &places, &mut grids);

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use super::{FrameReport, FrameSimulator};
 use crate::diffraction::Column;
-use crate::echo::{EchoReport, HEARD, Paths, Snapshot, audible_paths, diffuse};
-use crate::path_sampling::{Instants, KeyedPaths, MOST_HALVINGS, SamplingTolerance};
+use crate::echo::{AUDIBLE_FRACTION, EchoReport, Paths, Snapshot, audible_paths, diffuse};
+use crate::path_sampling::{Instants, MAX_HALVINGS, SampledPaths, SamplingTolerance};
 use crate::people::motion::Motion;
 use crate::scene_file::BodyFile;
 use crate::synthesis::{ChirpGrids, HeldEchoes};
@@ -15,11 +15,11 @@ use crate::tracks::Tracks;
 /// Initial number of times that a frame is halved into intervals, for shadows and skins. The intervals are halved again
 /// (quarters, eighths) while the interpolation error of skins is too large.
 pub(super) const FIRST_HALVINGS: u32 = 1;
-pub(super) const MOST_SKIN_HALVINGS: u32 = 3;
-/// Allowed interpolation error between key times of an ellipsoid's echo for half a decibel, relative to it (-40 dB of
-/// error vector magnitude). Weak paths have cells of their own in a map, where nothing stronger hides their errors. Those
-/// that are held have larger errors, below the noise ([`crate::weak_track`]).
-const KEY_TOLERANCE: f64 = 0.01;
+pub(super) const MAX_SKIN_HALVINGS: u32 = 3;
+/// Allowed interpolation error between sample times of an ellipsoid's echo for half a decibel, relative to it (-40 dB
+/// of error vector magnitude). Weak paths have cells of their own in a map, where nothing stronger hides their errors.
+/// Those that are held have larger errors, below the noise ([`crate::weak_track`]).
+const PATH_TOLERANCE: f64 = 0.01;
 
 /// Paths of all people in a frame.
 pub(super) struct Traced {
@@ -29,8 +29,8 @@ pub(super) struct Traced {
     pub(super) halvings: u32,
     /// Paths to all receivers.
     pub(super) tracks: Tracks,
-    /// Diffuse echoes and weak paths in each interval of a frame that may be halved less often; empty where walls do not
-    /// scatter.
+    /// Diffuse echoes and weak paths in each interval of a frame that may be halved less often; empty where walls do
+    /// not scatter.
     pub(super) held: Vec<HeldEchoes>,
     /// Echoes of people who have skins.
     pub(super) skins: Option<ChirpGrids>,
@@ -60,7 +60,7 @@ impl FrameSimulator {
     /// Returns the motions of people in a frame, at the times that its paths may need if the frame is halved this
     /// often.
     pub(super) fn instants<'a>(&self, motions: &'a [Arc<Motion>], start_s: f64, halvings: Option<u32>) -> Instants<'a> {
-        let most = MOST_HALVINGS.max(MOST_SKIN_HALVINGS).max(halvings.unwrap_or(0));
+        let most = MAX_HALVINGS.max(MAX_SKIN_HALVINGS).max(halvings.unwrap_or(0));
         Instants::new(motions, start_s, self.active_s(), most)
     }
 
@@ -75,9 +75,9 @@ impl FrameSimulator {
         traced
     }
 
-    /// Returns empty lists of held echoes for the intervals of a frame that is halved this often, at most into halves. A
-    /// quintic over a half follows the centre of a segment even where skins need shorter intervals. There is no list where
-    /// walls do not scatter: the transforms of these lists are not worth their time for a few weak paths.
+    /// Returns empty lists of held echoes for the intervals of a frame that is halved this often, at most into halves.
+    /// A quintic over a half follows the centre of a segment even where skins need shorter intervals. There is no list
+    /// where walls do not scatter: the transforms of these lists are not worth their time for a few weak paths.
     pub(super) fn held_echoes(&self, people: usize, halvings: u32) -> Vec<HeldEchoes> {
         if self.prepared.wall_points.is_empty() {
             return Vec::new();
@@ -111,30 +111,30 @@ impl FrameSimulator {
             clipped: 0,
         };
         let snapshots = instants.at_ends(FIRST_HALVINGS);
-        let KeyedPaths { tracks, weak: held, .. } = paths;
+        let SampledPaths { tracks, weak: held, .. } = paths;
         Traced { snapshots, halvings: FIRST_HALVINGS, tracks, held, skins: None, report }
     }
 
     /// Samples the paths of all people, each at as many key times as it needs.
-    fn keyed_paths(&self, instants: &Instants, halvings: Option<u32>) -> (KeyedPaths, EchoReport) {
-        let demand = SamplingTolerance {
+    fn keyed_paths(&self, instants: &Instants, halvings: Option<u32>) -> (SampledPaths, EchoReport) {
+        let tolerance = SamplingTolerance {
             // The limit is 6 dB below a path alone in its cell, since many weak paths add up. Errors may be 20 dB below
             // such a path.
-            heard_lsb: HEARD * self.prepared.threshold_lsb,
-            least_lsb: 0.1 * self.prepared.threshold_lsb,
-            tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,
+            audible_lsb: AUDIBLE_FRACTION * self.prepared.threshold_lsb,
+            absolute_lsb: 0.1 * self.prepared.threshold_lsb,
+            relative: PATH_TOLERANCE * self.options.tolerance_db / 0.5,
             threshold_lsb: self.prepared.threshold_lsb,
-            halvings,
+            fixed_halvings: halvings,
             chirp: self.prepared.chirp,
         };
         let weak = self.held_echoes(instants.motions().len(), FIRST_HALVINGS);
-        let mut paths = KeyedPaths { weak, ..KeyedPaths::default() };
+        let mut paths = SampledPaths { weak, ..SampledPaths::default() };
         let mut report = EchoReport::default();
         // Audibility is tested at the ends and in the middle of the frame.
         let asked_s = [0.0, 0.5, 1.0].map(|part| instants.start_s() + part * self.active_s());
         for (me, motion) in instants.motions().iter().enumerate() {
             let pairs = audible_paths(&self.prepared, motion, &asked_s);
-            paths.add(instants, &Paths::new(&self.prepared, motion, me, &pairs), &demand, &mut report);
+            paths.add(instants, &Paths::new(&self.prepared, motion, me, &pairs), &tolerance, &mut report);
         }
         (paths, report)
     }

@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, PoisonError};
 
-use super::paths::{FIRST_HALVINGS, MOST_SKIN_HALVINGS, Traced};
+use super::paths::{FIRST_HALVINGS, MAX_SKIN_HALVINGS, Traced};
 use super::{FrameReport, FrameSimulator};
 use crate::echo::dense;
 use crate::echo::error_budget::{ErrorBudget, Missed};
@@ -87,7 +87,7 @@ impl FrameSimulator {
             let ends_s = self.ends_s(instants.start_s(), halvings);
             let snapshots = instants.at_ends(halvings);
             let (grids, missed) = self.skin_echoes(instants.motions(), &snapshots, ends_s, &mut echo_report);
-            if missed.between_keys > SKIN_KEY_TOLERANCE && halvings < MOST_SKIN_HALVINGS && asked.is_none() {
+            if missed.between_keys > SKIN_KEY_TOLERANCE && halvings < MAX_SKIN_HALVINGS && asked.is_none() {
                 halvings += 1;
                 continue;
             }

@@ -16,7 +16,7 @@ use super::{DEGREE, Grid, LANES, SHIFT, Synthesiser, WIDTH, nearest_integer, on_
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 use crate::path_segment::PathSegment;
-use crate::tracks::{Aside, Track};
+use crate::tracks::{ReceiverOffset, Track};
 
 /// Number of chirps in a block.
 pub const CHIRPS: usize = 8;
@@ -143,8 +143,8 @@ fn tracks_body(kernel: &Kernel, tracks: &[Track], grids: &mut [Grids]) {
         let tones = tones(kernel, &track.first);
         let weights = weights(kernel.taps, &tones.u);
         lay_weighted(&weights, &mut grids_of_first.cells, &tones.re, &tones.im, &tones.first);
-        for (aside, grids) in track.others.iter().zip(grids_of_others.iter_mut()) {
-            lay_beside(kernel, &tones, &weights, aside, track.first.interval_s(), &mut grids.cells);
+        for (offset, grids) in track.others.iter().zip(grids_of_others.iter_mut()) {
+            lay_beside(kernel, &tones, &weights, offset, track.first.interval_s(), &mut grids.cells);
         }
     }
 }
@@ -155,12 +155,12 @@ fn lay_beside(
     kernel: &Kernel,
     tones: &Tones,
     weights_of_first: &[Row; WIDTH],
-    aside: &Aside,
+    offset: &ReceiverOffset,
     interval_s: f64,
     cells: &mut [Cell],
 ) {
-    let [a, b, c, d] = aside.delay_s;
-    let [begin, step] = aside.ratio;
+    let [a, b, c, d] = offset.delay_s;
+    let [begin, step] = offset.ratio;
     let slope = kernel.chirp.slope_hz_per_s as f32;
     let (per_s, cells_per_hz) = ((1.0 / interval_s) as f32, (kernel.cells / kernel.chirp.sample_rate_hz) as f32);
     // Separate rows: in-place sums would be computed one lane at a time.

@@ -102,14 +102,14 @@ fn tracks() -> Vec<Track> {
     let mut rng = generator(4, Purpose::Noise, [0, 0]);
     let mut tracks = Vec::new();
     for first in paths() {
-        let mut aside = || {
+        let mut offset = || {
             let mut number = |limit: f32| rng.random_range(-limit..limit);
-            Aside {
+            ReceiverOffset {
                 delay_s: [number(1.6e-11), number(1e-12), number(2e-13), number(1e-13)],
                 ratio: [Complex::new(0.9, number(0.1)), Complex::new(number(0.01), number(0.01))],
             }
         };
-        tracks.push(Track { first, others: [aside(), aside()] });
+        tracks.push(Track { first, others: [offset(), offset()] });
     }
     tracks
 }
@@ -152,14 +152,14 @@ fn receivers_hear_their_own_delays_within_minus_50_dbc() {
     for (chirp, place) in PLACES.into_iter().enumerate() {
         for (receiver, grids) in grids.iter().enumerate().skip(1) {
             let tone = |track: &Track| {
-                let ((delay_s, rate), aside) = (track.first.delay(place), &track.others[receiver - 1]);
-                let [_, b, c, d] = aside.delay_s.map(f64::from);
-                let delay_s = delay_s + f64::from(aside.delay(place as f32));
+                let ((delay_s, rate), offset) = (track.first.delay(place), &track.others[receiver - 1]);
+                let [_, b, c, d] = offset.delay_s.map(f64::from);
+                let delay_s = delay_s + f64::from(offset.delay(place as f32));
                 let rate = rate + (b + place * (2.0 * c + place * 3.0 * d)) / track.first.interval_s();
                 Tone {
                     phase_cycles: CHIRP.phase_cycles(delay_s),
                     cycles_per_sample: CHIRP.beat_hz(delay_s, rate) / CHIRP.sample_rate_hz,
-                    amplitude: track.first.amplitude(place) * aside.ratio(place as f32),
+                    amplitude: track.first.amplitude(place) * offset.ratio(place as f32),
                 }
             };
             let exact = exact_chirp(&tracks.iter().map(tone).collect::<Vec<Tone>>(), SAMPLES);
