@@ -105,7 +105,7 @@ mod tests {
 
     use super::*;
     use crate::path_segment::PathSample;
-    use crate::synthesis::{CHIRPS, Grids, Places, SynthesisScratch, Synthesiser};
+    use crate::synthesis::{CHIRPS, ChirpPositions, Grids, SynthesisScratch, Synthesiser};
 
     const CHIRP: Chirp = Chirp { start_hz: 59.6e9, slope_hz_per_s: 3.45e12, sample_rate_hz: 1e6, middle_s: 128e-6 };
     const SAMPLES: usize = 256;
@@ -156,8 +156,8 @@ mod tests {
                 let half = usize::from(begin >= FRAME_CHIRPS / 2);
                 let [mut exact, mut fast] = [0, 1].map(|_| vec![synthesiser.grids(); RECEIVERS]);
                 let tracks: Vec<Track> = directions.iter().flatten().copied().collect();
-                synthesiser.spread_tracks(&CHIRP, &tracks, &Places::new(0..CHIRPS, at), &mut exact);
-                let in_half = Places::new(0..CHIRPS, |lane| 2.0 * at(lane) - half as f64);
+                synthesiser.spread_tracks(&CHIRP, &tracks, &ChirpPositions::new(0..CHIRPS, at), &mut exact);
+                let in_half = ChirpPositions::new(0..CHIRPS, |lane| 2.0 * at(lane) - half as f64);
                 synthesiser.spread_held(&CHIRP, &halves[half], &in_half, &mut fast);
                 let (exact, fast) = (samples(&synthesiser, &exact), samples(&synthesiser, &fast));
                 let power = |of: &mut dyn Iterator<Item = f32>| of.map(|x| f64::from(x * x)).sum::<f64>();

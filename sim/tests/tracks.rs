@@ -7,7 +7,7 @@ use radome_sim::echo::{EchoReport, Paths, Snapshot, audible_pairs};
 use radome_sim::path_segment::{FiveSamples, PathSample, PathSegment};
 use radome_sim::people::motion::{Motion, MotionBuilder, Person};
 use radome_sim::prepared_scene::PreparedScene;
-use radome_sim::synthesis::{CHIRPS, Places, SynthesisScratch, Synthesiser, Tone, exact_chirp};
+use radome_sim::synthesis::{CHIRPS, ChirpPositions, SynthesisScratch, Synthesiser, Tone, exact_chirp};
 use radome_sim::tracks::Track;
 
 use crate::common::scene;
@@ -51,7 +51,7 @@ fn receivers_that_share_a_path_hear_their_own() {
         assert!(tracks.len() > 20 && own.len() == 3, "{} paths, {} receivers", tracks.len(), own.len());
         let place = |chirp: usize| (chirp as f64 + 0.3) / CHIRPS as f64;
         let mut grids = vec![synthesiser.grids(); own.len()];
-        synthesiser.spread_tracks(&prepared.chirp, &tracks, &Places::new(0..CHIRPS, place), &mut grids);
+        synthesiser.spread_tracks(&prepared.chirp, &tracks, &ChirpPositions::new(0..CHIRPS, place), &mut grids);
         for (receiver, (grids, own)) in grids.iter().zip(&own).enumerate() {
             let (mut error, mut power) = (0.0, 0.0);
             for chirp in 0..CHIRPS {

@@ -13,13 +13,13 @@ use radome_dsp::KernelLevel;
 use crate::lanes::{LANES, Row, compiled_for_levels, cos_sin_of_turns};
 use crate::synthesis::{CHIRPS, EchoChirps};
 
-/// Number of nodes per interval for small and for larger relative phase rates of the echoes.
+/// Numbers of nodes per interval, for small and for larger phase rates of the echoes relative to the common path.
 const FEW: usize = 8;
 const MANY: usize = 16;
-/// Largest phase rates relative to the common path for these node counts, cycles per interval. The polynomial error is
-/// below a thousandth.
-const FEW_TURNS: f32 = 0.5;
-const MANY_TURNS: f32 = 2.4;
+/// Largest such phase rates for these numbers of nodes, cycles per interval. The error of the polynomial is below a
+/// thousandth.
+const MAX_TURNS_FEW: f32 = 0.5;
+const MAX_TURNS_MANY: f32 = 2.4;
 
 /// Small echoes at one end of an interval between key times, one per lane. Lengths are in wavelengths, slopes are per
 /// interval.
@@ -114,23 +114,23 @@ fn others(places: &[f64], own: f64) -> impl Iterator<Item = f64> {
 pub fn intervals_of(chirps: &[f64], intervals: usize) -> Vec<IntervalChirps> {
     let last = intervals.saturating_sub(1);
     // Chirps before the first key time or after the last belong to the nearest interval.
-    let stretch_of = |chirp: f64| ((chirp * intervals as f64).max(0.0) as usize).min(last);
-    let in_stretch = |interval: usize| {
+    let interval_of = |chirp: f64| ((chirp * intervals as f64).max(0.0) as usize).min(last);
+    let interval_chirps = |interval: usize| {
         let in_row = |(row, chirps): (usize, &[f64])| {
-            let begin = chirps.iter().position(|&chirp| stretch_of(chirp) == interval)?;
+            let begin = chirps.iter().position(|&chirp| interval_of(chirp) == interval)?;
             let (mut places, mut inside) = ([0.0; CHIRPS], [0.0; CHIRPS]);
             for i in 0..CHIRPS {
                 // An incomplete last block is padded with its last chirp.
                 let Some(&chirp) = chirps.get(i).or(chirps.last()) else { continue };
                 places[i] = (chirp * intervals as f64 - interval as f64) as f32;
-                inside[i] = if i < chirps.len() && stretch_of(chirp) == interval { 1.0 } else { 0.0 };
+                inside[i] = if i < chirps.len() && interval_of(chirp) == interval { 1.0 } else { 0.0 };
             }
             Some(ChirpRow { row, begin, places, inside })
         };
         let rows: Vec<ChirpRow> = chirps.chunks(CHIRPS).enumerate().filter_map(in_row).collect();
         IntervalChirps { few: Nodes::new(&rows), many: Nodes::new(&rows), rows }
     };
-    (0..intervals).map(in_stretch).collect()
+    (0..intervals).map(interval_chirps).collect()
 }
 
 /// Sums of the echoes of one patch in each chirp.
@@ -152,10 +152,10 @@ impl PatchSums {
         self.sums.resize(chirps.div_ceil(CHIRPS), EchoChirps::default());
     }
 
-    /// Sets the common path, to which lengths are relative, in the chirps of an interval of `interval_s` seconds. `ends`
-    /// are its length, m, and rate, m/s, at both ends. Intervals must be given in order.
-    pub fn follow(&mut self, ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps) {
-        follow(self.level, ends, interval_s, chirps, &mut self.sums);
+    /// Sets the common path, to which lengths are relative, in the chirps of an interval of `interval_s` seconds.
+    /// `ends` are its length, m, and rate, m/s, at both ends. Intervals must be given in order.
+    pub fn set_common_path(&mut self, ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps) {
+        set_common_path(self.level, ends, interval_s, chirps, &mut self.sums);
     }
 
     /// Adds echoes in the chirps of an interval, from their values at its ends.
@@ -182,11 +182,11 @@ impl PatchSums {
 }
 
 compiled_for_levels! {
-    fn follow(ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps, sums: &mut [EchoChirps]) = follow_body;
+    fn set_common_path(ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps, sums: &mut [EchoChirps]) = set_common_path_body;
 }
 
 #[inline(always)]
-fn follow_body(ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps, sums: &mut [EchoChirps]) {
+fn set_common_path_body(ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps, sums: &mut [EchoChirps]) {
     let [(begin_m, begin_rate), (end_m, end_rate)] = ends;
     let (first, second, step_m) = (begin_rate * interval_s, end_rate * interval_s, end_m - begin_m);
     let (square, cube) = (3.0 * step_m - 2.0 * first - second, first + second - 2.0 * step_m);
@@ -221,12 +221,12 @@ fn add_body(ends: [&TrackRows; 2], chirps: &IntervalChirps, sums: &mut [EchoChir
         count += usize::from(is_live(l));
     }
     let live = &live[..count];
-    let (turns, rows) = (cubics.most_turns(live), chirps.rows.len());
-    // The sums at the nodes cost as much as one or two blocks; evaluating the polynomial costs little more.
-    if turns <= FEW_TURNS && rows > 1 {
-        add_through(&cubics, live, &chirps.few, &chirps.rows, sums);
-    } else if turns <= MANY_TURNS && rows > 3 {
-        add_through(&cubics, live, &chirps.many, &chirps.rows, sums);
+    let (turns, rows) = (cubics.max_turns(live), chirps.rows.len());
+    // The sums at the nodes cost as much as those in one or two blocks. Evaluating the polynomial costs little.
+    if turns <= MAX_TURNS_FEW && rows > 1 {
+        add_by_nodes(&cubics, live, &chirps.few, &chirps.rows, sums);
+    } else if turns <= MAX_TURNS_MANY && rows > 3 {
+        add_by_nodes(&cubics, live, &chirps.many, &chirps.rows, sums);
     } else {
         for ChirpRow { row, places, inside, .. } in &chirps.rows {
             let Some(sums) = sums.get_mut(*row) else { continue };
@@ -236,8 +236,8 @@ fn add_body(ends: [&TrackRows; 2], chirps: &IntervalChirps, sums: &mut [EchoChir
                 sums.field[1][i] += inside[i] * im[i];
                 sums.moment[0][i] += inside[i] * moment_re[i];
                 sums.moment[1][i] += inside[i] * moment_im[i];
-                sums.detoured[0][i] += inside[i] * detoured_re[i];
-                sums.detoured[1][i] += inside[i] * detoured_im[i];
+                sums.detour[0][i] += inside[i] * detoured_re[i];
+                sums.detour[1][i] += inside[i] * detoured_im[i];
             }
         }
     }
@@ -245,7 +245,7 @@ fn add_body(ends: [&TrackRows; 2], chirps: &IntervalChirps, sums: &mut [EchoChir
 
 /// Adds the sum of echoes by interpolation between a few nodes.
 #[inline(always)]
-fn add_through<const N: usize>(
+fn add_by_nodes<const N: usize>(
     cubics: &CubicRows,
     live: &[usize],
     nodes: &Nodes<N>,
@@ -259,8 +259,8 @@ fn add_through<const N: usize>(
         add_weighted(&im, weights, &mut sums.field[1]);
         add_weighted(&moment_re, weights, &mut sums.moment[0]);
         add_weighted(&moment_im, weights, &mut sums.moment[1]);
-        add_weighted(&detoured_re, weights, &mut sums.detoured[0]);
-        add_weighted(&detoured_im, weights, &mut sums.detoured[1]);
+        add_weighted(&detoured_re, weights, &mut sums.detour[0]);
+        add_weighted(&detoured_im, weights, &mut sums.detour[1]);
     }
 }
 
@@ -308,7 +308,7 @@ impl CubicRows {
 
     /// Returns the largest rate of a length at the ends and in the middle, cycles per interval.
     #[inline(always)]
-    fn most_turns(&self, live: &[usize]) -> f32 {
+    fn max_turns(&self, live: &[usize]) -> f32 {
         let [_, first, square, cube] = &self.length;
         let mut most = 0f32;
         for &t in live {
@@ -419,7 +419,7 @@ mod tests {
         const BOUNDS: [f64; 3] = [1e-3, 2e-2, 1e-4];
         for turns in [0.3, 0.45, 0.7, 2.0, 2.4, 30.0] {
             let ends = ends(turns);
-            let most = CubicRows::between(ends.each_ref()).most_turns(&std::array::from_fn::<_, LANES, _>(|l| l));
+            let most = CubicRows::between(ends.each_ref()).max_turns(&std::array::from_fn::<_, LANES, _>(|l| l));
             assert!(most > 0.5 * turns && most < 1.6 * turns, "{most} of {turns}");
             for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
                 let mut sums = PatchSums::new(level);
@@ -429,7 +429,7 @@ mod tests {
                 }
                 for (i, &u) in places.iter().enumerate() {
                     let of = &sums.chirps()[i / CHIRPS];
-                    let found = [&of.field, &of.moment, &of.detoured];
+                    let found = [&of.field, &of.moment, &of.detour];
                     for ((exact, found), most) in exact(&ends, u).into_iter().zip(found).zip(BOUNDS) {
                         let found = Complex64::new(found[0][i % CHIRPS].into(), found[1][i % CHIRPS].into());
                         assert!((found - exact).norm() < most, "{level}, {turns} turns, chirp {i}: {found} {exact}");
@@ -441,7 +441,7 @@ mod tests {
 
     /// The path in every chirp is the cubic of its interval, and continues to the end of the last block.
     #[test]
-    fn paths_are_followed_through_all_stretches() {
+    fn the_common_path_is_set_in_all_intervals() {
         let (count, intervals, span_s) = (45, 3, 0.06);
         let places: Vec<f64> = (0..count).map(|i| (f64::from(i) + 0.4) / f64::from(count)).collect();
         let at = |t: f64| (3.0 + t * (1.5 - 4.0 * t), 1.5 - 8.0 * t);
@@ -450,7 +450,7 @@ mod tests {
         for (interval, chirps) in intervals_of(&places, intervals).iter().enumerate() {
             let interval_s = span_s / intervals as f64;
             let ends = [interval, interval + 1].map(|end| at(end as f64 * interval_s));
-            sums.follow(ends, interval_s, chirps);
+            sums.set_common_path(ends, interval_s, chirps);
         }
         for number in 0..places.len().next_multiple_of(CHIRPS) {
             let place = places[number.min(places.len() - 1)];
@@ -462,7 +462,7 @@ mod tests {
     }
 
     #[test]
-    fn every_chirp_is_in_one_stretch() {
+    fn every_chirp_is_in_one_interval() {
         let chirps: Vec<f64> = (0..45).map(|i| -0.01 + f64::from(i) / 43.0).collect();
         for intervals in [1, 2, 3, 8] {
             let mut found = [0; 45];

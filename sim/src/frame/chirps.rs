@@ -8,7 +8,7 @@ use super::FrameSimulator;
 use super::chirp_turn::ChirpTurn;
 use super::clutter::{NO_STATIC, StaticGrids};
 use super::paths::Traced;
-use crate::synthesis::{CHIRPS, Grid, Grids, Places, SynthesisScratch};
+use crate::synthesis::{CHIRPS, ChirpPositions, Grid, Grids, SynthesisScratch};
 
 impl FrameSimulator {
     /// Visits the frequency grid of every chirp of every receiver: static grids, paths, held echoes and skins, with
@@ -50,7 +50,7 @@ impl FrameSimulator {
                     }
                     if let Some(turn) = turns.get(chirp) {
                         let factor = Complex::new(turn.factor.re as f32, turn.factor.im as f32);
-                        self.synthesiser.turn(factor, turn.late_s * self.prepared.chirp.sample_rate_hz, &mut grid);
+                        self.synthesiser.rotate(factor, turn.late_s * self.prepared.chirp.sample_rate_hz, &mut grid);
                     }
                     visit(rx, chirp, &grid);
                 }
@@ -82,7 +82,7 @@ impl FrameSimulator {
 
     /// Returns the intervals that contain chirps of a block in a frame that is halved this often, each with the
     /// positions of those chirps.
-    pub(super) fn intervals_of(&self, block: Range<usize>, halvings: u32) -> Vec<(usize, Places)> {
+    pub(super) fn intervals_of(&self, block: Range<usize>, halvings: u32) -> Vec<(usize, ChirpPositions)> {
         let mut of_block = Vec::new();
         let mut begin = block.start;
         while begin < block.end {
@@ -90,7 +90,7 @@ impl FrameSimulator {
             let end =
                 (begin..block.end).find(|&chirp| self.place_of(chirp, halvings).0 != interval).unwrap_or(block.end);
             let lanes = begin - block.start..end - block.start;
-            of_block.push((interval, Places::new(lanes, |lane| self.place_of(block.start + lane, halvings).1)));
+            of_block.push((interval, ChirpPositions::new(lanes, |lane| self.place_of(block.start + lane, halvings).1)));
             begin = end;
         }
         of_block

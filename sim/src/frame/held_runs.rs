@@ -40,7 +40,7 @@ impl FrameSimulator {
             }
         }
         for (interval, places) in self.intervals_of(block.clone(), halvings) {
-            let of_interval = if in_run { Some(run.rates.left()) } else { held.get(interval) };
+            let of_interval = if in_run { Some(run.rates.rejected()) } else { held.get(interval) };
             if let Some(echoes) = of_interval {
                 self.synthesiser.spread_held(&self.prepared.chirp, echoes, &places, grids);
             }

@@ -5,7 +5,7 @@ use std::sync::{Arc, PoisonError};
 use super::paths::{FIRST_HALVINGS, MAX_SKIN_HALVINGS, Traced};
 use super::{FrameReport, FrameSimulator};
 use crate::echo::dense;
-use crate::echo::error_budget::{ErrorBudget, Missed};
+use crate::echo::error_budget::{ErrorBudget, ErrorEstimate};
 use crate::echo::skin::SkinnedPerson;
 use crate::echo::{EchoReport, FrameTimes, Snapshot, audible_pairs, loud_pairs};
 use crate::path_sampling::Instants;
@@ -18,9 +18,9 @@ use crate::synthesis::ChirpGrids;
 use crate::tracks::Tracks;
 
 /// Allowed interpolation error between key times of all of a skin's echoes, relative to them, for half a decibel.
-const SKIN_KEY_TOLERANCE: f64 = 0.03;
+const SKIN_TOLERANCE: f64 = 0.03;
 /// Number of skins that are kept: those of people in the room, and of the next ones.
-const MOST_SKINS: usize = 8;
+const MAX_SKINS: usize = 8;
 
 impl FrameSimulator {
     /// Returns a person's skin; `None` where people are ellipsoids.
@@ -36,7 +36,7 @@ impl FrameSimulator {
             return Some(skin);
         }
         let skin = Arc::new(SkinnedPerson::new(WalkingMesh::new(Arc::clone(motion), EDGE_M)));
-        if skins.len() >= MOST_SKINS {
+        if skins.len() >= MAX_SKINS {
             skins.remove(0);
         }
         skins.push((Arc::clone(motion), Arc::clone(&skin)));
@@ -55,7 +55,7 @@ impl FrameSimulator {
         snapshots: &[Vec<Snapshot>],
         keys_s: Vec<f64>,
         report: &mut EchoReport,
-    ) -> (ChirpGrids, Missed) {
+    ) -> (ChirpGrids, ErrorEstimate) {
         let shape = self.waveform().shape();
         let (start_s, middle) = (keys_s.first().copied().unwrap_or_default(), keys_s.len() / 2);
         let now = snapshots.get(middle).map(Vec::as_slice).unwrap_or_default();
@@ -67,7 +67,7 @@ impl FrameSimulator {
         if self.phase_rates.is_some() {
             grids = grids.with_delays();
         }
-        let mut most = Missed::default();
+        let mut most = ErrorEstimate::default();
         for (me, motion) in motions.iter().enumerate() {
             let Some(skin) = self.skin(motion) else { continue };
             let pairs = audible_pairs(prepared, motion, start_s + 0.5 * self.active_s());
@@ -87,7 +87,7 @@ impl FrameSimulator {
             let ends_s = self.ends_s(instants.start_s(), halvings);
             let snapshots = instants.at_ends(halvings);
             let (grids, missed) = self.skin_echoes(instants.motions(), &snapshots, ends_s, &mut echo_report);
-            if missed.between_keys > SKIN_KEY_TOLERANCE && halvings < MAX_SKIN_HALVINGS && asked.is_none() {
+            if missed.interpolation > SKIN_TOLERANCE && halvings < MAX_SKIN_HALVINGS && asked.is_none() {
                 halvings += 1;
                 continue;
             }

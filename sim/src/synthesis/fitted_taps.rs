@@ -1,6 +1,6 @@
 //! Least-squares taps: weights of a few cells of a grid whose tones sum to a tone between them.
 
-use super::held::PLACES;
+use super::held::POSITIONS;
 
 /// Regularisation of the normal equations where there are fewer points than taps.
 const LEAST_EIGENVALUE: f64 = 1e-6;
@@ -29,11 +29,11 @@ pub(super) fn fitted_taps<const N: usize>(points: &[Point], wanted: impl Fn(&Poi
     });
     let root = cholesky(&matrix);
     let at = |place: u32| {
-        let aside = |tap: usize| tap as f64 - 0.5 * N as f64 + f64::from(place) / f64::from(PLACES);
+        let aside = |tap: usize| tap as f64 - 0.5 * N as f64 + f64::from(place) / f64::from(POSITIONS);
         let right: [f64; N] = std::array::from_fn(|tap| sum(&|p| p.weight * wanted(p, aside(tap) * p.angle)));
         solved(&root, right).map(|tap| tap as f32)
     };
-    (0..PLACES).map(at).collect()
+    (0..POSITIONS).map(at).collect()
 }
 
 /// Returns the Cholesky factor of a positive definite matrix: the lower triangle whose product with its transpose is

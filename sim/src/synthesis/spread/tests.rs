@@ -119,7 +119,7 @@ fn spread_tracks_at(level: KernelLevel, tracks: &[Track], receivers: usize, cuts
     let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
     let mut grids = vec![synthesiser.grids(); receivers];
     for ends in cuts.windows(2) {
-        let places = Places::new(ends[0]..ends[1], |chirp| PLACES[chirp]);
+        let places = ChirpPositions::new(ends[0]..ends[1], |chirp| PLACES[chirp]);
         synthesiser.spread_tracks(&CHIRP, tracks, &places, &mut grids);
     }
     grids
