@@ -182,7 +182,12 @@ impl PatchSums {
 }
 
 compiled_for_levels! {
-    fn set_common_path(ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps, sums: &mut [EchoChirps]) = set_common_path_body;
+    fn set_common_path(
+        ends: [(f64, f64); 2],
+        interval_s: f64,
+        chirps: &IntervalChirps,
+        sums: &mut [EchoChirps],
+    ) = set_common_path_body;
 }
 
 #[inline(always)]

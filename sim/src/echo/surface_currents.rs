@@ -130,7 +130,12 @@ compiled_for_levels! {
 
 compiled_for_levels! {
     /// Returns whether any vertex is near a specular point: within the window, and facing both antennas.
-    pub(super) fn any_near_specular(normals: &Row3, narrowing: &Row, directions: [&DirectionRows; 2], outer: f32) -> bool = any_near_specular_body;
+    pub(super) fn any_near_specular(
+        normals: &Row3,
+        narrowing: &Row,
+        directions: [&DirectionRows; 2],
+        outer: f32,
+    ) -> bool = any_near_specular_body;
 }
 
 #[inline(always)]
