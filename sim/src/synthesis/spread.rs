@@ -215,7 +215,7 @@ fn tones(inputs: &Inputs, path: &PathSegment) -> Tones {
         let a = path.amplitude(inputs.positions.at[i]) * phasor(inputs.chirp.phase_cycles(delay_s));
         (re[i], im[i]) = (a.re * inputs.positions.within[i], a.im * inputs.positions.within[i]);
         position[i] = fraction_of_turn(cycles_per_sample) * inputs.cells;
-        (u[i], first[i]) = first_cell(position[i]);
+        (u[i], first[i]) = cell_under(position[i]);
         carrier_hz[i] = (start_hz + slope_hz_per_s * (middle_s - delay_s)) as f32;
     }
     Tones { re, im, position, first, u, carrier_hz }
