@@ -313,12 +313,12 @@ mod tests {
     /// Subsets cover all points evenly, and all of them at a tight tolerance.
     #[test]
     fn segments_take_points_evenly() {
-        let of = |points: usize, tolerance_db: f64| Thinning::new(points, tolerance_db, 2.0 * tolerance_db);
-        let points = |of: Thinning| of.points_per_segment;
-        assert_eq!([0.1, 0.5, 0.75, 1.0, 5.0].map(|db| points(of(256, db))), [256, 256, 114, 64, 64]);
-        assert_eq!([0.5, 5.0].map(|db| points(of(64, db))), [64, 64]);
+        let thinning = |points: usize, tolerance_db: f64| Thinning::new(points, tolerance_db, 2.0 * tolerance_db);
+        let points = |thinning: Thinning| thinning.points_per_segment;
+        assert_eq!([0.1, 0.5, 0.75, 1.0, 5.0].map(|db| points(thinning(256, db))), [256, 256, 114, 64, 64]);
+        assert_eq!([0.5, 5.0].map(|db| points(thinning(64, db))), [64, 64]);
         assert_eq!(
-            [0.1, 0.5, 1.0, 5.0].map(|db| of(256, db).invisible_lsb),
+            [0.1, 0.5, 1.0, 5.0].map(|db| thinning(256, db).invisible_lsb),
             [0.2, 1.0, 1.0, 1.0],
             "it stays invisible"
         );
@@ -355,10 +355,10 @@ mod tests {
         const WAVELENGTH_M: f64 = 0.005;
         let tx = DVec3::new(0.0, 0.0, 1.1);
         let rx = [[0.0, 0.006, 1.1], [0.0, 0.006, 1.1025], [0.0, 0.0085, 1.1]].map(DVec3::from_array);
-        let legs_to = |place: DVec3| -> (f64, [f64; 3]) { (tx.distance(place), rx.map(|rx| rx.distance(place))) };
-        let paths = |place: DVec3| {
-            let (there, back) = legs_to(place);
-            AntennaPaths::new((there, 0.6), &back.map(|length_m| (length_m, 0.5)), WAVELENGTH_M)
+        let legs_to = |point: DVec3| -> (f64, [f64; 3]) { (tx.distance(point), rx.map(|rx| rx.distance(point))) };
+        let paths = |point: DVec3| {
+            let (outbound, inbound) = legs_to(point);
+            AntennaPaths::new((outbound, 0.6), &inbound.map(|length_m| (length_m, 0.5)), WAVELENGTH_M)
         };
         let turned = |length_m: f64| Complex64::from_polar(1.0, 2.0 * PI * length_m / WAVELENGTH_M);
         let point = DVec3::new(2.5, 1.8, 0.4);

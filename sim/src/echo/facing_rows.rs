@@ -47,8 +47,8 @@ fn facing_rows_body(of: &EllipsoidRows, source: Vector, out: &mut WideRow3) {
         let [x, y, z] = [wide_lane(&of.axes[0], l), wide_lane(&of.axes[1], l), wide_lane(&of.axes[2], l)];
         let towards = subtract(source, centre);
         let unit = normalized(times([dot(x, towards), dot(y, towards), dot(z, towards)], semi_axes_m));
-        let place = times(unit, semi_axes_m);
-        store(out, l, add(centre, add(add(scale(x, place[0]), scale(y, place[1])), scale(z, place[2]))));
+        let offset = times(unit, semi_axes_m);
+        store(out, l, add(centre, add(add(scale(x, offset[0]), scale(y, offset[1])), scale(z, offset[2]))));
     }
 }
 

@@ -34,9 +34,9 @@ pub(super) struct PatchPose {
 pub(super) fn vertex_rows(posed: &PosedSkin, patch: &SkinPatch, origin: DVec3) -> [Row3; 2] {
     let mut rows = [[[0.0; LANES]; 3]; 2];
     for (l, &v) in patch.vertices.iter().enumerate() {
-        let (place, normal) = (posed.vertices[v as usize] - origin, posed.normals[v as usize]);
+        let (position, normal) = (posed.vertices[v as usize] - origin, posed.normals[v as usize]);
         for axis in 0..3 {
-            (rows[0][axis][l], rows[1][axis][l]) = (place[axis] as f32, normal[axis] as f32);
+            (rows[0][axis][l], rows[1][axis][l]) = (position[axis] as f32, normal[axis] as f32);
         }
     }
     rows
@@ -57,7 +57,7 @@ impl PatchPose {
     pub(super) fn new(images: usize, integrator: &Integrator) -> Self {
         let zero: Row3 = Default::default();
         let vertices =
-            VertexRows { places: zero, normals: zero, amplitude_factor: [0.0; LANES], narrowing: [1.0; LANES] };
+            VertexRows { positions: zero, normals: zero, amplitude_factor: [0.0; LANES], narrowing: [1.0; LANES] };
         let level = integrator.level;
         let triangles = triangle_rows(level, &[zero; 3], &[zero; 3], &[zero; 3]);
         PatchPose {
@@ -82,14 +82,14 @@ impl PatchPose {
         amplitude_factor: Row,
         narrowing: Row,
     ) {
-        let [places, normals] = vertex_rows(posed, patch, origin);
-        self.vertices = VertexRows { places, normals, amplitude_factor, narrowing };
+        let [positions, normals] = vertex_rows(posed, patch, origin);
+        self.vertices = VertexRows { positions, normals, amplitude_factor, narrowing };
         let mut velocities: Row3 = Default::default();
         for (l, &v) in patch.vertices.iter().enumerate() {
             let velocity = posed.velocities_m_per_s[v as usize];
             (0..3).for_each(|axis| velocities[axis][l] = velocity[axis] as f32);
         }
-        let corners = vectors_at_corners(&places, &patch.corners);
+        let corners = vectors_at_corners(&positions, &patch.corners);
         let corner_normals = vectors_at_corners(&normals, &patch.corners);
         let bulges = bulge_rows(level, &corners, &corner_normals);
         self.triangles = triangle_rows(level, &corners, &corner_normals, &bulges);
@@ -116,7 +116,7 @@ impl PatchPose {
         level: KernelLevel,
     ) {
         let from_origin = (antenna - origin).as_vec3().to_array();
-        self.directions[image] = direction_rows(level, from_origin, &self.vertices.places);
+        self.directions[image] = direction_rows(level, from_origin, &self.vertices.positions);
         self.views[image] = view_rows(level, antenna, origin, &self.triangles, wavelength_m);
     }
 

@@ -179,7 +179,7 @@ impl PatchSolver {
             return 0;
         }
         pose.patch.view_from(image, inputs.positions[image].middle, inputs.origin, inputs.prepared.wavelength_m, level);
-        pose.fields[image] = field_rows(level, expansion, &pose.patch.vertices.places);
+        pose.fields[image] = field_rows(level, expansion, &pose.patch.vertices.positions);
         pose.obstruction[image] = obstruction_at(&inputs.obstruction[image], key as f64, patch);
         pose.patch.directions[image].clamped()
     }

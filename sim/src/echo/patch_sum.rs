@@ -58,7 +58,7 @@ struct ChirpRow {
     /// First chirp of the block in this interval.
     begin: usize,
     /// Positions (0..1) in the interval.
-    places: [f32; CHIRPS],
+    positions: [f32; CHIRPS],
     /// 1 for chirps in this interval, 0 for others.
     inside: [f32; CHIRPS],
 }
@@ -75,7 +75,7 @@ pub struct IntervalChirps {
 /// outside of the interval.
 #[derive(Debug, Clone, PartialEq)]
 struct Nodes<const N: usize> {
-    places: [f32; N],
+    positions: [f32; N],
     /// Weights by block of chirps.
     weights: Vec<[[f32; CHIRPS]; N]>,
 }
@@ -87,26 +87,26 @@ fn nodes<const N: usize>() -> [f64; N] {
 
 impl<const N: usize> Nodes<N> {
     fn new(rows: &[ChirpRow]) -> Self {
-        let places = nodes::<N>();
+        let positions = nodes::<N>();
         // Weights are Lagrange polynomials.
-        let below = places.map(|own| others(&places, own).map(|other| own - other).product::<f64>());
+        let below = positions.map(|own| others(&positions, own).map(|other| own - other).product::<f64>());
         let weights = |row: &ChirpRow| -> [[f32; CHIRPS]; N] {
             std::array::from_fn(|k| {
                 let weight = |i: usize| {
-                    let u = f64::from(row.places[i]);
-                    let above: f64 = others(&places, places[k]).map(|other| u - other).product();
+                    let u = f64::from(row.positions[i]);
+                    let above: f64 = others(&positions, positions[k]).map(|other| u - other).product();
                     row.inside[i] * (above / below[k]) as f32
                 };
                 std::array::from_fn(weight)
             })
         };
-        Nodes { places: places.map(|place| place as f32), weights: rows.iter().map(weights).collect() }
+        Nodes { positions: positions.map(|position| position as f32), weights: rows.iter().map(weights).collect() }
     }
 }
 
 /// Returns all nodes but one.
-fn others(places: &[f64], own: f64) -> impl Iterator<Item = f64> {
-    places.iter().copied().filter(move |place| *place != own)
+fn others(positions: &[f64], own: f64) -> impl Iterator<Item = f64> {
+    positions.iter().copied().filter(move |position| *position != own)
 }
 
 /// Divides chirps into `intervals` intervals of equal length. Chirp times are fractions of the whole, in ascending
@@ -118,14 +118,14 @@ pub fn intervals_of(chirps: &[f64], intervals: usize) -> Vec<IntervalChirps> {
     let interval_chirps = |interval: usize| {
         let in_row = |(row, chirps): (usize, &[f64])| {
             let begin = chirps.iter().position(|&chirp| interval_of(chirp) == interval)?;
-            let (mut places, mut inside) = ([0.0; CHIRPS], [0.0; CHIRPS]);
+            let (mut positions, mut inside) = ([0.0; CHIRPS], [0.0; CHIRPS]);
             for i in 0..CHIRPS {
                 // An incomplete last block is padded with its last chirp.
                 let Some(&chirp) = chirps.get(i).or(chirps.last()) else { continue };
-                places[i] = (chirp * intervals as f64 - interval as f64) as f32;
+                positions[i] = (chirp * intervals as f64 - interval as f64) as f32;
                 inside[i] = if i < chirps.len() && interval_of(chirp) == interval { 1.0 } else { 0.0 };
             }
-            Some(ChirpRow { row, begin, places, inside })
+            Some(ChirpRow { row, begin, positions, inside })
         };
         let rows: Vec<ChirpRow> = chirps.chunks(CHIRPS).enumerate().filter_map(in_row).collect();
         IntervalChirps { few: Nodes::new(&rows), many: Nodes::new(&rows), rows }
@@ -196,10 +196,10 @@ fn set_common_path_body(ends: [(f64, f64); 2], interval_s: f64, chirps: &Interva
     let (first, second, step_m) = (begin_rate * interval_s, end_rate * interval_s, end_m - begin_m);
     let (square, cube) = (3.0 * step_m - 2.0 * first - second, first + second - 2.0 * step_m);
     let per_s = 1.0 / interval_s;
-    for ChirpRow { row, begin, places, .. } in &chirps.rows {
+    for ChirpRow { row, begin, positions, .. } in &chirps.rows {
         let Some(sums) = sums.get_mut(*row) else { continue };
         for i in 0..CHIRPS {
-            let u = f64::from(places[i]);
+            let u = f64::from(positions[i]);
             let length_m = begin_m + u * (first + u * (square + u * cube));
             let rate_m_per_s = ((first + u * (2.0 * square + u * (3.0 * cube))) * per_s) as f32;
             // Later intervals overwrite the rest of the block.
@@ -233,9 +233,9 @@ fn add_body(ends: [&TrackRows; 2], chirps: &IntervalChirps, sums: &mut [EchoChir
     } else if turns <= MAX_TURNS_MANY && rows > 3 {
         add_by_nodes(&cubics, live, &chirps.many, &chirps.rows, sums);
     } else {
-        for ChirpRow { row, places, inside, .. } in &chirps.rows {
+        for ChirpRow { row, positions, inside, .. } in &chirps.rows {
             let Some(sums) = sums.get_mut(*row) else { continue };
-            let [re, im, moment_re, moment_im, detoured_re, detoured_im] = sum(&cubics, live, places);
+            let [re, im, moment_re, moment_im, detoured_re, detoured_im] = sum(&cubics, live, positions);
             for i in 0..CHIRPS {
                 sums.field[0][i] += inside[i] * re[i];
                 sums.field[1][i] += inside[i] * im[i];
@@ -257,7 +257,7 @@ fn add_by_nodes<const N: usize>(
     rows: &[ChirpRow],
     sums: &mut [EchoChirps],
 ) {
-    let [re, im, moment_re, moment_im, detoured_re, detoured_im] = sum(cubics, live, &nodes.places);
+    let [re, im, moment_re, moment_im, detoured_re, detoured_im] = sum(cubics, live, &nodes.positions);
     for (ChirpRow { row, .. }, weights) in rows.iter().zip(&nodes.weights) {
         let Some(sums) = sums.get_mut(*row) else { continue };
         add_weighted(&re, weights, &mut sums.field[0]);
@@ -329,7 +329,7 @@ impl CubicRows {
 
 /// Sums the fields, moments and detour-weighted fields of the live echoes at positions between the ends.
 #[inline(always)]
-fn sum<const N: usize>(cubics: &CubicRows, live: &[usize], places: &[f32; N]) -> [[f32; N]; 6] {
+fn sum<const N: usize>(cubics: &CubicRows, live: &[usize], positions: &[f32; N]) -> [[f32; N]; 6] {
     let mut rows = [[0f32; N]; 6];
     for &t in live {
         let t = t % LANES;
@@ -340,7 +340,7 @@ fn sum<const N: usize>(cubics: &CubicRows, live: &[usize], places: &[f32; N]) ->
         let moment_im = [cubics.moment[1][0][t], cubics.moment[1][1][t]];
         let detour_rad = cubics.detour_rad[t];
         for i in 0..N {
-            let u = places[i];
+            let u = positions[i];
             let l = length[0] + u * (length[1] + u * (length[2] + u * length[3]));
             let a = re[0] + u * (re[1] + u * (re[2] + u * re[3]));
             let b = im[0] + u * (im[1] + u * (im[2] + u * im[3]));
@@ -420,7 +420,7 @@ mod tests {
     #[test]
     fn sums_are_those_of_double_precision_at_every_level() {
         const COUNT: usize = 61;
-        let places: Vec<f64> = (0..COUNT).map(|i| (i as f64 + 0.3) / COUNT as f64).collect();
+        let positions: Vec<f64> = (0..COUNT).map(|i| (i as f64 + 0.3) / COUNT as f64).collect();
         const BOUNDS: [f64; 3] = [1e-3, 2e-2, 1e-4];
         for turns in [0.3, 0.45, 0.7, 2.0, 2.4, 30.0] {
             let ends = ends(turns);
@@ -429,10 +429,10 @@ mod tests {
             for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
                 let mut sums = PatchSums::new(level);
                 sums.clear(COUNT);
-                for chirps in intervals_of(&places, 1) {
+                for chirps in intervals_of(&positions, 1) {
                     sums.add(ends.each_ref(), &chirps);
                 }
-                for (i, &u) in places.iter().enumerate() {
+                for (i, &u) in positions.iter().enumerate() {
                     let of = &sums.chirps()[i / CHIRPS];
                     let found = [&of.field, &of.moment, &of.detour];
                     for ((exact, found), most) in exact(&ends, u).into_iter().zip(found).zip(BOUNDS) {
@@ -448,18 +448,18 @@ mod tests {
     #[test]
     fn the_common_path_is_set_in_all_intervals() {
         let (count, intervals, span_s) = (45, 3, 0.06);
-        let places: Vec<f64> = (0..count).map(|i| (f64::from(i) + 0.4) / f64::from(count)).collect();
+        let positions: Vec<f64> = (0..count).map(|i| (f64::from(i) + 0.4) / f64::from(count)).collect();
         let at = |t: f64| (3.0 + t * (1.5 - 4.0 * t), 1.5 - 8.0 * t);
         let mut sums = PatchSums::new(KernelLevel::detect());
-        sums.clear(places.len());
-        for (interval, chirps) in intervals_of(&places, intervals).iter().enumerate() {
+        sums.clear(positions.len());
+        for (interval, chirps) in intervals_of(&positions, intervals).iter().enumerate() {
             let interval_s = span_s / intervals as f64;
             let ends = [interval, interval + 1].map(|end| at(end as f64 * interval_s));
             sums.set_common_path(ends, interval_s, chirps);
         }
-        for number in 0..places.len().next_multiple_of(CHIRPS) {
-            let place = places[number.min(places.len() - 1)];
-            let (length_m, rate_m_per_s) = at(place * span_s);
+        for number in 0..positions.len().next_multiple_of(CHIRPS) {
+            let position = positions[number.min(positions.len() - 1)];
+            let (length_m, rate_m_per_s) = at(position * span_s);
             let (block, i) = (&sums.chirps()[number / CHIRPS], number % CHIRPS);
             assert!((block.length_m[i] - length_m).abs() < 1e-8, "chirp {number}");
             assert!((f64::from(block.rate_m_per_s[i]) - rate_m_per_s).abs() < 1e-5, "chirp {number}");
@@ -476,7 +476,7 @@ mod tests {
                     if row.inside[i] == 1.0 {
                         let number = row.row * CHIRPS + i;
                         found[number] += 1;
-                        let at = (interval as f64 + f64::from(row.places[i])) / intervals as f64;
+                        let at = (interval as f64 + f64::from(row.positions[i])) / intervals as f64;
                         assert!((at - chirps[number]).abs() < 1e-6 && i >= row.begin);
                     } else {
                         assert_eq!(row.inside[i], 0.0);

@@ -178,9 +178,9 @@ impl<T> Cells<T> {
     #[inline]
     fn cell(&self, at: Vec2) -> [u32; 2] {
         // Points outside share the border cells.
-        let place = (at - self.low) * self.per_m;
-        let number = |place: f32, count: u32| (place as i32).clamp(0, count as i32 - 1) as u32;
-        [number(place.x, self.count[0]), number(place.y, self.count[1])]
+        let cells = (at - self.low) * self.per_m;
+        let number = |cells: f32, count: u32| (cells as i32).clamp(0, count as i32 - 1) as u32;
+        [number(cells.x, self.count[0]), number(cells.y, self.count[1])]
     }
 
     fn number(&self, at: Vec2) -> usize {
@@ -318,10 +318,10 @@ impl Projection {
                 continue;
             }
             let along = outline.to - outline.from;
-            let part = ((at - outline.from).dot(along) / along.length_squared().max(1e-18)).clamp(0.0, 1.0);
+            let fraction = ((at - outline.from).dot(along) / along.length_squared().max(1e-18)).clamp(0.0, 1.0);
             // Distances are measured on the plane at the body's distance. The slight magnification of nearer parts is
             // neglected.
-            let distance2 = (outline.from + along * part).distance_squared(at);
+            let distance2 = (outline.from + along * fraction).distance_squared(at);
             let zones = distance2 * depth_m / (outline.depth_m * behind_m);
             if zones < nearest {
                 (nearest, across_m2) = (zones, distance2);

@@ -87,7 +87,7 @@ impl StillSkin {
         pose.pose(level, patch, &self.posed, self.origin, [1.0; LANES], [1.0; LANES]);
         pose.view_from(0, view.antenna, self.origin, view.wavelength_m, level);
         let expansion = FieldAround::new(self.centre(patch), self.origin, view.field);
-        let field = field_rows(level, &expansion, &pose.vertices.places);
+        let field = field_rows(level, &expansion, &pose.vertices.positions);
         let occlusion = patch.vertices.map(|v| occlusion.get(v as usize).map_or(1.0, |factor| *factor as f32));
         let (re, im) = integrands(
             level,
@@ -123,8 +123,8 @@ impl StillSkin {
     }
 
     fn centre(&self, patch: &SkinPatch) -> DVec3 {
-        let places = patch.vertices.iter().filter_map(|&v| self.posed.vertices.get(v as usize));
-        places.sum::<DVec3>() / LANES as f64
+        let positions = patch.vertices.iter().filter_map(|&v| self.posed.vertices.get(v as usize));
+        positions.sum::<DVec3>() / LANES as f64
     }
 }
 

@@ -17,7 +17,7 @@ use crate::lanes::{LANES, Row, Row3, compiled_for_levels, cos_sin_of_turns, lane
 #[derive(Debug, Clone, Copy)]
 pub(super) struct VertexRows {
     /// Positions relative to a common nearby origin, m.
-    pub(super) places: Row3,
+    pub(super) positions: Row3,
     pub(super) normals: Row3,
     /// Factor of clothes and walls on the amplitude.
     pub(super) amplitude_factor: Row,
@@ -45,7 +45,7 @@ pub(super) struct FieldRows {
 /// 1/m.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FieldAround {
-    pub(super) place: [f32; 3],
+    pub(super) point: [f32; 3],
     pub(super) field: Phasor3,
     pub(super) slopes: [Phasor3; 3],
 }
@@ -58,20 +58,20 @@ impl FieldAround {
     pub(super) fn new(centre: DVec3, origin: DVec3, field_at: impl Fn(DVec3) -> Phasor3) -> Self {
         let field = field_at(centre);
         let slope = |axis: DVec3| {
-            let there = field_at(centre + axis * FIELD_STEP_M);
-            Phasor3 { re: (there.re - field.re) / FIELD_STEP_M, im: (there.im - field.im) / FIELD_STEP_M }
+            let ahead = field_at(centre + axis * FIELD_STEP_M);
+            Phasor3 { re: (ahead.re - field.re) / FIELD_STEP_M, im: (ahead.im - field.im) / FIELD_STEP_M }
         };
-        FieldAround { place: (centre - origin).as_vec3().to_array(), field, slopes: DVec3::AXES.map(slope) }
+        FieldAround { point: (centre - origin).as_vec3().to_array(), field, slopes: DVec3::AXES.map(slope) }
     }
 }
 
 compiled_for_levels! {
     /// Evaluates the expanded field at vertices.
-    pub(super) fn field_rows(expansion: &FieldAround, places: &Row3) -> FieldRows = field_body;
+    pub(super) fn field_rows(expansion: &FieldAround, positions: &Row3) -> FieldRows = field_body;
 }
 
 #[inline(always)]
-fn field_body(expansion: &FieldAround, places: &Row3) -> FieldRows {
+fn field_body(expansion: &FieldAround, positions: &Row3) -> FieldRows {
     let mut rows = FieldRows::default();
     let [x, y, z] = &expansion.slopes;
     for axis in 0..3 {
@@ -79,8 +79,8 @@ fn field_body(expansion: &FieldAround, places: &Row3) -> FieldRows {
         let (re, by_re) = (at(expansion.field.re), [at(x.re), at(y.re), at(z.re)]);
         let (im, by_im) = (at(expansion.field.im), [at(x.im), at(y.im), at(z.im)]);
         for l in 0..LANES {
-            let [x, y, z] = lane(places, l);
-            let d = [x - expansion.place[0], y - expansion.place[1], z - expansion.place[2]];
+            let [x, y, z] = lane(positions, l);
+            let d = [x - expansion.point[0], y - expansion.point[1], z - expansion.point[2]];
             rows.re[axis][l] = re + dot(d, by_re);
             rows.im[axis][l] = im + dot(d, by_im);
         }
@@ -104,10 +104,10 @@ pub(super) struct IntegrandInputs<'a> {
 
 impl DirectionRows {
     #[inline(always)]
-    fn new(antenna: [f32; 3], places: &Row3) -> Self {
+    fn new(antenna: [f32; 3], positions: &Row3) -> Self {
         let mut rows = DirectionRows { towards: Default::default(), inverse_m: [0.0; LANES] };
         for l in 0..LANES {
-            let (x, y, z) = (antenna[0] - places[0][l], antenna[1] - places[1][l], antenna[2] - places[2][l]);
+            let (x, y, z) = (antenna[0] - positions[0][l], antenna[1] - positions[1][l], antenna[2] - positions[2][l]);
             let distance = (x * x + y * y + z * z).sqrt();
             let inverse = 1.0 / distance.max(1e-6);
             (rows.towards[0][l], rows.towards[1][l], rows.towards[2][l]) = (x * inverse, y * inverse, z * inverse);
@@ -125,7 +125,7 @@ impl DirectionRows {
 compiled_for_levels! {
     /// Computes directions and inverse distances to an antenna. Its position has the same origin as those of the
     /// vertices.
-    pub(super) fn direction_rows(antenna: [f32; 3], places: &Row3) -> DirectionRows = DirectionRows::new;
+    pub(super) fn direction_rows(antenna: [f32; 3], positions: &Row3) -> DirectionRows = DirectionRows::new;
 }
 
 compiled_for_levels! {
@@ -304,9 +304,10 @@ mod tests {
         let mut compared = 0;
         for i in 0..4000 {
             let point = vector();
-            let out = point + 3.0 * vector().normalize();
-            let back = if i % 2 == 0 { out + 0.002 * vector() } else { point + 2.0 * vector().normalize() };
-            let (t, s) = ((out - point).normalize(), (back - point).normalize());
+            let outbound_antenna = point + 3.0 * vector().normalize();
+            let inbound_antenna =
+                if i % 2 == 0 { outbound_antenna + 0.002 * vector() } else { point + 2.0 * vector().normalize() };
+            let (t, s) = ((outbound_antenna - point).normalize(), (inbound_antenna - point).normalize());
             let normal = if i % 5 == 0 { t } else { (t + s + 0.9 * vector()).normalize() };
             // Fields are transverse to the direction of propagation.
             let mut phasor = |along: DVec3| {
@@ -319,11 +320,12 @@ mod tests {
             }
             let row3 = |v: DVec3| v.as_vec3().to_array().map(|x| [x; LANES]);
             let vertices =
-                VertexRows { places: row3(point), normals: row3(normal), amplitude_factor: ones, narrowing: ones };
-            let directions = [out, back].map(|a| direction_rows(level, a.as_vec3().to_array(), &vertices.places));
+                VertexRows { positions: row3(point), normals: row3(normal), amplitude_factor: ones, narrowing: ones };
+            let directions = [outbound_antenna, inbound_antenna]
+                .map(|a| direction_rows(level, a.as_vec3().to_array(), &vertices.positions));
             let zero = Phasor3::real(DVec3::ZERO);
-            let expansion = |field| FieldAround { place: [0.0; 3], field, slopes: [zero; 3] };
-            let rows = fields.map(|field| field_rows(level, &expansion(field), &vertices.places));
+            let expansion = |field| FieldAround { point: [0.0; 3], field, slopes: [zero; 3] };
+            let rows = fields.map(|field| field_rows(level, &expansion(field), &vertices.positions));
             let between = IntegrandInputs {
                 vertices: &vertices,
                 directions: [&directions[0], &directions[1]],
@@ -336,8 +338,8 @@ mod tests {
             let (re, im) = integrands(level, &between);
             let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
             let arrival = Arrival { field: fields[0], direction: -t };
-            let exact =
-                received(&arrival, normal, &skin, 1257.0, s, fields[1]) / (out.distance(point) * back.distance(point));
+            let exact = received(&arrival, normal, &skin, 1257.0, s, fields[1])
+                / (outbound_antenna.distance(point) * inbound_antenna.distance(point));
             let miss = (Complex64::new(im[7].into(), (-re[7]).into()) - exact).norm();
             assert!(miss < 3e-6, "{miss:e} of {exact}");
             compared += 1;

@@ -175,11 +175,11 @@ impl Pack {
 
 /// Returns the taps of the kernel at the quantised positions between cells: `[position][tap]`.
 pub(super) fn taps_by_position(taps: &[[f32; PADDED_TAPS]; DEGREE]) -> Vec<[f32; PADDED_TAPS]> {
-    let at = |place: u32| {
-        let u = 2.0 * place as f32 / POSITIONS as f32 - 1.0;
+    let taps_at = |position: u32| {
+        let u = 2.0 * position as f32 / POSITIONS as f32 - 1.0;
         taps.iter().rev().fold([0f32; PADDED_TAPS], |w, row| std::array::from_fn(|tap| w[tap] * u + row[tap]))
     };
-    (0..POSITIONS).map(at).collect()
+    (0..POSITIONS).map(taps_at).collect()
 }
 
 /// Number of cells of a held echo, and the first of them among those of the kernel.
@@ -268,12 +268,12 @@ fn values_at_middle(inputs: &Inputs, pack: &Pack, per_s: f64, receivers: usize) 
         position[e] = (fraction_of_turn(turns_a_sample) * inputs.cells) as f32;
         moved[e] = (slope_hz_per_s * slope[e] * inputs.step * cells_per_hz) as f32;
     }
-    let place = u as f32;
+    let u_f32 = u as f32;
     let (mut re, mut im) = ([[0f32; ECHOES]; RECEIVERS], [[0f32; ECHOES]; RECEIVERS]);
     for receiver in 0..receivers {
         for e in 0..ECHOES {
-            re[receiver][e] = pack.re[receiver][0][e] + place * pack.re[receiver][1][e];
-            im[receiver][e] = pack.im[receiver][0][e] + place * pack.im[receiver][1][e];
+            re[receiver][e] = pack.re[receiver][0][e] + u_f32 * pack.re[receiver][1][e];
+            im[receiver][e] = pack.im[receiver][0][e] + u_f32 * pack.im[receiver][1][e];
         }
     }
     MiddleValues { turns: [turn, rate, bend], position, moved, re, im }
@@ -335,9 +335,9 @@ fn spread_in_runs(inputs: &Inputs, [position, moved]: [f32; 2], width: usize, [r
 /// Returns the first cell under the taps at a grid position, and the index of the quantised position between cells.
 #[inline(always)]
 pub(super) fn quantised_position(position: f32) -> (u32, usize) {
-    let place = (position * POSITIONS as f32 + 0.5) as u32;
-    let first = place.div_ceil(POSITIONS);
-    (first, (first * POSITIONS - place) as usize)
+    let quantised = (position * POSITIONS as f32 + 0.5) as u32;
+    let first = quantised.div_ceil(POSITIONS);
+    (first, (first * POSITIONS - quantised) as usize)
 }
 
 /// Adds phasors around one position of the grid, cells.

@@ -92,7 +92,7 @@ impl RateTaps {
         });
         let line = fitted_taps(&chirps, |point, angle| time(point) * angle.sin());
         let by_rate = (0..POSITIONS as usize)
-            .map(|place| [&constant, &second, &fourth, &line].map(|taps: &Vec<_>| wide(taps[place])))
+            .map(|position| [&constant, &second, &fourth, &line].map(|taps: &Vec<_>| wide(taps[position])))
             .collect();
         RateTaps {
             by_rate,
@@ -273,7 +273,7 @@ fn values_at_middle(inputs: &Inputs, pack: &Pack, receivers: usize) -> MiddleVal
         position[e] = (fraction_of_turn(cycles_per_sample) * inputs.cells) as f32;
         moved[e] = (slope_hz_per_s * slope[e] * half * cells_per_hz) as f32;
     }
-    let (place, half) = (inputs.middle as f32, half as f32);
+    let (u_f32, half) = (inputs.middle as f32, half as f32);
     let zero = [[0f32; ECHOES]; RECEIVERS];
     let (mut re, mut im, mut change_re, mut change_im) = (zero, zero, zero, zero);
     let (mut cosine, mut sine) = ([0f32; ECHOES], [0f32; ECHOES]);
@@ -284,7 +284,7 @@ fn values_at_middle(inputs: &Inputs, pack: &Pack, receivers: usize) -> MiddleVal
     for receiver in 0..receivers {
         let ([from_x, step_x], [from_y, step_y]) = (&pack.re[receiver], &pack.im[receiver]);
         for e in 0..ECHOES {
-            let (x, y) = (from_x[e] + place * step_x[e], from_y[e] + place * step_y[e]);
+            let (x, y) = (from_x[e] + u_f32 * step_x[e], from_y[e] + u_f32 * step_y[e]);
             re[receiver][e] = x * cosine[e] - y * sine[e];
             im[receiver][e] = x * sine[e] + y * cosine[e];
             let (x, y) = (half * step_x[e], half * step_y[e]);
@@ -351,9 +351,9 @@ fn spread_echo(
     is_occupied: &mut [bool],
     rows: &mut [Vec<RateRow>],
 ) {
-    let [(first, place), (first_rate, rate_place)] = [quantised_position(position), quantised_position(rate)];
-    let (Some(taps), Some(slopes)) = (inputs.taps.by_delay.get(place), inputs.taps.slopes.get(place)) else { return };
-    let Some([constant, second, fourth, line]) = inputs.taps.by_rate.get(rate_place) else { return };
+    let [(first, index), (first_rate, rate_index)] = [quantised_position(position), quantised_position(rate)];
+    let (Some(taps), Some(slopes)) = (inputs.taps.by_delay.get(index), inputs.taps.slopes.get(index)) else { return };
+    let Some([constant, second, fourth, line]) = inputs.taps.by_rate.get(rate_index) else { return };
     let (first, first_rate) = (first as usize + FIRST_TAP, first_rate as usize);
     let Some(is_occupied) = is_occupied.get_mut(first..first + TAPS) else { return };
     is_occupied.fill(true);

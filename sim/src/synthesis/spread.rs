@@ -98,9 +98,9 @@ pub struct ChirpPositions {
 }
 
 impl ChirpPositions {
-    /// Selects the evenly spaced chirps `lanes` of a block, at `place(chirp)` of their interval.
-    pub fn new(lanes: Range<usize>, place: impl Fn(usize) -> f64) -> Self {
-        let at = std::array::from_fn(|i| place(if lanes.contains(&i) { i } else { lanes.start }));
+    /// Selects the evenly spaced chirps `lanes` of a block, at `position(chirp)` of their interval.
+    pub fn new(lanes: Range<usize>, position: impl Fn(usize) -> f64) -> Self {
+        let at = std::array::from_fn(|i| position(if lanes.contains(&i) { i } else { lanes.start }));
         let within = std::array::from_fn(|i| if lanes.contains(&i) { 1.0 } else { 0.0 });
         ChirpPositions { at, within, lanes: lanes.start.min(CHIRPS)..lanes.end.min(CHIRPS) }
     }

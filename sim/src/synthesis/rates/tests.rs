@@ -54,8 +54,8 @@ fn a_field_of_echoes_is_within_minus_26_db_of_the_sum() {
         accepted += echoes.len() - rejected.len();
         for block in 0..chirps.div_ceil(CHIRPS) {
             let mut grids: Vec<Grids> = blocks.iter().map(|blocks| blocks[block].clone()).collect();
-            let places = ChirpPositions::new(0..CHIRPS, |lane| place(begin + CHIRPS * block + lane));
-            synthesiser.spread_held(&CHIRP, &rejected, &places, &mut grids);
+            let positions = ChirpPositions::new(0..CHIRPS, |lane| place(begin + CHIRPS * block + lane));
+            synthesiser.spread_held(&CHIRP, &rejected, &positions, &mut grids);
             for (blocks, grids) in blocks.iter_mut().zip(grids) {
                 blocks[block] = grids;
             }
