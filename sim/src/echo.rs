@@ -141,7 +141,7 @@ struct Pair {
     /// Ends of the reverse path, if the pair stands for it, too. Its amplitude is the same, by reciprocity: the
     /// antennas are some millimetres apart.
     reverse: Option<PathEnds>,
-    /// Signs of the axes of both images, outbound and return.
+    /// Signs of the axes of both images, outbound and inbound.
     signs: [[f64; 3]; 2],
     /// Indices of both images in the list of the images of all pairs.
     images: [usize; 2],
@@ -445,9 +445,9 @@ fn body_point(
 }
 
 /// Returns 1 in a box room and 0 outside, with a smooth transition over the first 10 cm behind the planes of the walls.
-/// A wall thus hides a person behind a door; an open wall hides nobody whom the straight path from the transmitter
-/// reaches through it. The factor is always 1 where the field itself includes the walls: in rooms of polygons, and in
-/// boxes whose walls transmit.
+/// A wall thus hides a person behind a door. An open wall hides nobody if the straight path from the transmitter leads
+/// through it. The factor is always 1 where the field itself includes the walls: in rooms of polygons, and in boxes
+/// whose walls transmit.
 pub fn inside_room(prepared: &PreparedScene, point: DVec3) -> f64 {
     let Surroundings::Box(room) = &prepared.room else { return 1.0 };
     smooth_step((room.depth_within_m(prepared.tx.position, point) + 0.05) / 0.05)

@@ -244,8 +244,8 @@ impl Lister<'_> {
         receiver.map(|rx| self.prepared.point_polyline(point, tx_image, rx_image, rx.position)).unwrap_or_default()
     }
 
-    /// Names of the surfaces that a path meets between its ends. On a path by way of furniture a corner may also lie on
-    /// a wall. A corner on neither has no name.
+    /// Names of the surfaces that a path meets between its ends. On a path by way of furniture (`object` is given), a
+    /// corner may lie on furniture or on a wall. A corner on neither is called `object`, or `wall`.
     fn names(&self, polyline: &[DVec3], object: Option<&str>) -> Vec<String> {
         let inner = polyline.get(1..polyline.len().saturating_sub(1)).unwrap_or_default();
         let furniture = |p: DVec3| {

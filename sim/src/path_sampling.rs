@@ -117,12 +117,12 @@ pub struct SampledPaths {
     /// Weak paths in each interval of the frame, both directions as one echo. Without intervals, all paths are in
     /// `tracks`.
     pub weak: Vec<HeldEchoes>,
-    /// Number of traced paths that are audible.
-    pub received: usize,
+    /// Number of audible paths; both directions count.
+    pub audible_count: usize,
 }
 
 /// Sample of a receiver; `None` where there is no such path.
-fn existing(traced: &TracedPath, receiver: usize) -> Option<&PathSample> {
+fn existing_sample(traced: &TracedPath, receiver: usize) -> Option<&PathSample> {
     traced.samples().get(receiver).filter(|sample| traced.unit.is_some() || sample.amplitude != Complex64::ZERO)
 }
 
@@ -131,10 +131,10 @@ fn existing(traced: &TracedPath, receiver: usize) -> Option<&PathSample> {
 fn samples_by_receiver(five: [&TracedPath; 5], apart_s: f64) -> Vec<FiveSamples> {
     let sample = |receiver: usize, at: usize| {
         let own = five[at].samples()[receiver];
-        if existing(five[at], receiver).is_some() {
+        if existing_sample(five[at], receiver).is_some() {
             return own;
         }
-        let existing = (0..5usize).filter_map(|i| Some((i, existing(five[i], receiver)?)));
+        let existing = (0..5usize).filter_map(|i| Some((i, existing_sample(five[i], receiver)?)));
         let Some((i, near)) = existing.min_by_key(|(i, _)| i.abs_diff(at)) else { return own };
         let later_s = apart_s * (at as f64 - i as f64);
         PathSample { delay_s: near.delay_s + near.delay_rate * later_s, delay_rate: near.delay_rate, ..own }
@@ -189,7 +189,7 @@ impl Tracer<'_> {
     fn trace_frame(&mut self) {
         let pending = self.audible_paths();
         let directions = |pending: &PendingPath| 1 + usize::from(self.paths.is_both_ways(pending.path));
-        self.out.received += pending.iter().map(directions).sum::<usize>();
+        self.out.audible_count += pending.iter().map(directions).sum::<usize>();
         // The lists are ordered by segment, and within a segment by path.
         let (mut halvings, mut level) = (0, vec![pending]);
         while level.iter().any(|pending| !pending.is_empty()) {

@@ -189,6 +189,7 @@ impl PreparedScene {
             wall_points(&prepared.room, diffuse, &prepared.tx, &prepared.rx, prepared.wavelength_m, seed);
         prepared.add_walls(scene.file().room.max_reflections);
         prepared.add_furniture(scene, seed);
+        prepared.add_desk_objects(scene, seed);
         for (i, path) in prepared.static_paths.iter_mut().enumerate() {
             path.drift = drift_phases(seed, [i as u64, 0]);
         }
@@ -331,7 +332,7 @@ impl PreparedScene {
         corner + fractions * size
     }
 
-    /// Adds the echoes of furniture and of objects on a desk.
+    /// Adds the echoes of furniture.
     fn add_furniture(&mut self, scene: &Scene, seed: u64) {
         for (f, furniture) in scene.file().furniture.iter().enumerate() {
             // Furniture with mirroring faces does not scatter from points as well.
@@ -345,20 +346,23 @@ impl PreparedScene {
                 self.add_point(point, cross_section_m2, rng.random_range(0.0..std::f64::consts::TAU));
             }
         }
-        if let Some(desk) = &scene.file().people.desk {
-            let mut rng = generator(seed, Purpose::Desk, [2, 0]);
-            if rng.random::<f64>() < desk.objects_probability {
-                let world_from_radar = scene.radar_from_world().transpose();
-                for _ in 0..rng.random_range(1..4) {
-                    let distance = rng.random_range(0.15..0.9);
-                    let angle = rng.random_range(-0.6..0.6f64);
-                    let along = DVec3::new(angle.cos(), angle.sin(), -0.15) * distance;
-                    let point =
-                        (scene.radar_position() + world_from_radar * along).clamp(DVec3::ZERO, self.room.size_m());
-                    let cross_section_m2 = 10f64.powf(rng.random_range(-3.5..-2.0));
-                    self.add_point(point, cross_section_m2, rng.random_range(0.0..std::f64::consts::TAU));
-                }
-            }
+    }
+
+    /// Adds the echoes of objects on a desk, if the scene has one and the seed puts objects there.
+    fn add_desk_objects(&mut self, scene: &Scene, seed: u64) {
+        let Some(desk) = &scene.file().people.desk else { return };
+        let mut rng = generator(seed, Purpose::Desk, [2, 0]);
+        if rng.random::<f64>() >= desk.objects_probability {
+            return;
+        }
+        let world_from_radar = scene.radar_from_world().transpose();
+        for _ in 0..rng.random_range(1..4) {
+            let distance_m = rng.random_range(0.15..0.9);
+            let azimuth_rad = rng.random_range(-0.6..0.6f64);
+            let offset = DVec3::new(azimuth_rad.cos(), azimuth_rad.sin(), -0.15) * distance_m;
+            let point = (scene.radar_position() + world_from_radar * offset).clamp(DVec3::ZERO, self.room.size_m());
+            let cross_section_m2 = 10f64.powf(rng.random_range(-3.5..-2.0));
+            self.add_point(point, cross_section_m2, rng.random_range(0.0..std::f64::consts::TAU));
         }
     }
 }

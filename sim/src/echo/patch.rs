@@ -170,6 +170,7 @@ impl Patch {
 }
 
 impl PatchPosition {
+    /// Returns the delay of the path by the antennas' midpoints, s.
     fn delay_s(&self) -> f64 {
         self.length_m / SPEED_OF_LIGHT_M_PER_S
     }

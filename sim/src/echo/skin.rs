@@ -76,7 +76,7 @@ impl SkinnedPerson {
         &self.mesh
     }
 
-    /// Adds a person's echoes in a frame to grids. `people` are snapshots of all people at the key times, of whom this
+    /// Adds a person's echoes in a frame to grids. `people` are snapshots of all people at the key times; this person
     /// is number `target`. `pairs` are the audible pairs with their loudness, LSB, the loudest first; a path and its
     /// reverse count as one. Returns the errors of the loudest pair's field, and the omitted power of all pairs.
     #[allow(clippy::too_many_arguments)]

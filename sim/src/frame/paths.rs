@@ -105,7 +105,7 @@ impl FrameSimulator {
         let (paths, echo_report) = self.sampled_paths(instants, halvings);
         let report = FrameReport {
             static_paths: self.prepared.static_paths.len(),
-            moving_paths: paths.received,
+            moving_paths: paths.audible_count,
             estimate_db: None,
             clamped: echo_report.clamped,
             clipped: 0,

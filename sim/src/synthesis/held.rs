@@ -1,13 +1,13 @@
 //! Synthesis of many weak echoes of random phases, with exact phases and held grid positions.
 //!
-//! For a run of chirps (a block at most) an echo keeps its amplitude and its position on the frequency grid, both those
-//! of the run's middle. Its phase at the middle of the band is quadratic over the chirps. A run is split where the echo
-//! moves by more than 1/8 of a cell of the grid, 1/16 of a range cell. A tone `d` cells aside has an error of `0.9 d`
-//! of its own amplitude (rms over the chirp). This is -30 dB at the worst speed, -48 dB due to the quantised positions
-//! of the taps, and far less where an echo moves slowly. An echo occupies four cells, with least-squares taps: -50 dB,
-//! where the six taps of the kernel, which other paths need, have -104. Receivers differ in amplitude and phase only.
-//! In a field of echoes with random phases these errors are negligible: the power at each delay and
-//! rate is preserved.
+//! Over a run of chirps, at most a block, an echo has constant amplitude and a constant position on the frequency grid,
+//! which are those of the run's middle. Its phase at the middle of the band is quadratic over the chirps. A run is
+//! split where the echo moves by more than 1/8 of a cell of the grid, 1/16 of a range cell. A tone that is `d` cells
+//! off has an error of `0.9 d` of its own amplitude (rms over the chirp). This is -30 dB at the worst speed, -48 dB due
+//! to the quantised positions of the taps, and far less where an echo moves slowly. An echo occupies four cells, with
+//! least-squares taps, whose error is -50 dB. The six taps of the kernel, which other paths need, have -104 dB.
+//! Receivers differ in amplitude and phase only. In a field of echoes with random phases these errors are negligible:
+//! the power at each delay and rate is preserved.
 //!
 //! The values of eight echoes at the run's middle are computed in parallel in f64, then each echo's eight chirps in
 //! f32. The bodies are plain Rust, compiled for each instruction set.

@@ -294,7 +294,8 @@ fn values_at_middle(inputs: &Inputs, pack: &Pack, receivers: usize) -> MiddleVal
     }
     let mut is_rejected = [false; ECHOES];
     for e in 0..ECHOES {
-        // The receivers are so close together that the first represents all. An echo is the same whoever else listens.
+        // The receivers are so close together that the first represents all. The result at one receiver then does not
+        // depend on which others are enabled.
         let square = re[0][e] * re[0][e] + im[0][e] * im[0][e];
         let change = change_re[0][e] * change_re[0][e] + change_im[0][e] * change_im[0][e];
         is_rejected[e] = (bend[e].abs() > MAX_BEND)
