@@ -1,5 +1,5 @@
-//! Diffraction by people. A person is modelled as an upright column. A leg of a path near the column is attenuated by
-//! knife-edge diffraction (ITU-R P.526's approximation). The loss is smooth in the clearance, so a path never switches
+//! Diffraction by people. A person is modelled as an upright column. Knife-edge diffraction (approximation of ITU-R
+//! P.526) attenuates each leg of a path near the column. The loss is smooth in the clearance, so a path never switches
 //! off within a frame.
 //!
 //! Where a scene requests it, static paths are diffracted by both sides and the top of the column ([`past_strip`]), in
@@ -29,7 +29,7 @@ pub struct Column {
 
 /// Largest distance on the floor plan from a leg to a column's side at which the column affects the leg, m.
 pub const REACH_M: f64 = 0.5;
-/// Half of the loss over which the knife edge's onset is rounded, dB.
+/// Half of the range of losses over which the knife edge's onset is rounded, dB.
 const ONSET_DB: f64 = 3.0;
 
 /// Clearance, as Fresnel's parameter, from which a leg suffers no loss.
@@ -53,8 +53,8 @@ pub fn knife_edge(nu: f64) -> f64 {
     10f64.powf(-0.05 * ONSET_DB * smooth_ramp(loss_db / ONSET_DB))
 }
 
-/// Geometry of a column beside a straight leg.
-struct Beside {
+/// Geometry of a column near a straight leg.
+struct LegGeometry {
     /// Distance of the axis from the leg on the floor plan, m.
     axis_m: f64,
     /// Height of the leg at the point nearest to the axis, m.
@@ -63,25 +63,26 @@ struct Beside {
     square_nu_per_m2: f64,
 }
 
-impl Beside {
+impl LegGeometry {
     /// Computes the geometry; `None` where the column is too far away to matter.
     fn new(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> Option<Self> {
         let (ax, ay) = (a.x - column.x, a.y - column.y);
         let (dx, dy) = (b.x - a.x, b.y - a.y);
-        let plan = dx * dx + dy * dy;
+        let plan_square_m2 = dx * dx + dy * dy;
         // Most columns are far from the whole line; this test avoids a division and a root for them.
         let (cross, reach_m) = (ax * dy - ay * dx, column.radius_m + REACH_M);
-        if cross * cross > reach_m * reach_m * plan {
+        if cross * cross > reach_m * reach_m * plan_square_m2 {
             return None;
         }
-        let fraction = if plan > 1e-12 { (-(ax * dx + ay * dy) / plan).clamp(0.0, 1.0) } else { 0.5 };
+        let fraction =
+            if plan_square_m2 > 1e-12 { (-(ax * dx + ay * dy) / plan_square_m2).clamp(0.0, 1.0) } else { 0.5 };
         let square = (ax + fraction * dx).powi(2) + (ay + fraction * dy).powi(2);
         if square > reach_m * reach_m {
             return None;
         }
         let (axis_m, length) = (square.sqrt(), (b - a).length());
         let (d1, d2) = ((fraction * length).max(0.05), ((1.0 - fraction) * length).max(0.05));
-        Some(Beside {
+        Some(LegGeometry {
             axis_m,
             height_m: a.z + fraction * (b.z - a.z),
             square_nu_per_m2: 2.0 * (d1 + d2) / (wavelength_m * d1 * d2),
@@ -91,7 +92,7 @@ impl Beside {
 
 /// Relative field on the straight leg from `a` to `b` past a column.
 pub fn past(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> f64 {
-    let Some(beside) = Beside::new(a, b, column, wavelength_m) else { return 1.0 };
+    let Some(beside) = LegGeometry::new(a, b, column, wavelength_m) else { return 1.0 };
     let clearance = (beside.axis_m - column.radius_m).max(beside.height_m - column.height_m);
     if clearance > 0.0 && clearance * clearance * beside.square_nu_per_m2 > CLEAR_NU * CLEAR_NU {
         return 1.0;
@@ -100,30 +101,36 @@ pub fn past(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> f64 {
 }
 
 compiled_for_levels! {
-    /// Computes Fresnel's parameter of a column for a row of straight legs; minus infinity where the column is too far
-    /// away to matter.
-    fn covered_rows(from: &WideRow3, to: &WideRow3, column: &Column, wavelength_m: f64, nu: &mut WideRow) = covered_body;
+    /// Computes Fresnel's diffraction parameter of a column for a row of straight legs; minus infinity where the column
+    /// is too far away to matter.
+    fn fresnel_parameter_rows(
+        from: &WideRow3,
+        to: &WideRow3,
+        column: &Column,
+        wavelength_m: f64,
+        nu: &mut WideRow,
+    ) = fresnel_parameter_body;
 }
 
 #[inline(always)]
-fn covered_body(from: &WideRow3, to: &WideRow3, column: &Column, wavelength_m: f64, nu: &mut WideRow) {
+fn fresnel_parameter_body(from: &WideRow3, to: &WideRow3, column: &Column, wavelength_m: f64, nu: &mut WideRow) {
     let reach_m = column.radius_m + REACH_M;
     for (l, nu) in nu.iter_mut().enumerate() {
         let (a, b) = (wide_lane(from, l), wide_lane(to, l));
         let (ax, ay) = (a[0] - column.x, a[1] - column.y);
-        let way = subtract(b, a);
-        let plan = way[0] * way[0] + way[1] * way[1];
-        let along = -(ax * way[0] + ay * way[1]) / plan;
+        let leg = subtract(b, a);
+        let plan_square_m2 = leg[0] * leg[0] + leg[1] * leg[1];
+        let along = -(ax * leg[0] + ay * leg[1]) / plan_square_m2;
         let along = if along > 0.0 { along } else { 0.0 };
         let along = if along < 1.0 { along } else { 1.0 };
-        let fraction = if plan > 1e-12 { along } else { 0.5 };
-        let (x, y) = (ax + fraction * way[0], ay + fraction * way[1]);
-        let (square, length_m) = (x * x + y * y, dot(way, way).sqrt());
+        let fraction = if plan_square_m2 > 1e-12 { along } else { 0.5 };
+        let (x, y) = (ax + fraction * leg[0], ay + fraction * leg[1]);
+        let (square, length_m) = (x * x + y * y, dot(leg, leg).sqrt());
         let (d1, d2) = (fraction * length_m, (1.0 - fraction) * length_m);
         let d1 = if d1 > 0.05 { d1 } else { 0.05 };
         let d2 = if d2 > 0.05 { d2 } else { 0.05 };
         let square_nu_per_m2 = 2.0 * (d1 + d2) / (wavelength_m * d1 * d2);
-        let (aside_m, above_m) = (square.sqrt() - column.radius_m, a[2] + fraction * way[2] - column.height_m);
+        let (aside_m, above_m) = (square.sqrt() - column.radius_m, a[2] + fraction * leg[2] - column.height_m);
         let clearance_m = if aside_m > above_m { aside_m } else { above_m };
         let is_near = square <= reach_m * reach_m;
         *nu = if is_near { -clearance_m * square_nu_per_m2.sqrt() } else { f64::NEG_INFINITY };
@@ -131,7 +138,7 @@ fn covered_body(from: &WideRow3, to: &WideRow3, column: &Column, wavelength_m: f
 }
 
 /// Multiplies the fields of a row of straight legs by the relative field past a column ([`past`]).
-pub(crate) fn weaken_rows(
+pub(crate) fn attenuate_rows(
     level: KernelLevel,
     from: &WideRow3,
     to: &WideRow3,
@@ -140,7 +147,7 @@ pub(crate) fn weaken_rows(
     fields: &mut WideRow,
 ) {
     let mut nu = [0.0; WIDE];
-    covered_rows(level, from, to, column, wavelength_m, &mut nu);
+    fresnel_parameter_rows(level, from, to, column, wavelength_m, &mut nu);
     for (field, nu) in fields.iter_mut().zip(nu).filter(|(_, nu)| *nu >= -CLEAR_NU) {
         *field *= knife_edge(nu);
     }
@@ -148,7 +155,7 @@ pub(crate) fn weaken_rows(
 
 /// `exp(-j pi square/2)` to three millionths, for a number that is not negative: best polynomials for the half angle,
 /// then angle doubling.
-pub fn wave(square: f64) -> Complex64 {
+pub fn fresnel_phasor(square: f64) -> Complex64 {
     let turns = 0.25 * square;
     let y = turns - (turns + 0.5).floor();
     let z = y * y;
@@ -164,7 +171,7 @@ pub fn half_plane(nu: f64) -> Complex64 {
     let x = nu.abs();
     let f = (1.0 + 0.926 * x) / (2.0 + x * (1.792 + 3.104 * x));
     let g = 1.0 / (2.0 + x * (4.142 + x * (3.492 + 6.670 * x)));
-    let diffracted = Complex64::new(0.5, 0.5) * Complex64::new(g, -f) * wave(x * x);
+    let diffracted = Complex64::new(0.5, 0.5) * Complex64::new(g, -f) * fresnel_phasor(x * x);
     if nu > 0.0 { 1.0 - diffracted } else { diffracted }
 }
 
@@ -172,7 +179,7 @@ pub fn half_plane(nu: f64) -> Complex64 {
 /// strip on the floor. Both sides and the top diffract, beside the column as well as behind it. The diffraction by the
 /// sides fades out towards [`REACH_M`] beside the column.
 pub fn past_strip(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> Complex64 {
-    let Some(Beside { axis_m, height_m, square_nu_per_m2 }) = Beside::new(a, b, column, wavelength_m) else {
+    let Some(LegGeometry { axis_m, height_m, square_nu_per_m2 }) = LegGeometry::new(a, b, column, wavelength_m) else {
         return Complex64::ONE;
     };
     let nu_per_m = square_nu_per_m2.sqrt();
@@ -185,30 +192,30 @@ pub fn past_strip(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> Com
 
 /// Returns whether a column that moves by up to `moved_m` may come near a folded path. If false, the column has no
 /// effect on the field of the path.
-pub fn reaches(polyline: &[DVec3], column: &Column, moved_m: f64) -> bool {
+pub fn may_affect(polyline: &[DVec3], column: &Column, moved_m: f64) -> bool {
     let axis = DVec2::new(column.x, column.y);
     let reach_m = column.radius_m + REACH_M + moved_m;
     polyline.windows(2).any(|leg| {
-        let (from, way) = (leg[0].truncate(), (leg[1] - leg[0]).truncate());
-        let square = way.length_squared();
-        let fraction = if square > 1e-12 { ((axis - from).dot(way) / square).clamp(0.0, 1.0) } else { 0.5 };
-        (from + fraction * way).distance_squared(axis) <= reach_m * reach_m
+        let (from, vector) = (leg[0].truncate(), (leg[1] - leg[0]).truncate());
+        let square = vector.length_squared();
+        let fraction = if square > 1e-12 { ((axis - from).dot(vector) / square).clamp(0.0, 1.0) } else { 0.5 };
+        (from + fraction * vector).distance_squared(axis) <= reach_m * reach_m
     })
 }
 
 /// Iterates over all pairs of a leg of a folded path and a column.
-fn passages<'a>(polyline: &[DVec3], columns: &'a [Column]) -> impl Iterator<Item = (DVec3, DVec3, &'a Column)> {
+fn leg_column_pairs<'a>(polyline: &[DVec3], columns: &'a [Column]) -> impl Iterator<Item = (DVec3, DVec3, &'a Column)> {
     polyline.array_windows::<2>().flat_map(move |&[a, b]| columns.iter().map(move |column| (a, b, column)))
 }
 
-/// Relative field on a folded path past columns.
-pub fn along(polyline: &[DVec3], columns: &[Column], wavelength_m: f64) -> f64 {
-    passages(polyline, columns).map(|(a, b, column)| past(a, b, column, wavelength_m)).product()
+/// Relative field on a folded path past columns: the product over all legs and columns ([`past`]).
+pub fn past_columns(polyline: &[DVec3], columns: &[Column], wavelength_m: f64) -> f64 {
+    leg_column_pairs(polyline, columns).map(|(a, b, column)| past(a, b, column, wavelength_m)).product()
 }
 
-/// Relative field on a folded path past strips ([`past_strip`]).
-pub fn along_strips(polyline: &[DVec3], columns: &[Column], wavelength_m: f64) -> Complex64 {
-    passages(polyline, columns).map(|(a, b, column)| past_strip(a, b, column, wavelength_m)).product()
+/// Relative field on a folded path past columns that are modelled as strips ([`past_strip`]).
+pub fn past_strips(polyline: &[DVec3], columns: &[Column], wavelength_m: f64) -> Complex64 {
+    leg_column_pairs(polyline, columns).map(|(a, b, column)| past_strip(a, b, column, wavelength_m)).product()
 }
 
 #[cfg(test)]
@@ -235,7 +242,7 @@ mod tests {
         for i in 0..40_000 {
             let square = f64::from(i) * 0.0137;
             let exact = Complex64::from_polar(1.0, -0.5 * std::f64::consts::PI * square);
-            assert!((wave(square) - exact).norm() < 4e-6, "{square}");
+            assert!((fresnel_phasor(square) - exact).norm() < 4e-6, "{square}");
         }
     }
 
@@ -258,12 +265,12 @@ mod tests {
         for i in 0..2000 {
             let (x, y) = (f64::from(i % 50) * 0.1, f64::from(i / 50) * 0.1 - 1.5);
             let column = Column { x, y, radius_m: 0.18, height_m: 1.75 };
-            let left = along_strips(&polyline, &[column], 0.005);
-            near += usize::from(reaches(&polyline, &column, 0.0));
-            assert!(reaches(&polyline, &column, 0.0) || left == Complex64::ONE, "{x} {y}: {left}");
+            let left = past_strips(&polyline, &[column], 0.005);
+            near += usize::from(may_affect(&polyline, &column, 0.0));
+            assert!(may_affect(&polyline, &column, 0.0) || left == Complex64::ONE, "{x} {y}: {left}");
             // The column is as near as it was before it moved.
             let moved = Column { x: x + 0.1, ..column };
-            assert!(reaches(&polyline, &column, 0.1) || !reaches(&polyline, &moved, 0.0), "{x} {y}");
+            assert!(may_affect(&polyline, &column, 0.1) || !may_affect(&polyline, &moved, 0.0), "{x} {y}");
         }
         assert!((400..1600).contains(&near), "{near}");
     }
@@ -341,7 +348,7 @@ mod tests {
                 store(&mut from, l, leg[0].to_array());
                 store(&mut to, l, leg[1].to_array());
             }
-            weaken_rows(KernelLevel::detect(), &from, &to, &column, 0.005, &mut fields);
+            attenuate_rows(KernelLevel::detect(), &from, &to, &column, 0.005, &mut fields);
             for (leg, field) in legs.iter().zip(fields) {
                 let one = past(leg[0], leg[1], &column, 0.005);
                 assert!((field - one).abs() < 1e-12, "{leg:?} {column:?}: {field} {one}");

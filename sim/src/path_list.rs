@@ -19,7 +19,7 @@ use crate::math::wrapped;
 use crate::path_segment::PathSample;
 use crate::people::body::{SEGMENT_NAMES, SEGMENTS};
 use crate::people::motion::Motion;
-use crate::prepared_scene::PreparedScene;
+use crate::prepared_scene::{PointPath, PreparedScene};
 use crate::scenario::Scenario;
 use crate::scene::{Scene, SceneError};
 use crate::scene_file::ShadowFile;
@@ -142,9 +142,9 @@ impl PathList {
             lister.add_walls(&mut paths);
             lister.add_furniture(&mut paths);
         }
-        for (me, (slot, motion)) in present.iter().enumerate() {
+        for (target, (slot, motion)) in present.iter().enumerate() {
             if options.person.is_none_or(|person| person == *slot) {
-                lister.add_person(&snapshots, me, (*slot, motion), options.time_s, &mut paths);
+                lister.add_person(&snapshots, target, (*slot, motion), options.time_s, &mut paths);
             }
         }
         paths.sort_by(|a, b| {
@@ -183,19 +183,19 @@ impl Lister<'_> {
     }
 
     /// Relative field on a static path past the people.
-    fn shade(&self, polyline: &[DVec3]) -> Complex64 {
+    fn people_factor(&self, polyline: &[DVec3]) -> Complex64 {
         let wavelength_m = self.prepared.wavelength_m;
         match self.scene.file().people.shadow {
-            ShadowFile::Edge => diffraction::along(polyline, &self.columns, wavelength_m).into(),
-            ShadowFile::Strip => diffraction::along_strips(polyline, &self.columns, wavelength_m),
+            ShadowFile::Edge => diffraction::past_columns(polyline, &self.columns, wavelength_m).into(),
+            ShadowFile::Strip => diffraction::past_strips(polyline, &self.columns, wavelength_m),
         }
     }
 
     /// Images whose wall reflections are strong enough at some receiver.
     fn wall_images(&self) -> Vec<ImageIndex> {
-        let is_heard = |index: &ImageIndex| self.prepared.wall_loudness_lsb(*index) > self.prepared.threshold_lsb;
+        let is_audible = |index: &ImageIndex| self.prepared.wall_loudness_lsb(*index) > self.prepared.threshold_lsb;
         let all = self.prepared.room.images(self.scene.file().room.max_reflections);
-        all.into_iter().skip(1).filter(is_heard).collect()
+        all.into_iter().skip(1).filter(is_audible).collect()
     }
 
     fn add_walls(&self, out: &mut Vec<ListedPath>) {
@@ -207,7 +207,7 @@ impl Lister<'_> {
                 if polyline.is_empty() {
                     continue;
                 }
-                let field = amplitude * self.shade(&polyline);
+                let field = amplitude * self.people_factor(&polyline);
                 out.push(ListedPath {
                     surfaces: self.names(&polyline, None),
                     points_m: polyline.iter().map(DVec3::to_array).collect(),
@@ -220,51 +220,53 @@ impl Lister<'_> {
     /// Adds the static paths of furniture, which follow those of walls in the list.
     fn add_furniture(&self, out: &mut Vec<ListedPath>) {
         for path in self.prepared.static_paths.iter().skip(self.wall_images().len()) {
-            let shade = self.shade(&path.polyline);
-            for (i, &(_, cycles_per_sample, amplitude)) in path.tones.iter().enumerate() {
-                let beat_hz = cycles_per_sample * self.prepared.chirp.sample_rate_hz;
-                let Some(field) = self.field(i, amplitude, beat_hz) else { continue };
-                let polyline = path.by.map(|by| self.polyline_by(by, i)).unwrap_or_default();
+            let people_factor = self.people_factor(&path.polyline);
+            for (i, tone) in path.tones.iter().enumerate() {
+                let beat_hz = tone.cycles_per_sample * self.prepared.chirp.sample_rate_hz;
+                let Some(field) = self.field(i, tone.amplitude, beat_hz) else { continue };
+                let polyline = path.point.map(|point| self.point_polyline(point, i)).unwrap_or_default();
                 // A wall may end between the receivers. Then the path has its names, and no corners.
                 let named = if polyline.is_empty() { &path.polyline } else { &polyline };
                 out.push(ListedPath {
                     kind: PathKind::Furniture,
                     surfaces: self.names(named, Some("object")),
                     points_m: polyline.iter().map(DVec3::to_array).collect(),
-                    ..self.listed(i, field * shade, beat_hz / self.prepared.chirp.slope_hz_per_s, 0.0)
+                    ..self.listed(i, field * people_factor, beat_hz / self.prepared.chirp.slope_hz_per_s, 0.0)
                 });
             }
         }
     }
 
     /// Corners of the path to a receiver by way of a point and a pair of images; empty where there is none.
-    fn polyline_by(&self, (point, p, q): (DVec3, ImageIndex, ImageIndex), rx: usize) -> Vec<DVec3> {
+    fn point_polyline(&self, path: PointPath, rx: usize) -> Vec<DVec3> {
+        let PointPath { point, tx_image, rx_image } = path;
         let receiver = self.prepared.rx.get(rx);
-        receiver.map(|rx| self.prepared.point_polyline(point, p, q, rx.position)).unwrap_or_default()
+        receiver.map(|rx| self.prepared.point_polyline(point, tx_image, rx_image, rx.position)).unwrap_or_default()
     }
 
-    /// Names of the surfaces that a path meets between its ends. On a path by way of furniture a corner may also lie on
-    /// a wall. A corner on neither has no name.
+    /// Names of the surfaces that a path meets between its ends. On a path by way of furniture (`object` is given), a
+    /// corner may lie on furniture or on a wall. A corner on neither is called `object`, or `wall`.
     fn names(&self, polyline: &[DVec3], object: Option<&str>) -> Vec<String> {
         let inner = polyline.get(1..polyline.len().saturating_sub(1)).unwrap_or_default();
         let furniture = |p: DVec3| {
             object?;
-            let holds = |f: &&crate::scene_file::FurnitureFile| {
+            let contains_point = |f: &&crate::scene_file::FurnitureFile| {
                 let low = DVec3::from_array(f.position_m);
                 let high = low + DVec3::from_array(f.size_m);
                 p.cmpge(low - ON_SURFACE_M).all() && p.cmple(high + ON_SURFACE_M).all()
             };
-            self.scene.file().furniture.iter().find(holds).map(|f| f.name.clone())
+            self.scene.file().furniture.iter().find(contains_point).map(|f| f.name.clone())
         };
         let mut names: Vec<String> = Vec::new();
         for (i, corner) in inner.iter().enumerate() {
             // Corners that coincide lie on an edge; each surface of the edge is named once.
-            let at_once = inner[..i].iter().rev().take_while(|before| before.distance(*corner) < ON_SURFACE_M).count();
+            let coinciding =
+                inner[..i].iter().rev().take_while(|before| before.distance(*corner) < ON_SURFACE_M).count();
             let wall = || {
-                let before = &names[i - at_once..];
-                let of_point = self.prepared.room.surface_names(*corner);
-                let other = of_point.iter().find(|name| before.iter().all(|before| before != *name));
-                other.or(of_point.first()).map(|name| (*name).to_owned())
+                let before = &names[i - coinciding..];
+                let surfaces = self.prepared.room.surface_names(*corner);
+                let other = surfaces.iter().find(|name| before.iter().all(|before| before != *name));
+                other.or(surfaces.first()).map(|name| (*name).to_owned())
             };
             let name = furniture(*corner).or_else(wall).unwrap_or_else(|| object.unwrap_or("wall").to_owned());
             names.push(name);
@@ -276,7 +278,7 @@ impl Lister<'_> {
     fn add_person(
         &self,
         people: &[Snapshot],
-        me: usize,
+        target: usize,
         (slot, motion): (usize, &Arc<Motion>),
         time_s: f64,
         out: &mut Vec<ListedPath>,
@@ -286,46 +288,49 @@ impl Lister<'_> {
             return;
         }
         let pairs = audible_pairs(&self.prepared, motion, time_s);
-        let mut keys: Vec<PathSample> = Vec::new();
-        echoes(&self.prepared, motion, people, me, &pairs, &mut keys, &mut EchoReport::default());
-        for (path, keys) in keys.chunks(receivers).enumerate() {
+        let mut samples: Vec<PathSample> = Vec::new();
+        echoes(&self.prepared, motion, people, target, &pairs, &mut samples, &mut EchoReport::default());
+        for (path, samples) in samples.chunks(receivers).enumerate() {
             let segment = path % SEGMENTS;
             let pair = pairs.get(path / SEGMENTS).copied();
-            let by = pair.and_then(|(p, q)| Some((self.specular_point(people.get(me)?, segment, (p, q))?, p, q)));
+            let point_path = pair.and_then(|(p, q)| {
+                let point = self.specular_point(people.get(target)?, segment, (p, q))?;
+                Some(PointPath { point, tx_image: p, rx_image: q })
+            });
             let body = match pair {
                 Some(_) => format!("person {slot} {}", SEGMENT_NAMES[segment]),
                 None => format!("person {slot} at desk"),
             };
-            for (i, key) in keys.iter().enumerate() {
-                let beat_hz = self.prepared.chirp.beat_hz(key.delay_s, key.delay_rate);
-                let Some(field) = self.field(i, key.amplitude, beat_hz) else { continue };
-                if key.amplitude.norm() <= self.prepared.threshold_lsb {
+            for (i, sample) in samples.iter().enumerate() {
+                let beat_hz = self.prepared.chirp.beat_hz(sample.delay_s, sample.delay_rate);
+                let Some(field) = self.field(i, sample.amplitude, beat_hz) else { continue };
+                if sample.amplitude.norm() <= self.prepared.threshold_lsb {
                     continue;
                 }
-                let polyline = by.map(|by| self.polyline_by(by, i)).unwrap_or_default();
+                let polyline = point_path.map(|path| self.point_polyline(path, i)).unwrap_or_default();
                 out.push(ListedPath {
                     kind: PathKind::Person,
-                    surfaces: self.names_by_body(&polyline, pair, &body),
+                    surfaces: self.names_with_body(&polyline, pair, &body),
                     person: Some(slot),
                     points_m: polyline.iter().map(DVec3::to_array).collect(),
-                    ..self.listed(i, field, key.delay_s, key.delay_rate)
+                    ..self.listed(i, field, sample.delay_s, sample.delay_rate)
                 });
             }
         }
     }
 
     /// Specular point of a body segment for the first receiver, which frames use for all receivers.
-    fn specular_point(&self, own: &Snapshot, segment: usize, (p, q): (ImageIndex, ImageIndex)) -> Option<DVec3> {
+    fn specular_point(&self, snapshot: &Snapshot, segment: usize, (p, q): (ImageIndex, ImageIndex)) -> Option<DVec3> {
         let source = self.prepared.room.image_position(p, self.prepared.tx.position);
         let sink = self.prepared.room.image_position(q, self.prepared.rx.first()?.position);
-        Some(own.body.get(segment)?.specular_point(source, sink, None)?.point)
+        Some(snapshot.body.get(segment)?.specular_point(source, sink, None)?.point)
     }
 
     /// Names of the walls before the body, the body, and the walls behind it.
-    fn names_by_body(&self, polyline: &[DVec3], pair: Option<(ImageIndex, ImageIndex)>, body: &str) -> Vec<String> {
-        let Some((there, _)) = pair.filter(|_| !polyline.is_empty()) else { return vec![body.to_owned()] };
+    fn names_with_body(&self, polyline: &[DVec3], pair: Option<(ImageIndex, ImageIndex)>, body: &str) -> Vec<String> {
+        let Some((tx_image, _)) = pair.filter(|_| !polyline.is_empty()) else { return vec![body.to_owned()] };
         let mut names = self.names(polyline, None);
-        if let Some(name) = names.get_mut(self.prepared.room.order(there) as usize) {
+        if let Some(name) = names.get_mut(self.prepared.room.order(tx_image) as usize) {
             *name = body.to_owned();
         }
         names

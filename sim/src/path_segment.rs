@@ -61,7 +61,7 @@ pub type FiveSamples = [PathSample; 5];
 const QUARTER: f64 = 1.0 / 16.0;
 const END: f64 = 1.0 / 4.0;
 
-/// Power coefficients of a polynomial of `x + by`, given those of `x`.
+/// Power coefficients of the polynomial `p(x + by)`, given those of `p(x)`.
 fn shifted<const N: usize>(mut powers: [f64; N], by: f64) -> [f64; N] {
     for low in 0..N {
         for power in (low..N - 1).rev() {
@@ -120,7 +120,7 @@ fn quintic_of_three([a, m, b]: [[f64; 2]; 3]) -> [f64; 8] {
     // The even and odd parts about the middle, at the ends: values, and slopes.
     let (even, bend) = (0.5 * (a[0] + b[0]) - m[0], 0.5 * (b[1] - a[1]));
     let (odd, slope) = (b[0] - a[0] - m[1], 0.5 * (a[1] + b[1]) - m[1]);
-    let of_middle = [
+    let about_middle = [
         m[0],
         m[1],
         8.0 * even - bend,
@@ -130,12 +130,12 @@ fn quintic_of_three([a, m, b]: [[f64; 2]; 3]) -> [f64; 8] {
         0.0,
         0.0,
     ];
-    shifted(of_middle, -0.5)
+    shifted(about_middle, -0.5)
 }
 
 /// A sixth of the fourth difference of the amplitude as estimated from third differences, LSB.
-fn missed_by_third_differences(keys: &FiveSamples) -> f64 {
-    let a = keys.map(|key| key.amplitude);
+fn error_by_third_differences(samples: &FiveSamples) -> f64 {
+    let a = samples.map(|sample| sample.amplitude);
     let third = |i: usize| magnitude(a[i + 3] - a[i] + 3.0 * (a[i + 1] - a[i + 2]));
     let loudest = a.iter().map(|&a| magnitude(a)).fold(0.0, f64::max);
     let relative = third(0).max(third(1)) / loudest.max(f64::MIN_POSITIVE);
@@ -147,34 +147,36 @@ impl PathSegment {
     /// adds only its amplitude to the other four samples.
     ///
     /// The estimate is the distance between the middle sample and the prediction of the other four, as a field at
-    /// `frequency_hz`. A step about the middle, as diffraction makes, is predicted there by symmetry. Its third
-    /// differences of the amplitude are large and give a second estimate; the larger one counts. In smooth amplitudes,
-    /// fourth differences relate to third ones about as these relate to the cube of the amplitude's change.
-    pub fn through(keys: &FiveSamples, interval_s: f64, frequency_hz: f64) -> (Self, f64) {
-        let delay = |i: usize| [keys[i].delay_s, keys[i].delay_rate * interval_s];
+    /// `frequency_hz`. This misses a step about the middle, as diffraction makes, because symmetry predicts its middle.
+    /// Third differences of the amplitude, which are large for a step, give a second estimate; the larger one counts.
+    /// In smooth amplitudes, fourth differences relate to third ones about as these relate to the cube of the
+    /// amplitude's change.
+    pub fn through(samples: &FiveSamples, interval_s: f64, frequency_hz: f64) -> (Self, f64) {
+        let delay = |i: usize| [samples[i].delay_s, samples[i].delay_rate * interval_s];
         let (delay_s, middle_s) = septic_of_four([0, 1, 3, 4].map(delay));
-        let [(re, middle_re), (im, middle_im)] =
-            [(|c| c.re) as fn(Complex64) -> f64, |c| c.im].map(|of| quartic_of_five(keys.map(|key| of(key.amplitude))));
+        let [(re, middle_re), (im, middle_im)] = [(|c| c.re) as fn(Complex64) -> f64, |c| c.im]
+            .map(|of| quartic_of_five(samples.map(|sample| of(sample.amplitude))));
         let at = |of: [f64; 5], power: usize| of.get(power).copied().unwrap_or(0.0) as f32;
         let amplitude = std::array::from_fn(|power| Complex::new(at(re, power), at(im, power)));
-        let turn = Complex64::from_polar(1.0, std::f64::consts::TAU * frequency_hz * (middle_s - keys[2].delay_s));
-        let missed_lsb = magnitude(Complex64::new(middle_re, middle_im) * turn - keys[2].amplitude);
-        (PathSegment { delay_s, amplitude, interval_s }, missed_lsb.max(missed_by_third_differences(keys)))
+        let rotation =
+            Complex64::from_polar(1.0, std::f64::consts::TAU * frequency_hz * (middle_s - samples[2].delay_s));
+        let error_lsb = magnitude(Complex64::new(middle_re, middle_im) * rotation - samples[2].amplitude);
+        (PathSegment { delay_s, amplitude, interval_s }, error_lsb.max(error_by_third_differences(samples)))
     }
 
     /// Interpolates samples at the ends and in the middle of a segment: a quintic in delay, a parabola in amplitude.
     /// Also estimates the error, LSB.
     ///
     /// The estimate compares the middle with the prediction of the ends, a cubic in delay and a line in amplitude. The
-    /// quintic's error is a small part of the cubic's, of which a sixteenth counts. The parabola's error is that of the
-    /// third order: for an amplitude that bends, the second difference to the power of 3/2, and for one that rises
-    /// like a step about the middle, where the second difference is zero, the cube of its change.
-    pub fn through_three(keys: &[PathSample; 3], interval_s: f64, frequency_hz: f64) -> (Self, f64) {
-        let delay = |i: usize| [keys[i].delay_s, keys[i].delay_rate * interval_s];
-        let [a, m, b] = keys.map(|key| key.amplitude);
+    /// quintic's error is taken as a sixteenth of the cubic's. The parabola's error is of third order. For an amplitude
+    /// that bends, it is the second difference to the power of 3/2. For one that rises like a step about the middle,
+    /// where the second difference is zero, it is the cube of its change.
+    pub fn through_three(samples: &[PathSample; 3], interval_s: f64, frequency_hz: f64) -> (Self, f64) {
+        let delay = |i: usize| [samples[i].delay_s, samples[i].delay_rate * interval_s];
+        let [a, m, b] = samples.map(|sample| sample.amplitude);
         let (bend, step) = (0.5 * (a + b) - m, b - a);
-        let of_middle = [m, step, 4.0 * bend];
-        let part = |of: fn(Complex64) -> f64| shifted(of_middle.map(of), -0.5);
+        let about_middle = [m, step, 4.0 * bend];
+        let part = |of: fn(Complex64) -> f64| shifted(about_middle.map(of), -0.5);
         let (re, im) = (part(|c| c.re), part(|c| c.im));
         let at = |of: &[f64; 3], power: usize| of.get(power).copied().unwrap_or(0.0) as f32;
         let segment = PathSegment {
@@ -185,20 +187,21 @@ impl PathSegment {
         let loudest = [a, m, b].map(magnitude).into_iter().fold(0.0, f64::max);
         let per_loudest = 1.0 / loudest.max(f64::MIN_POSITIVE);
         let [[y0, v0], [middle_s, _], [y1, v1]] = [0, 1, 2].map(delay);
-        let missed_s = 0.5 * (y0 + y1) + 0.125 * (v0 - v1) - middle_s;
-        let by_phase = std::f64::consts::TAU * frequency_hz * missed_s.abs() / 16.0;
+        let delay_error_s = 0.5 * (y0 + y1) + 0.125 * (v0 - v1) - middle_s;
+        let by_phase = std::f64::consts::TAU * frequency_hz * delay_error_s.abs() / 16.0;
         let (second, first) = (magnitude(bend) * per_loudest, magnitude(step) * per_loudest);
         (segment, loudest * (second * second.sqrt() + first * first * first + by_phase))
     }
 
     /// Interpolates between two samples `interval_s` apart.
     pub fn between(a: &(PathSample, PathDerivatives), b: &(PathSample, PathDerivatives), interval_s: f64) -> Self {
+        // Factors that convert time derivatives to derivatives by `u`.
         let (first, second, third) = (interval_s, interval_s * interval_s, interval_s * interval_s * interval_s);
-        let delay = |(key, bend): &(PathSample, PathDerivatives)| {
-            [key.delay_s, key.delay_rate * first, bend.delay[0] * second, bend.delay[1] * third]
+        let delay = |(sample, derivatives): &(PathSample, PathDerivatives)| {
+            [sample.delay_s, sample.delay_rate * first, derivatives.delay[0] * second, derivatives.delay[1] * third]
         };
-        let part = |(key, bend): &(PathSample, PathDerivatives), of: fn(Complex64) -> f64| {
-            [of(key.amplitude), of(bend.amplitude[0]) * first, of(bend.amplitude[1]) * second]
+        let part = |(sample, derivatives): &(PathSample, PathDerivatives), of: fn(Complex64) -> f64| {
+            [of(sample.amplitude), of(derivatives.amplitude[0]) * first, of(derivatives.amplitude[1]) * second]
         };
         let [re, im] = [(|c| c.re) as fn(Complex64) -> f64, |c| c.im].map(|of| quintic(part(a, of), part(b, of)));
         PathSegment {
@@ -263,7 +266,7 @@ mod tests {
 
     /// Two samples reproduce any septic in delay, with its rate, and any quintic in amplitude.
     #[test]
-    fn two_keys_hold_a_septic_and_a_quintic() {
+    fn two_samples_hold_a_septic_and_a_quintic() {
         let delay_s = [1e-8, -2e-8, 3e-7, 4e-7, -5e-6, 6e-6, 3e-6, -2e-6];
         let parts = [[1.0, -2.0, 3.0, 0.5, -1.0, 2.0], [0.3, 1.0, -4.0, 2.0, 1.0, -3.0]];
         // Derivative of a polynomial.
@@ -272,20 +275,20 @@ mod tests {
             (order..c.len()).map(|p| c[p] * falling(p) * t.powi((p - order) as i32)).sum::<f64>()
         };
         let amplitude = |order: usize, t: f64| Complex64::new(at(&parts[0], order, t), at(&parts[1], order, t));
-        let key = |t: f64| {
-            let key =
+        let sample = |t: f64| {
+            let sample =
                 PathSample { delay_s: at(&delay_s, 0, t), delay_rate: at(&delay_s, 1, t), amplitude: amplitude(0, t) };
-            let bend = PathDerivatives {
+            let derivatives = PathDerivatives {
                 delay: [at(&delay_s, 2, t), at(&delay_s, 3, t)],
                 amplitude: [amplitude(1, t), amplitude(2, t)],
             };
-            (key, bend)
+            (sample, derivatives)
         };
-        let interval = PathSegment::between(&key(0.1), &key(0.5), 0.4);
+        let segment = PathSegment::between(&sample(0.1), &sample(0.5), 0.4);
         for u in [0.0, 0.2, 0.5, 0.9, 1.0] {
-            let (t, (value, slope)) = (0.1 + 0.4 * u, interval.delay(u));
+            let (t, (value, slope)) = (0.1 + 0.4 * u, segment.delay(u));
             assert!((value - at(&delay_s, 0, t)).abs() < 1e-20 && (slope - at(&delay_s, 1, t)).abs() < 1e-19, "{t}");
-            let a = interval.amplitude(u);
+            let a = segment.amplitude(u);
             assert!((Complex64::new(a.re.into(), a.im.into()) - amplitude(0, t)).norm() < 1e-5, "{t}");
         }
     }
@@ -293,43 +296,43 @@ mod tests {
     /// Five samples reproduce any septic in delay and any quartic in amplitude; the middle's correction to the cubic is
     /// the error.
     #[test]
-    fn five_keys_hold_a_septic_and_a_quartic() {
+    fn five_samples_hold_a_septic_and_a_quartic() {
         let delay_s = [1e-8, -2e-8, 3e-7, 4e-7, -5e-6, 6e-6, 3e-6, -2e-6];
         // The coefficients give no third derivative in the middle of the segment.
         let parts = [[1.0, -2.0, 3.0, 1.2, -1.0], [0.3, 1.0, -4.0, -1.2, 1.0]];
         let at = |c: &[f64], t: f64| c.iter().rev().fold(0.0, |sum, c| sum * t + c);
         let rate = |t: f64| (1..8).map(|p| p as f64 * delay_s[p] * t.powi(p as i32 - 1)).sum::<f64>();
         let amplitude = |t: f64| Complex64::new(at(&parts[0], t), at(&parts[1], t));
-        let key = |t: f64| PathSample { delay_s: at(&delay_s, t), delay_rate: rate(t), amplitude: amplitude(t) };
+        let sample = |t: f64| PathSample { delay_s: at(&delay_s, t), delay_rate: rate(t), amplitude: amplitude(t) };
         let interval_s = 0.4;
-        let keys = [0.0, 0.25, 0.5, 0.75, 1.0].map(|u| key(0.1 + interval_s * u));
-        let (interval, missed_lsb) = PathSegment::through(&keys, interval_s, 60e9);
+        let samples = [0.0, 0.25, 0.5, 0.75, 1.0].map(|u| sample(0.1 + interval_s * u));
+        let (segment, error_lsb) = PathSegment::through(&samples, interval_s, 60e9);
         for u in [0.0, 0.1, 0.3, 0.5, 0.9, 1.0] {
-            let (t, (value, slope)) = (0.1 + interval_s * u, interval.delay(u));
+            let (t, (value, slope)) = (0.1 + interval_s * u, segment.delay(u));
             assert!((value - at(&delay_s, t)).abs() < 1e-19 && (slope - rate(t)).abs() < 1e-18, "{t}");
-            let a = interval.amplitude(u);
+            let a = segment.amplitude(u);
             assert!((Complex64::new(a.re.into(), a.im.into()) - amplitude(t)).norm() < 1e-5, "{t}");
         }
         // A quartic's fourth difference over a quarter is 24 times its coefficient; the middle is off by a sixth of
         // that.
         let expected = 24.0 * Complex64::new(parts[0][4], parts[1][4]).norm() * (0.25 * interval_s).powi(4) / 6.0;
-        assert!((missed_lsb / expected - 1.0).abs() < 1e-3, "{missed_lsb} {expected}");
+        assert!((error_lsb / expected - 1.0).abs() < 1e-3, "{error_lsb} {expected}");
     }
 
-    /// Three samples reproduce any quintic in delay and any parabola in amplitude. The error of an amplitude that bends,
-    /// and of one that rises about the middle like a step, is not underestimated.
+    /// Three samples reproduce any quintic in delay and any parabola in amplitude. The error of an amplitude that
+    /// bends, and of one that rises about the middle like a step, is not underestimated.
     #[test]
-    fn three_keys_hold_a_quintic_and_a_parabola() {
+    fn three_samples_hold_a_quintic_and_a_parabola() {
         let delay_s = [1e-8, -2e-8, 3e-7, 4e-7, -5e-6, 6e-6];
         let at = |t: f64| delay_s.iter().rev().fold(0.0, |sum, c| sum * t + c);
         let rate = |t: f64| (1..6).map(|p| p as f64 * delay_s[p] * t.powi(p as i32 - 1)).sum::<f64>();
         let interval_s = 0.4;
         let through = |amplitude: &dyn Fn(f64) -> Complex64| {
-            let keys = [0.0, 0.5, 1.0].map(|u| {
+            let samples = [0.0, 0.5, 1.0].map(|u| {
                 let t = 0.1 + interval_s * u;
                 PathSample { delay_s: at(t), delay_rate: rate(t), amplitude: amplitude(u) }
             });
-            PathSegment::through_three(&keys, interval_s, 60e6)
+            PathSegment::through_three(&samples, interval_s, 60e6)
         };
         let parabola = |u: f64| Complex64::new(1.0 - 0.02 * u + 0.03 * u * u, 0.3 + 0.01 * u);
         let segment = through(&parabola).0;
@@ -342,14 +345,14 @@ mod tests {
         let fades = |u: f64| Complex64::from((-2.0 * u).exp());
         let steps = |u: f64| Complex64::from(1.0 + 0.2 * (std::f64::consts::PI * (u - 0.5)).sin());
         for amplitude in [&fades as &dyn Fn(f64) -> Complex64, &steps] {
-            let (segment, missed_lsb) = through(amplitude);
+            let (segment, error_lsb) = through(amplitude);
             let miss = |i: u32| {
                 let u = f64::from(i) / 40.0;
                 let a = segment.amplitude(u);
                 (Complex64::new(a.re.into(), a.im.into()) - amplitude(u)).norm()
             };
             let worst = (0..=40).map(miss).fold(0.0, f64::max);
-            assert!(worst > 0.01 && missed_lsb > worst, "{missed_lsb} {worst}");
+            assert!(worst > 0.01 && error_lsb > worst, "{error_lsb} {worst}");
         }
     }
 
@@ -358,10 +361,10 @@ mod tests {
     #[test]
     fn a_step_is_not_taken_for_smooth() {
         let step = [1.0, 1.0, 0.5, 0.0, 0.0];
-        let keys = step.map(|a| PathSample { delay_s: 1e-8, delay_rate: 0.0, amplitude: Complex64::from(a) });
-        assert!(PathSegment::through(&keys, 0.01, 60e9).1 > 0.05);
+        let samples = step.map(|a| PathSample { delay_s: 1e-8, delay_rate: 0.0, amplitude: Complex64::from(a) });
+        assert!(PathSegment::through(&samples, 0.01, 60e9).1 > 0.05);
         let smooth = [0.0f64, 0.1, 0.2, 0.3, 0.4].map(|t| t.cos());
-        let keys = smooth.map(|a| PathSample { delay_s: 1e-8, delay_rate: 0.0, amplitude: Complex64::from(a) });
-        assert!(PathSegment::through(&keys, 0.01, 60e9).1 < 1e-4);
+        let samples = smooth.map(|a| PathSample { delay_s: 1e-8, delay_rate: 0.0, amplitude: Complex64::from(a) });
+        assert!(PathSegment::through(&samples, 0.01, 60e9).1 < 1e-4);
     }
 }

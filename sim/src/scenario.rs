@@ -21,6 +21,7 @@ use crate::scene_file::{ActorFile, BedFile, DeskFile, DoorFile, SceneFile, SeatF
 /// The people of a scene over all time.
 #[derive(Debug)]
 pub struct Scenario {
+    /// People whose motions are known from the beginning.
     fixed: Vec<Arc<Motion>>,
     visits: Option<Visits>,
 }
@@ -56,12 +57,12 @@ impl Scenario {
         } else if let Some(desk) = &file.people.desk {
             scenario.fixed = desk_people(scene, desk, seed, people).into_iter().map(Arc::new).collect();
         } else {
-            let all = file.people.actor.iter().enumerate();
+            let actors = file.people.actor.iter().enumerate();
             let count = people.unwrap_or(usize::MAX);
             let steps = |i: usize| scene.steps().get(i).cloned().unwrap_or_default();
             let ground = ground(scene);
-            let one = |(i, a)| Arc::new(scripted(scene, ground.as_ref(), a, steps(i), seed, i as u64));
-            scenario.fixed = all.take(count).map(one).collect();
+            let motion = |(i, actor)| Arc::new(scripted(scene, ground.as_ref(), actor, steps(i), seed, i as u64));
+            scenario.fixed = actors.take(count).map(motion).collect();
         }
         scenario
     }
@@ -99,12 +100,12 @@ fn ground(scene: &Scene) -> Option<Ground> {
 }
 
 /// Walks along the corners of a route.
-fn along(path: MotionBuilder, way: Vec<[f64; 2]>, speed_m_per_s: f64) -> MotionBuilder {
-    way.into_iter().fold(path, |path, corner| path.walk_to(corner, speed_m_per_s))
+fn walk_along(path: MotionBuilder, route: Vec<[f64; 2]>, speed_m_per_s: f64) -> MotionBuilder {
+    route.into_iter().fold(path, |path, corner| path.walk_to(corner, speed_m_per_s))
 }
 
 /// Point at a distance ahead of another one, m.
-fn ahead([x, y]: [f64; 2], heading_rad: f64, by_m: f64) -> [f64; 2] {
+fn point_ahead([x, y]: [f64; 2], heading_rad: f64, by_m: f64) -> [f64; 2] {
     [x + by_m * heading_rad.cos(), y + by_m * heading_rad.sin()]
 }
 
@@ -119,14 +120,15 @@ struct Script<'a> {
     ground: Option<&'a Ground>,
     /// Index of the person.
     index: u64,
-    /// Whether something was said about a place: the first of a person is enough to look at.
-    has_told: Cell<bool>,
+    /// Whether there was a warning about a place. Only the first one of a person is given.
+    has_warned: Cell<bool>,
 }
 
+/// Makes the motion of an actor from a script.
 fn scripted(scene: &Scene, ground: Option<&Ground>, actor: &ActorFile, steps: Steps, seed: u64, index: u64) -> Motion {
     let file = scene.file();
-    let own_m = if let Steps::Actor(actor) = &steps { actor.height_m } else { 1.75 };
-    let mut person = Person::draw(seed, [index, 0], actor.height_m.unwrap_or(own_m));
+    let default_height_m = if let Steps::Actor(actor) = &steps { actor.height_m } else { 1.75 };
+    let mut person = Person::draw(seed, [index, 0], actor.height_m.unwrap_or(default_height_m));
     person.steps = steps;
     person = with_gait(person, &file.people, seed);
     person.style.stride = actor.stride.unwrap_or(person.style.stride);
@@ -147,11 +149,11 @@ fn scripted(scene: &Scene, ground: Option<&Ground>, actor: &ActorFile, steps: St
     };
     let turn_rate = file.people.turn_rate_deg_per_s.map(f64::to_radians);
     let path = MotionBuilder::new(person, actor.start_s, place, facing_rad).turning_at(turn_rate);
-    let script = Script { scene, file, ground, index, has_told: Cell::new(false) };
+    let script = Script { scene, file, ground, index, has_warned: Cell::new(false) };
     let steps = actor.step.iter().enumerate();
-    let path = steps.fold(path, |path, (number, step)| script.follow(path, step, number == 0));
-    let is_gone = actor.step.iter().any(|step| step.leave_door.is_some_and(|number| number < file.door.len()));
-    let mut motion = if is_gone { path.leave() } else { path.stay() };
+    let path = steps.fold(path, |path, (number, step)| script.add_step(path, step, number == 0));
+    let leaves = actor.step.iter().any(|step| step.leave_door.is_some_and(|number| number < file.door.len()));
+    let mut motion = if leaves { path.leave() } else { path.stay() };
     // A person that does not enter by a door waits where the script begins.
     if first.is_none_or(|s| s.enter_door.is_none()) {
         motion.start_s = f64::NEG_INFINITY;
@@ -161,19 +163,19 @@ fn scripted(scene: &Scene, ground: Option<&Ground>, actor: &ActorFile, steps: St
 
 impl Script<'_> {
     /// Adds a step of the script, which may be the first one.
-    fn follow(&self, mut path: MotionBuilder, step: &StepFile, is_first: bool) -> MotionBuilder {
+    fn add_step(&self, mut path: MotionBuilder, step: &StepFile, is_first: bool) -> MotionBuilder {
         let speed = step.speed_m_per_s.unwrap_or(1.2);
         let door = |number: usize| self.file.door.get(number);
         if let Some(to) = step.walk_to_m {
             let is_within =
                 |[low, high]: &[[f64; 2]; 2]| (0..2).all(|axis| to[axis] > low[axis] && to[axis] < high[axis]);
             // A place beyond the walls of a plan may lie within the boxes that stand for them.
-            let is_outside = self.tell_if_outside(to, if is_first { "stands at" } else { "goes straight to" });
+            let is_outside = self.warn_if_outside(to, if is_first { "stands at" } else { "goes straight to" });
             if !is_outside && blocks(self.scene).iter().any(is_within) {
-                self.tell(to, "stands at", "lies within furniture or a wall");
+                self.warn_about(to, "stands at", "lies within furniture or a wall");
             }
             if !is_first {
-                path = self.go(path, to, speed);
+                path = self.route_to(path, to, speed);
             }
         }
         if let Some(duration_s) = step.stand_s {
@@ -181,7 +183,7 @@ impl Script<'_> {
         }
         if let Some(duration_s) = step.sit_s {
             path = match step.seat.and_then(|number| self.file.seat.get(number)) {
-                Some(seat) => sit_on(path, seat, duration_s, |path, to| self.go(path, to, speed)),
+                Some(seat) => sit_on(path, seat, duration_s, |path, to| self.route_to(path, to, speed)),
                 None => {
                     let heading_rad = path.heading_rad();
                     path.sit(heading_rad, 0.45, duration_s)
@@ -196,7 +198,7 @@ impl Script<'_> {
                 path.lying(&bed, duration_s)
             } else {
                 let before = bed.stand_m(&path.person().build);
-                self.go(path, before, speed).lie(&bed, duration_s)
+                self.route_to(path, before, speed).lie(&bed, duration_s)
             };
         }
         if let Some(degrees) = step.face_deg {
@@ -206,44 +208,44 @@ impl Script<'_> {
             path = path.walk_to(at_door(self.file.room.size_m, door, INSIDE_M, 0.0), speed);
         }
         if let Some(door) = step.leave_door.and_then(door) {
-            path = self.go(path, at_door(self.file.room.size_m, door, INSIDE_M, 0.0), speed);
+            path = self.route_to(path, at_door(self.file.room.size_m, door, INSIDE_M, 0.0), speed);
             path = path.walk_to(at_door(self.file.room.size_m, door, OUTSIDE_M, 0.0), speed);
         }
         path
     }
 
     /// Walks to a place, around obstacles, or straight through them if there is no way around.
-    fn go(&self, path: MotionBuilder, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
-        let way = self.ground.map_or_else(|| Some(vec![to]), |ground| ground.find_route(path.place(), to));
-        let is_outside = self.tell_if_outside(to, "goes straight to");
-        if !is_outside && way.is_none() {
-            self.tell(to, "goes straight to", "cannot be reached around walls and furniture");
+    fn route_to(&self, path: MotionBuilder, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
+        let route = self.ground.map_or_else(|| Some(vec![to]), |ground| ground.find_route(path.place(), to));
+        let is_outside = self.warn_if_outside(to, "goes straight to");
+        if !is_outside && route.is_none() {
+            self.warn_about(to, "goes straight to", "cannot be reached around walls and furniture");
         }
-        along(path, way.unwrap_or_else(|| vec![to]), speed_m_per_s)
+        walk_along(path, route.unwrap_or_else(|| vec![to]), speed_m_per_s)
     }
 
-    /// Says that a place lies outside the room, unless people go there on purpose. Returns whether it lies outside.
-    fn tell_if_outside(&self, place: [f64; 2], what: &str) -> bool {
+    /// Warns of a place outside the room, unless people go there on purpose. Returns whether it lies outside.
+    fn warn_if_outside(&self, place: [f64; 2], what: &str) -> bool {
         let is_outside = is_outside(self.scene, place);
         if is_outside && !is_meant_outside(self.file, place) {
-            self.tell(place, what, "lies outside the room");
+            self.warn_about(place, what, "lies outside the room");
         }
         is_outside
     }
 
-    /// Says what is unusual about a place, once for the first such place of each person of a scene's file: a scene is
-    /// simulated for many seeds.
-    fn tell(&self, [x, y]: [f64; 2], what: &str, why: &str) {
+    /// Warns of an unusual place, only for the first such place of each person of a scene's file, and only once: a
+    /// scene is simulated for many seeds.
+    fn warn_about(&self, [x, y]: [f64; 2], what: &str, why: &str) {
         let (path, index) = (self.scene.path().to_string_lossy(), self.index.to_string());
         let goal = format!("[{x:.2}, {y:.2}]");
-        if !self.has_told.replace(true) && is_first_warning(&["goal", &path, &index, &goal]) {
+        if !self.has_warned.replace(true) && is_first_warning(&["goal", &path, &index, &goal]) {
             tracing::warn!("{}: person {index} {what} {goal} m, which {why}", self.file.name);
         }
     }
 }
 
-/// Returns whether a place outside the room is one to which people go on purpose: at a door, or behind walls that they are
-/// seen through.
+/// Returns whether people go to a place outside the room on purpose: a place at a door, or behind walls through which
+/// they are seen.
 fn is_meant_outside(file: &SceneFile, place: [f64; 2]) -> bool {
     /// Largest distance from a doorway, m: mirrors of recordings leave people 0.75 m beyond it.
     const AT_DOOR_M: f64 = 1.0;
@@ -263,6 +265,7 @@ fn is_meant_outside(file: &SceneFile, place: [f64; 2]) -> bool {
     is_at_door || walls.all(|(is_beyond, is_passable)| !is_beyond || is_passable)
 }
 
+/// Bed of a scene's file.
 fn bed(file: &BedFile) -> Bed {
     Bed {
         position_m: file.position_m,
@@ -277,16 +280,16 @@ fn sit_on(
     path: MotionBuilder,
     seat: &SeatFile,
     duration_s: f64,
-    go: impl Fn(MotionBuilder, [f64; 2]) -> MotionBuilder,
+    route_to: impl Fn(MotionBuilder, [f64; 2]) -> MotionBuilder,
 ) -> MotionBuilder {
     let heading = seat.heading_deg.to_radians();
     if seat.back_m > 0.0 {
-        let before = ahead(seat.position_m, heading, seat.back_m);
-        return go(path, before).sit_back(heading, seat.height_m, seat.back_m, duration_s);
+        let before = point_ahead(seat.position_m, heading, seat.back_m);
+        return route_to(path, before).sit_back(heading, seat.height_m, seat.back_m, duration_s);
     }
     // The feet stand where the hips come to rest.
-    let before = ahead(seat.position_m, heading, 0.35);
-    let path = go(path, before).walk_to(seat.position_m, 0.5);
+    let before = point_ahead(seat.position_m, heading, 0.35);
+    let path = route_to(path, before).walk_to(seat.position_m, 0.5);
     path.sit(heading, seat.height_m, duration_s).walk_to(before, 0.6)
 }
 
@@ -307,8 +310,8 @@ fn inward(size_m: [f64; 3], door: &DoorFile) -> [f64; 2] {
 /// Point at a depth behind a door (positive: in the room), shifted sideways within the doorway.
 fn at_door(size_m: [f64; 3], door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
     let [nx, ny] = inward(size_m, door);
-    let room = (0.5 * door.width_m - 0.3).max(0.0);
-    let shift = lateral.clamp(-room, room);
+    let max_shift = (0.5 * door.width_m - 0.3).max(0.0);
+    let shift = lateral.clamp(-max_shift, max_shift);
     // Sideways is +y for doors in x walls and +x for doors in y walls, for both walking directions.
     let (sx, sy) = if nx == 0.0 { (shift, 0.0) } else { (0.0, shift) };
     [door.position_m[0] + depth * nx + sx, door.position_m[1] + depth * ny + sy]
@@ -363,10 +366,10 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
     let (azimuth, ..) = scene.radar_from_world().transpose().to_euler(EulerRot::ZYX);
     let first_side: f64 = if rng.random::<bool>() { 1.0 } else { -1.0 };
     let [nearest, farthest] = desk.distance_m;
-    // Two people take any two distances with the required separation, on either side, so that bodies do not overlap.
-    let apart = desk.min_separation_m..=desk.max_separation_m.min(farthest - nearest).max(desk.min_separation_m);
-    let apart = if count > 1 { rng.random_range(apart) } else { 0.0 };
-    let first = draw(&mut rng, [nearest, (farthest - apart).max(nearest)]);
+    // The distances of two people differ by a separation within the limits, so that bodies do not overlap.
+    let separations = desk.min_separation_m..=desk.max_separation_m.min(farthest - nearest).max(desk.min_separation_m);
+    let separation = if count > 1 { rng.random_range(separations) } else { 0.0 };
+    let first = draw(&mut rng, [nearest, (farthest - separation).max(nearest)]);
     let draws = DeskDraws {
         scene,
         desk,
@@ -378,11 +381,11 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
     };
     // Two people sit far off the boresight.
     let least_off = if count > 1 { 0.6 } else { 0.0 };
-    let sits = |slot: usize| {
+    let person = |slot: usize| {
         let side = if slot.is_multiple_of(2) { first_side } else { -first_side };
-        draws.person(slot as u64, [first, first + apart][slot.min(1)], side, least_off)
+        draws.person(slot as u64, [first, first + separation][slot.min(1)], side, least_off)
     };
-    (0..count).map(sits).collect()
+    (0..count).map(person).collect()
 }
 
 impl DeskDraws<'_> {
@@ -443,7 +446,7 @@ impl DeskDraws<'_> {
 }
 
 /// Number of attempts to draw a place.
-const PLACES: usize = 40;
+const MAX_ATTEMPTS: usize = 40;
 
 impl Visits {
     fn between(&self, slot: usize, start_s: f64, end_s: f64) -> Vec<Arc<Motion>> {
@@ -462,15 +465,16 @@ impl Visits {
         visits.iter().skip(first).take_while(|v| v.start_s <= end_s).cloned().collect()
     }
 
-    fn pace_point(&self, rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
+    /// Draws a place to which a pacing person walks.
+    fn draw_pace_point(&self, rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
         let [w, d, _] = self.scene.room.size_m;
-        let within = |x: f64, y: f64| [[x, y], [w - x, d - y]];
-        let by_margin = |margin: f64| within(margin.min(0.5 * w), margin.min(0.5 * d));
+        let inner_area = |x: f64, y: f64| [[x, y], [w - x, d - y]];
+        let by_margin = |margin: f64| inner_area(margin.min(0.5 * w), margin.min(0.5 * d));
         let area = self.file.pace_area_m.or(self.file.pace_margin_m.map(by_margin));
-        let [low, high] = area.unwrap_or(within(0.25 * w, 0.25 * d));
+        let [low, high] = area.unwrap_or(inner_area(0.25 * w, 0.25 * d));
         let mut at = [0.0; 2];
         // An unsuitable place is drawn again. After the last attempt the last place is used.
-        for _ in 0..PLACES {
+        for _ in 0..MAX_ATTEMPTS {
             at = [draw(rng, [low[0], high[0]]), draw(rng, [low[1], high[1]])];
             if self.is_in_view(at) && self.is_free(at) {
                 return at;
@@ -479,7 +483,7 @@ impl Visits {
         let name = &self.scene.name;
         if is_first_warning(&["pace", name]) {
             tracing::warn!(
-                "{name}: {PLACES} attempts found no place to pace, so people go where they should not, perhaps all to one place: \
+                "{name}: {MAX_ATTEMPTS} attempts found no place to pace, so people go where they should not, perhaps all to one place: \
                  widen pace_range_m, pace_off_boresight_deg or the area (pace_area_m, pace_margin_m) under [people.visits], or turn \
                  the radar (azimuth_deg)"
             );
@@ -499,9 +503,9 @@ impl Visits {
     }
 
     /// Walks to a place, around obstacles.
-    fn go(&self, path: MotionBuilder, to: [f64; 2], speed: f64) -> MotionBuilder {
-        let way = self.ground.as_ref().map_or_else(|| vec![to], |ground| ground.route(path.place(), to));
-        along(path, way, speed)
+    fn route_to(&self, path: MotionBuilder, to: [f64; 2], speed: f64) -> MotionBuilder {
+        let route = self.ground.as_ref().map_or_else(|| vec![to], |ground| ground.route(path.place(), to));
+        walk_along(path, route, speed)
     }
 
     /// Whether a place is free of obstacles.
@@ -509,7 +513,8 @@ impl Visits {
         self.ground.as_ref().is_none_or(|ground| ground.is_free(at))
     }
 
-    /// Draws a visit of a slot: in by a door, then to a seat, to and fro, or through the room, and out again.
+    /// Draws a visit of a slot. The person enters by a door, walks to a seat, to and fro or through the room, and
+    /// leaves.
     fn visit(&self, slot: usize, number: u64, begin_s: f64, rng: &mut Xoshiro256PlusPlus) -> Motion {
         let f = &self.file;
         let speed = draw(rng, f.speed_m_per_s);
@@ -534,18 +539,18 @@ impl Visits {
         } else if paces {
             path = self.pace(path, speed, rng);
         } else if self.scene.door.len() > 1 {
-            let stop = self.stop(path.place(), at_door(&exit, INSIDE_M), rng);
+            let stop = self.draw_stop(path.place(), at_door(&exit, INSIDE_M), rng);
             if turns {
                 leave_by = &entry;
             }
             if turns || pause_s > 0.0 {
-                path = self.go(path, stop, speed).stand(pause_s);
+                path = self.route_to(path, stop, speed).stand(pause_s);
             }
         } else {
-            let to = self.pace_point(rng);
-            path = self.go(path, to, speed).stand(pause_s);
+            let to = self.draw_pace_point(rng);
+            path = self.route_to(path, to, speed).stand(pause_s);
         }
-        path = self.go(path, at_door(leave_by, INSIDE_M), speed);
+        path = self.route_to(path, at_door(leave_by, INSIDE_M), speed);
         path.walk_to(at_door(leave_by, OUTSIDE_M), speed).leave()
     }
 
@@ -564,13 +569,14 @@ impl Visits {
     /// one.
     fn sit(&self, path: MotionBuilder, slot: usize, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
         let Some(seat) = self.scene.seat.get(slot % self.scene.seat.len()) else { return path };
-        sit_on(path, seat, draw(rng, self.file.sit_s), |path, to| self.go(path, to, speed))
+        sit_on(path, seat, draw(rng, self.file.sit_s), |path, to| self.route_to(path, to, speed))
     }
 
+    /// Paces to and fro between random places.
     fn pace(&self, mut path: MotionBuilder, speed: f64, rng: &mut Xoshiro256PlusPlus) -> MotionBuilder {
         for _ in 0..draw(rng, self.file.pace_legs).round() as usize {
-            let to = self.pace_point(rng);
-            path = self.go(path, to, speed);
+            let to = self.draw_pace_point(rng);
+            path = self.route_to(path, to, speed);
             if rng.random::<f64>() < self.file.pause_probability {
                 path = path.stand(draw(rng, self.file.pause_s));
             }
@@ -578,10 +584,10 @@ impl Visits {
         path
     }
 
-    /// Draws a free place on the line through the room. If no attempt finds one, the last place is used.
-    fn stop(&self, from: [f64; 2], to: [f64; 2], rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
+    /// Draws a free place on the line between two places. If no attempt finds one, the last place is used.
+    fn draw_stop(&self, from: [f64; 2], to: [f64; 2], rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
         let mut stop = from;
-        for _ in 0..PLACES {
+        for _ in 0..MAX_ATTEMPTS {
             let fraction = rng.random_range(0.3..0.8);
             stop = [from[0] + fraction * (to[0] - from[0]), from[1] + fraction * (to[1] - from[1])];
             if self.is_free(stop) {

@@ -10,22 +10,22 @@ use thiserror::Error;
 use crate::frame::FrameSimulator;
 pub use crate::frame::{FrameReport, PersonState, SimulateOptions};
 use crate::scene::Scene;
-use ahead::Ahead;
+use queued::Queued;
 
-mod ahead;
+mod queued;
 
 /// Error of options that cannot be satisfied.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SimError {
     /// The scene has fewer actors, slots or places than requested people.
-    #[error("simulation: {asked} people asked for, {scene} has room for at most {most}")]
+    #[error("simulation: {requested} people asked for, {scene} has room for at most {limit}")]
     TooManyPeople {
         /// Requested number of people.
-        asked: usize,
+        requested: usize,
         /// Name of the scene.
         scene: String,
         /// Greatest possible number of people.
-        most: usize,
+        limit: usize,
     },
     /// The seed's random values do not form a valid scene.
     #[error("simulation: {reason}")]
@@ -41,16 +41,17 @@ pub enum SimError {
     },
 }
 
-/// Simulator of a scene's frames. A stream is simulated a few frames ahead on rayon's threads, or on [its
-/// own](Simulator::on_own_threads). This begins with the first requested frame and ends when the simulator is dropped
-/// or a [`seek`](Simulator::seek) is made.
+/// Simulator of a scene's frames. A stream is simulated a few frames ahead, on rayon's threads or on threads [of its
+/// own](Simulator::on_own_threads). This begins with the first requested frame. It ends when the simulator is dropped
+/// or moved by [`seek`](Simulator::seek).
 #[derive(Debug)]
 pub struct Simulator {
     inner: Arc<FrameSimulator>,
     /// Index of the stream's next frame.
     next: u64,
-    /// Frames from `next` on that are queued.
-    ahead: VecDeque<Ahead<(Frame, FrameReport)>>,
+    /// Frames from `next` on that are being simulated.
+    queue: VecDeque<Queued<(Frame, FrameReport)>>,
+    /// Frames whose buffers are used again.
     spare: Vec<Frame>,
     last_report: Option<FrameReport>,
     /// Threads for the stream, if it does not use the shared ones.
@@ -63,7 +64,7 @@ impl Clone for Simulator {
         Simulator {
             inner: Arc::clone(&self.inner),
             next: self.next,
-            ahead: VecDeque::new(),
+            queue: VecDeque::new(),
             spare: Vec::new(),
             last_report: None,
             pool: self.pool.clone(),
@@ -82,23 +83,23 @@ impl Simulator {
         Self::check_tolerance(options.tolerance_db)?;
         let scene = scene.drawn(options.seed).map_err(|error| SimError::Scene { reason: error.to_string() })?;
         let inner = FrameSimulator::new(&scene, options);
-        let (ahead, spare) = (VecDeque::new(), Vec::new());
-        Ok(Simulator { inner: Arc::new(inner), next: 0, ahead, spare, last_report: None, pool: None })
+        let (queue, spare) = (VecDeque::new(), Vec::new());
+        Ok(Simulator { inner: Arc::new(inner), next: 0, queue, spare, last_report: None, pool: None })
     }
 
     /// Checks that a scene has room for the requested number of people.
     ///
     /// # Errors
     /// [`SimError::TooManyPeople`] if it has not.
-    pub fn check_people(scene: &Scene, asked: Option<usize>) -> Result<(), SimError> {
+    pub fn check_people(scene: &Scene, requested: Option<usize>) -> Result<(), SimError> {
         let people = &scene.file().people;
-        let most = match &people.visits {
+        let limit = match &people.visits {
             _ if !people.actor.is_empty() => people.actor.len(),
             Some(visits) => visits.max_people.max(2),
             None => 2,
         };
-        match asked.filter(|asked| *asked > most) {
-            Some(asked) => Err(SimError::TooManyPeople { asked, scene: scene.name().to_owned(), most }),
+        match requested.filter(|requested| *requested > limit) {
+            Some(requested) => Err(SimError::TooManyPeople { requested, scene: scene.name().to_owned(), limit }),
             None => Ok(()),
         }
     }
@@ -159,9 +160,9 @@ impl Simulator {
         self.inner.echo_samples(index, Some(halvings.min(12)))
     }
 
-    /// Simulates one chirp of the echoes of people by the slow reference method, LSB: `[rx][sample]`. It is dense physical
-    /// optics over the skins, anew in every chirp, in f64, by all pairs of images whose level is above the noise of a cell
-    /// less `margin_db`. A frame takes minutes. People modelled as ellipsoids have no such echoes.
+    /// Simulates one chirp of the echoes of people by the slow reference method, LSB: `[rx][sample]`. It is dense
+    /// physical optics over the skins, anew in every chirp, in f64, by all pairs of images whose level is above the
+    /// noise of a cell less `margin_db`. A frame takes minutes. People modelled as ellipsoids have no such echoes.
     pub fn dense_echo_chirp(&self, index: u64, chirp: usize, margin_db: f64) -> Vec<Vec<f64>> {
         self.inner.dense_echo_chirp(index, chirp, margin_db)
     }
@@ -189,19 +190,19 @@ impl Simulator {
     /// Sets the index of the stream's next frame.
     pub fn seek(&mut self, index: u64) {
         self.next = index;
-        self.ahead.clear();
+        self.queue.clear();
     }
 
     /// Queues enough frames to keep all threads busy while one frame is processed.
-    fn look_ahead(&mut self) {
+    fn fill_queue(&mut self) {
         let pool = self.pool.as_deref();
         let threads = pool.map_or_else(rayon::current_num_threads, ThreadPool::current_num_threads);
-        let most = 2 * threads.max(1) as u64;
-        let left = self.inner.options.frames.map_or(u64::MAX, |n| n.saturating_sub(self.next));
-        for i in self.ahead.len() as u64..most.min(left) {
+        let limit = 2 * threads.max(1) as u64;
+        let remaining = self.inner.options.frames.map_or(u64::MAX, |n| n.saturating_sub(self.next));
+        for i in self.queue.len() as u64..limit.min(remaining) {
             let (inner, index) = (Arc::clone(&self.inner), self.next.saturating_add(i));
             let mut frame = self.spare.pop().unwrap_or_else(|| Frame::zeroed(self.waveform().shape()));
-            self.ahead.push_back(Ahead::new(pool, move || {
+            self.queue.push_back(Queued::new(pool, move || {
                 let report = inner.simulate_into(index, &mut frame);
                 (frame, report)
             }));
@@ -215,11 +216,11 @@ impl FrameSource for Simulator {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        self.look_ahead();
-        let Some(ahead) = self.ahead.pop_front() else { return Ok(SourceEvent::End) };
+        self.fill_queue();
+        let Some(queued) = self.queue.pop_front() else { return Ok(SourceEvent::End) };
         let index = self.next;
         self.next = index.saturating_add(1);
-        match ahead.wait() {
+        match queued.wait() {
             Some((simulated, report)) => {
                 self.last_report = Some(report);
                 self.spare.push(std::mem::replace(frame, simulated));

@@ -25,24 +25,24 @@ use crate::scene::Scene;
 use crate::scene_file::{SwayFile, SwayPlaceFile};
 use crate::tracks::{Track, Tracks};
 
-/// Number of sinusoids of a motion that is not a single one.
+/// Number of sinusoids of a motion with a bandwidth above zero.
 const WAVES: usize = 6;
-/// Largest factor between a wave's frequency and the motion's.
-const MOST_OFF: f64 = 4.0;
+/// Largest factor between the frequency of a wave and that of the motion.
+const MAX_FREQUENCY_FACTOR: f64 = 4.0;
 /// Periods of the fastest wave between two samples: over such a segment a septic polynomial follows a sinusoid to 4
 /// millionths of its amplitude.
 const PERIODS_AN_INTERVAL: f64 = 0.25;
 /// Largest number of halvings of a frame.
-const MOST_HALVINGS: u32 = 6;
-/// Paths weaker than this, relative to the threshold of a single path, are inaudible even together.
-const HEARD: f64 = 0.5;
+const MAX_HALVINGS: u32 = 6;
+/// Paths weaker than this fraction of the threshold of a single path are inaudible even together.
+const AUDIBLE_FRACTION: f64 = 0.5;
 /// Largest azimuth and elevation off the boresight in which walls are searched, rad.
-const MOST_OFF_BORESIGHT_RAD: [f64; 2] = [0.87, 0.44];
+const MAX_OFF_BORESIGHT_RAD: [f64; 2] = [0.87, 0.44];
 
 /// Random motion along a line: a sum of sinusoids about one frequency.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sway {
-    /// Amplitude, m, angular frequency, rad/s, and phase, rad.
+    /// Amplitude, m, angular frequency, rad/s, and phase, rad, of each sinusoid.
     waves: Vec<[f64; 3]>,
 }
 
@@ -55,7 +55,7 @@ impl Sway {
         let mut waves = Vec::with_capacity(count);
         for _ in 0..count {
             let normal: f64 = StandardNormal.sample(rng);
-            let factor = (bandwidth * normal).exp().clamp(1.0 / MOST_OFF, MOST_OFF);
+            let factor = (bandwidth * normal).exp().clamp(1.0 / MAX_FREQUENCY_FACTOR, MAX_FREQUENCY_FACTOR);
             waves.push([amplitude_m, TAU * frequency_hz * factor, rng.random_range(0.0..TAU)]);
         }
         Sway { waves }
@@ -81,11 +81,22 @@ impl Sway {
     }
 }
 
+/// Echo of a reflector at one receiver.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct SwayEcho {
+    /// Delay at rest, s.
+    delay_s: f64,
+    /// Change of the delay per metre of displacement, s/m.
+    delay_s_per_m: f64,
+    /// Amplitude at the ADC, LSB.
+    amplitude: Complex64,
+}
+
 /// One path by way of a reflector.
 #[derive(Debug, Clone, PartialEq)]
 struct SwayPath {
-    /// Per receiver: delay at rest, s, change of the delay per metre of displacement, s, and amplitude at the ADC, LSB.
-    receivers: Vec<(f64, f64, Complex64)>,
+    /// Echo at each receiver.
+    receivers: Vec<SwayEcho>,
     /// Corners of the path, radar to radar, for diffraction by people.
     polyline: Vec<DVec3>,
 }
@@ -129,21 +140,26 @@ impl SwayingReflectors {
     pub fn add(&self, start_s: f64, span_s: f64, columns: &[Vec<Column>], wavelength_m: f64, tracks: &mut Tracks) {
         for reflector in &self.reflectors {
             let halvings = halvings(span_s, reflector.motion.fastest_hz());
-            let parts = 1usize << halvings;
-            let interval_s = span_s / parts as f64;
+            let intervals = 1usize << halvings;
+            let interval_s = span_s / intervals as f64;
             let motion: Vec<[f64; 4]> =
-                (0..=parts).map(|end| reflector.motion.at(start_s + interval_s * end as f64)).collect();
+                (0..=intervals).map(|end| reflector.motion.at(start_s + interval_s * end as f64)).collect();
             for path in &reflector.paths {
-                let shades: Vec<f64> =
-                    columns.iter().map(|people| diffraction::along(&path.polyline, people, wavelength_m)).collect();
-                let shade = |at: f64| neighbours(&shades, at).map_or(1.0, |(a, b, part)| a + (b - a) * part);
-                let keys: Vec<Vec<(PathSample, PathDerivatives)>> =
-                    motion.iter().enumerate().map(|(end, x)| path.keys(x, shade(end as f64 / parts as f64))).collect();
-                for (place, ends) in keys.windows(2).enumerate() {
+                let factors: Vec<f64> = columns
+                    .iter()
+                    .map(|people| diffraction::past_columns(&path.polyline, people, wavelength_m))
+                    .collect();
+                let factor = |at: f64| neighbours(&factors, at).map_or(1.0, |(a, b, fraction)| a + (b - a) * fraction);
+                let samples: Vec<Vec<(PathSample, PathDerivatives)>> = motion
+                    .iter()
+                    .enumerate()
+                    .map(|(end, x)| path.samples(x, factor(end as f64 / intervals as f64)))
+                    .collect();
+                for (segment, ends) in samples.windows(2).enumerate() {
                     if let [a, b] = ends
                         && let Some(track) = Track::between(a, b, interval_s)
                     {
-                        tracks.push(halvings, place, track);
+                        tracks.push(halvings, segment, track);
                     }
                 }
             }
@@ -152,26 +168,27 @@ impl SwayingReflectors {
 }
 
 impl SwayPath {
-    /// Samples of every receiver for the displacement `x` (m, and derivatives with respect to time) and the diffraction
-    /// factor.
-    fn keys(&self, x: &[f64; 4], shade: f64) -> Vec<(PathSample, PathDerivatives)> {
-        let key = |&(delay_s, each_m_s, amplitude): &(f64, f64, Complex64)| {
-            let key = PathSample {
-                delay_s: delay_s + each_m_s * x[0],
-                delay_rate: each_m_s * x[1],
-                amplitude: amplitude * shade,
+    /// Samples of every receiver for the displacement `x` (m, with three time derivatives) and the factor of
+    /// diffraction by people.
+    fn samples(&self, x: &[f64; 4], factor: f64) -> Vec<(PathSample, PathDerivatives)> {
+        let sample = |&SwayEcho { delay_s, delay_s_per_m, amplitude }: &SwayEcho| {
+            let sample = PathSample {
+                delay_s: delay_s + delay_s_per_m * x[0],
+                delay_rate: delay_s_per_m * x[1],
+                amplitude: amplitude * factor,
             };
-            (key, PathDerivatives { delay: [each_m_s * x[2], each_m_s * x[3]], ..PathDerivatives::default() })
+            let delay = [delay_s_per_m * x[2], delay_s_per_m * x[3]];
+            (sample, PathDerivatives { delay, ..PathDerivatives::default() })
         };
-        self.receivers.iter().map(key).collect()
+        self.receivers.iter().map(sample).collect()
     }
 }
 
 /// Number of halvings of a span that resolves a wave of this frequency.
 fn halvings(span_s: f64, fastest_hz: f64) -> u32 {
-    (0..MOST_HALVINGS)
+    (0..MAX_HALVINGS)
         .find(|&h| span_s * fastest_hz <= PERIODS_AN_INTERVAL * f64::from(1u32 << h))
-        .unwrap_or(MOST_HALVINGS)
+        .unwrap_or(MAX_HALVINGS)
 }
 
 /// Draws a value of an interval, uniformly in its logarithm.
@@ -181,7 +198,7 @@ fn logarithmic([low, high]: [f64; 2], rng: &mut Xoshiro256PlusPlus) -> f64 {
 
 impl Reflector {
     fn draw(scene: &Scene, prepared: &PreparedScene, group: &SwayFile, rng: &mut Xoshiro256PlusPlus) -> Self {
-        let drawn = place(scene, prepared, group.at, rng);
+        let drawn = draw_position(scene, prepared, group.at, rng);
         let point = group.position_m.map_or(drawn, DVec3::from_array);
         let off_db = group.spread_db * (2.0 * rng.random::<f64>() - 1.0);
         let cross_section_m2 = 10f64.powf(0.1 * (group.cross_section_dbsm + off_db));
@@ -192,19 +209,20 @@ impl Reflector {
         let line_of_sight = (point - prepared.tx.position).try_normalize().unwrap_or(DVec3::X);
         let mut paths = Vec::new();
         for &(p, q) in prepared.pairs_near(point, 0.0).iter() {
-            let receivers: Vec<(f64, f64, Complex64)> = prepared
+            let receivers: Vec<SwayEcho> = prepared
                 .point_echoes(point, cross_section_m2, phase, p, q)
                 .iter()
                 .enumerate()
                 .map(|(rx, echo)| {
                     let delay_s = echo.length_m / SPEED_OF_LIGHT_M_PER_S;
-                    let each_m_s = echo.directions.dot(line_of_sight) / SPEED_OF_LIGHT_M_PER_S;
+                    let delay_s_per_m = echo.directions.dot(line_of_sight) / SPEED_OF_LIGHT_M_PER_S;
                     let beat_hz = prepared.chirp.beat_hz(delay_s, 0.0);
-                    (delay_s, each_m_s, prepared.at_adc(rx, echo.amplitude, beat_hz))
+                    SwayEcho { delay_s, delay_s_per_m, amplitude: prepared.at_adc(rx, echo.amplitude, beat_hz) }
                 })
                 .collect();
             // The first receiver represents all, as for static paths.
-            if receivers.first().is_some_and(|(.., amplitude)| amplitude.norm() > HEARD * prepared.threshold_lsb) {
+            let least_lsb = AUDIBLE_FRACTION * prepared.threshold_lsb;
+            if receivers.first().is_some_and(|echo| echo.amplitude.norm() > least_lsb) {
                 let polyline = prepared.point_polyline(point, p, q, prepared.tx.position);
                 paths.push(SwayPath { receivers, polyline });
             }
@@ -213,9 +231,9 @@ impl Reflector {
     }
 }
 
-/// Draws a place in the room.
-fn place(scene: &Scene, prepared: &PreparedScene, at: SwayPlaceFile, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
-    let (choice, part): (f64, f64) = (rng.random(), rng.random());
+/// Draws the position of a reflector in the room.
+fn draw_position(scene: &Scene, prepared: &PreparedScene, at: SwayPlaceFile, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
+    let (choice, fraction): (f64, f64) = (rng.random(), rng.random());
     let furniture = &scene.file().furniture;
     let at = match at {
         SwayPlaceFile::Clutter if choice < 0.15 => SwayPlaceFile::Radar,
@@ -223,45 +241,45 @@ fn place(scene: &Scene, prepared: &PreparedScene, at: SwayPlaceFile, rng: &mut X
         SwayPlaceFile::Clutter => SwayPlaceFile::Walls,
         other => other,
     };
-    match (at, furniture.get((part * furniture.len() as f64) as usize)) {
+    match (at, furniture.get((fraction * furniture.len() as f64) as usize)) {
         (SwayPlaceFile::Furniture, Some(piece)) => prepared.point_on(piece, rng),
         (SwayPlaceFile::Radar, _) => {
-            let along = direction(rng) * rng.random_range(0.15..0.9);
-            let place = prepared.tx.position + scene.radar_from_world().transpose() * along;
-            place.clamp(DVec3::ZERO, prepared.room.size_m())
+            let offset = draw_direction(rng) * rng.random_range(0.15..0.9);
+            let position = prepared.tx.position + scene.radar_from_world().transpose() * offset;
+            position.clamp(DVec3::ZERO, prepared.room.size_m())
         }
         (kind, _) => {
-            let towards = scene.radar_from_world().transpose() * direction(rng);
-            let wall_m = to_wall(prepared, towards);
+            let direction = scene.radar_from_world().transpose() * draw_direction(rng);
+            let wall_m = distance_to_wall_m(prepared, direction);
             let before_m = if kind == SwayPlaceFile::Anywhere {
                 wall_m * 0.9 * rng.random::<f64>()
             } else {
                 rng.random_range(0.0..0.3)
             };
-            let place = prepared.tx.position + towards * (wall_m - before_m).max(0.1);
-            place.clamp(DVec3::ZERO, prepared.room.size_m())
+            let position = prepared.tx.position + direction * (wall_m - before_m).max(0.1);
+            position.clamp(DVec3::ZERO, prepared.room.size_m())
         }
     }
 }
 
 /// Draws a direction about the boresight, in the radar's own axes.
-fn direction(rng: &mut Xoshiro256PlusPlus) -> DVec3 {
-    let [azimuth, elevation] = MOST_OFF_BORESIGHT_RAD.map(|most| rng.random_range(-most..most));
+fn draw_direction(rng: &mut Xoshiro256PlusPlus) -> DVec3 {
+    let [azimuth, elevation] = MAX_OFF_BORESIGHT_RAD.map(|most| rng.random_range(-most..most));
     DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
 }
 
 /// Distance from the transmitter to the first surface in a direction, m: the walls of the room or an object before
 /// them.
-fn to_wall(prepared: &PreparedScene, towards: DVec3) -> f64 {
+fn distance_to_wall_m(prepared: &PreparedScene, direction: DVec3) -> f64 {
     let (from, size_m) = (prepared.tx.position, prepared.room.size_m());
     if let Surroundings::Polygons(room) = &prepared.room
-        && let Some(distance_m) = room.paths().environment().distance_m(from, towards)
+        && let Some(distance_m) = room.paths().environment().distance_m(from, direction)
     {
         return distance_m;
     }
     let mut nearest_m = f64::INFINITY;
     for axis in 0..3 {
-        let step = towards[axis];
+        let step = direction[axis];
         if step.abs() > 1e-9 {
             let wall = if step > 0.0 { size_m[axis] } else { 0.0 };
             nearest_m = nearest_m.min((wall - from[axis]) / step);
@@ -298,25 +316,25 @@ mod tests {
 
     /// Between samples the polynomial follows the motion, at every frequency that a scene may request.
     #[test]
-    fn echoes_follow_the_motion_between_keys() {
+    fn echoes_follow_the_motion_between_samples() {
         let wavenumber_per_m = TAU / 4.93e-3;
         for (frequency_hz, rms_m, span_s) in
             [(0.5, 0.02, 0.025), (3.0, 0.02, 0.064), (50.0, 1e-4, 0.025), (12.0, 0.1, 0.025)]
         {
             let mut rng = generator(3, Purpose::Sway, [1, 0]);
             let sway = Sway::draw(rms_m, frequency_hz, 0.0, &mut rng);
-            let parts = 1u32 << halvings(span_s, sway.fastest_hz());
-            let interval_s = span_s / f64::from(parts);
-            let key = |time_s: f64| {
+            let intervals = 1u32 << halvings(span_s, sway.fastest_hz());
+            let interval_s = span_s / f64::from(intervals);
+            let sample = |time_s: f64| {
                 let x = sway.at(time_s);
-                let key = PathSample { delay_s: x[0], delay_rate: x[1], amplitude: Complex64::ONE };
-                (key, PathDerivatives { delay: [x[2], x[3]], ..PathDerivatives::default() })
+                let sample = PathSample { delay_s: x[0], delay_rate: x[1], amplitude: Complex64::ONE };
+                (sample, PathDerivatives { delay: [x[2], x[3]], ..PathDerivatives::default() })
             };
-            for part in 0..parts {
-                let start_s = 17.0 + interval_s * f64::from(part);
-                let interval = PathSegment::between(&key(start_s), &key(start_s + interval_s), interval_s);
+            for interval in 0..intervals {
+                let start_s = 17.0 + interval_s * f64::from(interval);
+                let segment = PathSegment::between(&sample(start_s), &sample(start_s + interval_s), interval_s);
                 for u in [0.1, 0.3, 0.5, 0.8] {
-                    let error_m = interval.delay(u).0 - sway.at(start_s + u * interval_s)[0];
+                    let error_m = segment.delay(u).0 - sway.at(start_s + u * interval_s)[0];
                     let error_rad = 2.0 * wavenumber_per_m * error_m.abs();
                     assert!(error_rad < 0.01, "{frequency_hz} Hz: {error_rad} rad");
                 }

@@ -28,7 +28,7 @@ mod spread;
 pub use chirp_grids::{ChirpGrids, Echo, EchoChirps, EchoFactors};
 pub use held::{HeldEcho, HeldEchoes};
 pub use rates::{RUN, RateGrids, Run};
-pub use spread::{CHIRPS, Grids, Places};
+pub use spread::{CHIRPS, ChirpPositions, Grids};
 
 /// Path during one chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,7 +66,7 @@ const BETA: f64 = 2.30 * WIDTH as f64;
 /// Number of polynomial coefficients of each of the kernel's taps.
 const DEGREE: usize = 8;
 /// Number of taps, rounded up to a vector's width; the last are zero.
-const LANES: usize = 8;
+const PADDED_TAPS: usize = 8;
 
 fn kernel(x: f64) -> f64 {
     let z = 2.0 * x / WIDTH as f64;
@@ -81,9 +81,9 @@ pub struct Synthesiser {
     /// Number of cells of the frequency grid.
     cells: usize,
     /// Coefficients `[power][tap]` of the taps in the fraction of a cell, mapped to -1..1.
-    taps: [[f32; LANES]; DEGREE],
+    taps: [[f32; PADDED_TAPS]; DEGREE],
     /// Taps of the kernel at quantised positions between cells.
-    taps_by_place: Vec<[f32; LANES]>,
+    taps_by_position: Vec<[f32; PADDED_TAPS]>,
     /// Taps of held echoes.
     rate_taps: RateTaps,
     /// Compensation of the kernel's transform, for samples in order.
@@ -126,7 +126,7 @@ impl Synthesiser {
     /// Creates a synthesiser for chirps of this many samples.
     pub fn new(samples: usize) -> Self {
         let cells = 2 * samples.max(WIDTH);
-        let mut taps = [[0f32; LANES]; DEGREE];
+        let mut taps = [[0f32; PADDED_TAPS]; DEGREE];
         for tap in 0..WIDTH {
             let polynomial = fit(|u| kernel(0.5 * (u + 1.0) - 0.5 * WIDTH as f64 + tap as f64));
             for (row, c) in taps.iter_mut().zip(polynomial) {
@@ -157,7 +157,7 @@ impl Synthesiser {
         Synthesiser {
             samples,
             cells,
-            taps_by_place: held::taps_by_place(&taps),
+            taps_by_position: held::taps_by_position(&taps),
             rate_taps: RateTaps::new(&points),
             taps,
             correction,
@@ -168,14 +168,14 @@ impl Synthesiser {
 
     /// Returns an empty grid.
     pub fn grid(&self) -> Grid {
-        Grid { cells: vec![Complex::default(); self.cells + LANES] }
+        Grid { cells: vec![Complex::default(); self.cells + PADDED_TAPS] }
     }
 
     /// Adds a tone to a grid.
     #[inline]
     pub fn add(&self, tone: &Tone, grid: &mut Grid) {
         let phasor = tone.amplitude * phasor(tone.phase_cycles);
-        let position = on_circle(tone.cycles_per_sample) * self.cells as f64;
+        let position = fraction_of_turn(tone.cycles_per_sample) * self.cells as f64;
         // First cell under the kernel, plus half a kernel of margin at the low end.
         let whole = position as usize;
         let first = whole + usize::from(position > whole as f64);
@@ -186,7 +186,7 @@ impl Synthesiser {
                 *w = *w * u + c;
             }
         }
-        if let Some(cells) = grid.cells.get_mut(first..first + LANES) {
+        if let Some(cells) = grid.cells.get_mut(first..first + PADDED_TAPS) {
             for (cell, w) in cells.iter_mut().zip(w) {
                 cell.re += phasor.re * w;
                 cell.im += phasor.im * w;
@@ -196,7 +196,7 @@ impl Synthesiser {
 
     /// Multiplies every tone on a grid by a factor, and delays sampling by a part of a sample. A tone of `f` cycles per
     /// sample (taken within half a cycle of zero) rotates by `f` times that in cycles.
-    pub fn turn(&self, factor: Complex<f32>, late_samples: f64, grid: &mut Grid) {
+    pub fn rotate(&self, factor: Complex<f32>, late_samples: f64, grid: &mut Grid) {
         if late_samples == 0.0 {
             grid.cells.iter_mut().for_each(|cell| *cell *= factor);
             return;
@@ -229,11 +229,11 @@ impl Synthesiser {
         let paired = |low: Complex<f32>, high: Complex<f32>| (low + high.conj()) * 0.5;
         let at_edge = |k: usize| paired(at(k), at((cells - k) % cells));
         scratch.half.clear();
-        scratch.half.extend((0..LANES.min(half + 1)).map(at_edge));
-        if half >= LANES {
+        scratch.half.extend((0..PADDED_TAPS.min(half + 1)).map(at_edge));
+        if half >= PADDED_TAPS {
             // Cells beyond the margins are used once.
-            let low = grid.cells.get(LANES + margin..half + margin).unwrap_or_default();
-            let high = grid.cells.get(half + margin + 1..=cells - LANES + margin).unwrap_or_default();
+            let low = grid.cells.get(PADDED_TAPS + margin..half + margin).unwrap_or_default();
+            let high = grid.cells.get(half + margin + 1..=cells - PADDED_TAPS + margin).unwrap_or_default();
             scratch.half.extend(low.iter().zip(high.iter().rev()).map(|(low, high)| paired(*low, *high)));
             scratch.half.push(at_edge(half));
         }
@@ -268,7 +268,7 @@ fn nearest_integer(x: f64) -> f64 {
 
 /// Returns the fractional part of a number of turns, 0..1.
 #[inline(always)]
-fn on_circle(turns: f64) -> f64 {
+fn fraction_of_turn(turns: f64) -> f64 {
     let nearest = turns - nearest_integer(turns);
     if nearest < 0.0 { nearest + 1.0 } else { nearest }
 }
@@ -391,7 +391,7 @@ mod tests {
         let tones: Vec<Tone> = [0.004, 0.03, 0.11, 0.249, 0.4].map(tone).to_vec();
         let mut grid = synthesiser.grid();
         tones.iter().for_each(|tone| synthesiser.add(tone, &mut grid));
-        synthesiser.turn(factor, late_samples, &mut grid);
+        synthesiser.rotate(factor, late_samples, &mut grid);
         let later: Vec<Tone> = tones
             .iter()
             .map(|tone| Tone {

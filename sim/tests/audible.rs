@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 
 use num_complex::Complex64;
-use radome_sim::echo::{AudiblePair, EchoReport, HEARD, Paths, Snapshot, audible_paths};
+use radome_sim::echo::{AUDIBLE_FRACTION, AudiblePair, EchoReport, Paths, Snapshot, audible_paths};
 use radome_sim::people::body::{CHEST, SEGMENTS};
 use radome_sim::people::motion::Motion;
 use radome_sim::prepared_scene::PreparedScene;
@@ -40,7 +40,7 @@ fn count_specular_points(prepared: &PreparedScene, motion: &Motion, start_s: f64
                 samples.first().map_or(0.0, |sample| sample.amplitude.norm())
             });
             let strongest = strongest.into_iter().fold(0.0, f64::max);
-            let is_audible = strongest > HEARD * prepared.threshold_lsb;
+            let is_audible = strongest > AUDIBLE_FRACTION * prepared.threshold_lsb;
             let ratio = strongest / prepared.threshold_lsb;
             assert!(is_kept || !is_audible, "{pair:?} {segment} at {start_s} s: {ratio} of the threshold");
             audible += usize::from(is_audible);
@@ -96,7 +96,7 @@ fn compare_powers(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_d
     let requests: Vec<_> = (0..specular_points.len()).map(|path| (path, None)).collect();
     let traced = paths_of_frame.trace_all(&requests, &people, &mut EchoReport::default());
     let amplitudes =
-        traced.iter().map(|traced| traced.keys().first().map_or(Complex64::ZERO, |sample| sample.amplitude));
+        traced.iter().map(|traced| traced.samples().first().map_or(Complex64::ZERO, |sample| sample.amplitude));
     let mut frame_amplitudes: HashMap<_, Complex64> = HashMap::new();
     for (((p, q), segment), amplitude) in specular_points.into_iter().zip(amplitudes) {
         // By reciprocity, the opposite direction has the same amplitude.
@@ -114,7 +114,9 @@ fn compare_powers(prepared: &PreparedScene, motion: &Motion, time_s: f64, only_d
             powers[0] += amplitude.norm_sqr();
             match frame_amplitudes.get(&(pair, segment)) {
                 Some(of_frame) => powers[2] += (amplitude - of_frame).norm_sqr(),
-                None if amplitude.norm() > HEARD * prepared.threshold_lsb => powers[1] += amplitude.norm_sqr(),
+                None if amplitude.norm() > AUDIBLE_FRACTION * prepared.threshold_lsb => {
+                    powers[1] += amplitude.norm_sqr()
+                }
                 None => {}
             }
         }

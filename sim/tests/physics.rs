@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use num_complex::{Complex, Complex64};
 use radome_dsp::{Occupancy, SPEED_OF_LIGHT_M_PER_S};
 use radome_sim::material::Material;
-use radome_sim::prepared_scene::PreparedScene;
+use radome_sim::prepared_scene::{PreparedScene, StaticTone};
 use radome_sim::receiver::adc::quantise;
 use radome_sim::receiver::budget::Filters;
 use radome_sim::receiver::noise::{NoiseScratch, NoiseShaper, density_lsb2};
@@ -134,7 +134,8 @@ fn echo_levels_follow_the_radar_equation() {
         let prepared = PreparedScene::new(&scene, 0, 20.0);
         assert_eq!(prepared.static_paths.len(), 1);
         let tone = prepared.static_paths[0].tones[0];
-        let lsb = tone.2.norm() / prepared.filters.response(tone.1 * scene.waveform().sample_rate_hz).norm();
+        let lsb = tone.amplitude.norm()
+            / prepared.filters.response(tone.cycles_per_sample * scene.waveform().sample_rate_hz).norm();
         // 4 dBm + 3.5 + 3.5 dBi, 14 + 33 dB to 50 ohm, 1.31 V over 4096 codes.
         let wavelength = scene.waveform().wavelength_m();
         let received_dbm = 4.0 + 7.0 + 20.0 * wavelength.log10() - 30.0 * (2.0 * TAU).log10() - 40.0 * range.log10();
@@ -237,7 +238,7 @@ fn a_beat_beyond_half_the_sample_rate_is_folded() {
             .replace("if_gain_db = 33.0", "if_gain_db = 60.0"),
     );
     let prepared = PreparedScene::new(&scene, 0, 20.0);
-    let (_, cycles, _) = prepared.static_paths[0].tones[0];
+    let cycles = prepared.static_paths[0].tones[0].cycles_per_sample;
     assert!(cycles > 0.55 && cycles < 0.7, "beyond Nyquist: {cycles}");
     let frame = simulator(&scene, 0, Some(0)).frame(0);
     let chirp: Vec<f64> = frame.chirp(0, 0).iter().map(|&c| f64::from(c) - 2048.0).collect();

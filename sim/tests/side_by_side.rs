@@ -16,17 +16,17 @@ fn compare(paths: &Paths, people: &[Snapshot], threshold_lsb: f64, context: &str
     let (mut report, mut report_of_single) = (EchoReport::default(), EchoReport::default());
     let without_people = paths.trace_all(&requests, people, &mut report);
     let mut traced = without_people.clone();
-    paths.shade((0..).zip(&mut traced), people);
+    paths.obstruct_by_people((0..).zip(&mut traced), people);
     let (mut samples, mut audible) = (Vec::new(), 0);
     for (path, (traced, without_people)) in traced.iter().zip(&without_people).enumerate() {
         samples.clear();
         let specular_point = paths.trace(path, people, None, &mut samples, &mut report_of_single);
-        assert_eq!(traced.keys().len(), samples.len(), "{context}, path {path}");
+        assert_eq!(traced.samples().len(), samples.len(), "{context}, path {path}");
         assert_eq!(traced.place.is_some(), specular_point.is_some(), "{context}, path {path}");
         if let Some((traced, single)) = traced.place.zip(specular_point) {
             assert!((traced - single).length() < 1e-6, "{context}, path {path}: {traced} {single}");
         }
-        for ((traced, without_people), single) in traced.keys().iter().zip(without_people.keys()).zip(&samples) {
+        for ((traced, without_people), single) in traced.samples().iter().zip(without_people.samples()).zip(&samples) {
             assert!((traced.delay_s - single.delay_s).abs() < 1e-19, "{context}, path {path}: {traced:?} {single:?}");
             assert!(
                 (traced.delay_rate - single.delay_rate).abs() < 1e-14,
@@ -100,7 +100,7 @@ fn opposite_directions_share_specular_point_and_amplitude() {
                 let opposite = Paths::new(&prepared, motion, person_index, &opposite);
                 let requests: Vec<_> = (0..paths.count()).map(|path| (path, None)).collect();
                 let mut traced = paths.trace_all(&requests, &people, &mut EchoReport::default());
-                paths.shade((0..).zip(&mut traced), &people);
+                paths.obstruct_by_people((0..).zip(&mut traced), &people);
                 for (path, traced) in traced.iter().enumerate().filter(|&(path, _)| paths.is_both_ways(path)) {
                     let mut samples = Vec::new();
                     let specular_point = opposite.trace(path, &people, None, &mut samples, &mut EchoReport::default());
@@ -110,7 +110,7 @@ fn opposite_directions_share_specular_point_and_amplitude() {
                         continue;
                     }
                     let context = format!("{name}, person {person_index} at {time_s} s, path {path}");
-                    for (reversed, sample) in traced.exchanged().keys().iter().zip(&samples) {
+                    for (reversed, sample) in traced.reversed().samples().iter().zip(&samples) {
                         let difference_m = (reversed.delay_s - sample.delay_s).abs() * SPEED_OF_LIGHT_M_PER_S;
                         let rate_difference_m_per_s =
                             (reversed.delay_rate - sample.delay_rate).abs() * SPEED_OF_LIGHT_M_PER_S;

@@ -7,7 +7,7 @@ use radome_sim::echo::{EchoReport, Paths, Snapshot, audible_pairs};
 use radome_sim::path_segment::{FiveSamples, PathSample, PathSegment};
 use radome_sim::people::motion::{Motion, MotionBuilder, Person};
 use radome_sim::prepared_scene::PreparedScene;
-use radome_sim::synthesis::{CHIRPS, Places, SynthesisScratch, Synthesiser, Tone, exact_chirp};
+use radome_sim::synthesis::{CHIRPS, ChirpPositions, SynthesisScratch, Synthesiser, Tone, exact_chirp};
 use radome_sim::tracks::Track;
 
 use crate::common::scene;
@@ -58,7 +58,12 @@ fn shared_tracks_agree_with_separate_segments_of_each_receiver() {
         );
         let chirp_position = |chirp: usize| (chirp as f64 + 0.3) / CHIRPS as f64;
         let mut grids = vec![synthesiser.grids(); own_segments.len()];
-        synthesiser.spread_tracks(&prepared.chirp, &tracks, &Places::new(0..CHIRPS, chirp_position), &mut grids);
+        synthesiser.spread_tracks(
+            &prepared.chirp,
+            &tracks,
+            &ChirpPositions::new(0..CHIRPS, chirp_position),
+            &mut grids,
+        );
         for (receiver, (grids, own_segments)) in grids.iter().zip(&own_segments).enumerate() {
             let (mut error, mut power) = (0.0, 0.0);
             for chirp in 0..CHIRPS {

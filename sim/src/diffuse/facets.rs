@@ -28,6 +28,7 @@ impl<'a> FacetWalls<'a> {
         FacetWalls { room, triangles }
     }
 
+    /// Makes a point on a facet.
     fn on(&self, facet: FacetId, position: DVec3) -> WallPosition {
         let normal = self.room.paths().environment().normal(facet).unwrap_or(DVec3::Z);
         WallPosition { wall: facet as usize, position, normal }
@@ -39,7 +40,7 @@ impl Walls for FacetWalls<'_> {
         self.triangles.last().map_or(0.0, |(area_m2, ..)| *area_m2)
     }
 
-    fn place(&self, at_m2: f64, rng: &mut impl Rng) -> WallPosition {
+    fn point_at(&self, at_m2: f64, rng: &mut impl Rng) -> WallPosition {
         let number = self.triangles.partition_point(|(area_m2, ..)| *area_m2 <= at_m2);
         let Some(&(_, facet, [a, b, c])) = self.triangles.get(number).or(self.triangles.last()) else {
             return self.on(0, DVec3::ZERO);
@@ -48,20 +49,20 @@ impl Walls for FacetWalls<'_> {
         self.on(facet, a + (b - a) * (along * (1.0 - across)) + (c - a) * (along * across))
     }
 
-    fn reflected(&self, wall: usize, cosine: f64) -> Option<f64> {
+    fn reflected_share(&self, wall: usize, cosine: f64) -> Option<f64> {
         let environment = self.room.paths().environment();
         let wall = environment.facet(wall as FacetId)?.wall;
         Some(mean_power(wall.reflection(environment.wavenumber_per_m(), cosine)))
     }
 
-    fn met(&self, from: &WallPosition, direction: DVec3) -> Option<WallPosition> {
+    fn next_hit(&self, from: &WallPosition, direction: DVec3) -> Option<WallPosition> {
         let environment = self.room.paths().environment();
         let (facet, position) = environment.first_hit(from.position, direction, Some(from.wall as FacetId))?;
         Some(self.on(facet, position))
     }
 
-    fn seen(&self, antenna: DVec3, place: &WallPosition) -> f64 {
-        self.room.paths().field_on_segment([antenna, place.position + place.normal * BEFORE_M], [None; 2])
+    fn visibility(&self, antenna: DVec3, point: &WallPosition) -> f64 {
+        self.room.paths().field_on_segment([antenna, point.position + point.normal * BEFORE_M], [None; 2])
     }
 }
 
@@ -73,22 +74,22 @@ mod tests {
 
     /// Facets of a box scatter like the box: the power at a point by path length agrees over many seeds.
     #[test]
-    fn facets_of_a_box_throw_what_its_sides_do() {
+    fn facets_of_a_box_scatter_as_its_sides_do() {
         let (of_box, antenna) = room();
         let polygons = PolygonRoom::of_box(&of_box, antenna.position);
         let facets = FacetWalls::new(&polygons);
         let area_m2 = Walls::area_m2(&of_box);
         assert!((facets.area_m2() - area_m2).abs() < 1e-9 * area_m2);
         let diffuse = Diffuse { share: 0.1, points: 64, bounces: 4, mirrored: 2 };
-        let place = DVec3::new(3.2, 2.1, 1.0);
+        let receiver = DVec3::new(3.2, 2.1, 1.0);
         let by_length = |of_seed: &dyn Fn(u64) -> Vec<WallPoint>| {
             let mut power = [0.0; 5];
             for point in (0..400).flat_map(of_seed) {
-                let on = place - point.position;
-                let bin = ((point.antennas.length_m + on.length()) / 3.0) as usize;
-                let cosine = on.normalize().dot(point.normal).max(0.0);
+                let leg = receiver - point.position;
+                let bin = ((point.antennas.length_m + leg.length()) / 3.0) as usize;
+                let cosine = leg.normalize().dot(point.normal).max(0.0);
                 if let Some(slot) = power.get_mut(bin) {
-                    *slot += point.antennas.tx.norm_sqr() * cosine / on.length_squared().max(0.01);
+                    *slot += point.antennas.tx.norm_sqr() * cosine / leg.length_squared().max(0.01);
                 }
             }
             power

@@ -26,13 +26,13 @@ pub struct Diffuse {
     pub mirrored: u32,
 }
 
-/// Paths from a place to the transmitter and to each receiver.
+/// Paths from a point to the transmitter and to each receiver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AntennaPaths {
     /// Mean of the lengths to the transmitter and to the first receiver, m.
     pub(crate) length_m: f64,
-    /// Field by the path to the transmitter, with the phase of its length beyond the mean, as it multiplies `exp(+j 2 pi
-    /// ...)` of the mean.
+    /// Field by the path to the transmitter, with the phase of its length beyond the mean, as it multiplies `exp(+j 2
+    /// pi ...)` of the mean.
     pub(crate) tx: Complex64,
     /// Field by the path to each receiver.
     pub(crate) rx: [Complex64; RECEIVERS],
@@ -55,14 +55,14 @@ impl AntennaPaths {
         }
     }
 
-    /// Returns the field at each receiver by way of two places: from the transmitter over this one to the other, and in
+    /// Returns the field at each receiver by way of two points: from the transmitter over this one to the other, and in
     /// the opposite direction.
     pub(crate) fn both_ways(&self, other: &AntennaPaths) -> [Complex64; RECEIVERS] {
         std::array::from_fn(|receiver| self.tx * other.rx[receiver] + other.tx * self.rx[receiver])
     }
 
-    /// Returns the field at the first receiver by way of two places, in the direction in which it is stronger.
-    pub(crate) fn stronger_way(&self, other: &AntennaPaths) -> f64 {
+    /// Returns the field at the first receiver by way of two points, in the direction in which it is stronger.
+    pub(crate) fn stronger_field(&self, other: &AntennaPaths) -> f64 {
         let ([tx, rx], [other_tx, other_rx]) = (self.magnitudes, other.magnitudes);
         (tx * other_rx).max(other_tx * rx)
     }
@@ -77,10 +77,11 @@ pub struct WallPoint {
     /// Paths to the antennas, over any walls. The fields are those scattered for a unit field, times m, without the
     /// cosine of departure, and with the point's random phase.
     pub(crate) antennas: AntennaPaths,
-    /// Index of the point over which echoes return that arrive over this one. Only one point of each pair has it.
+    /// Index of the other point of a path over two points. Only one point of each pair has it.
     pub(crate) partner: Option<usize>,
 }
 
+/// Point on a wall.
 #[derive(Clone, Copy)]
 pub(super) struct WallPosition {
     pub(super) wall: usize,
@@ -93,18 +94,19 @@ pub(super) trait Walls {
     /// Returns the total area, m^2.
     fn area_m2(&self) -> f64;
 
-    /// Draws a position on the wall at the cumulative area `at_m2`, m^2.
-    fn place(&self, at_m2: f64, rng: &mut impl Rng) -> WallPosition;
+    /// Returns a point on the wall that contains the cumulative area `at_m2`, m^2, drawn at random where the area
+    /// leaves a choice.
+    fn point_at(&self, at_m2: f64, rng: &mut impl Rng) -> WallPosition;
 
     /// Returns the share of the incident power that a wall would reflect if it were smooth; `None` where there is no
     /// wall.
-    fn reflected(&self, wall: usize, cosine: f64) -> Option<f64>;
+    fn reflected_share(&self, wall: usize, cosine: f64) -> Option<f64>;
 
     /// Returns the point at which a ray from a wall meets another one; `None` where it leaves the room.
-    fn met(&self, from: &WallPosition, direction: DVec3) -> Option<WallPosition>;
+    fn next_hit(&self, from: &WallPosition, direction: DVec3) -> Option<WallPosition>;
 
     /// Returns the part of an antenna's field that reaches a position directly.
-    fn seen(&self, antenna: DVec3, place: &WallPosition) -> f64;
+    fn visibility(&self, antenna: DVec3, point: &WallPosition) -> f64;
 }
 
 impl Walls for BoxRoom {
@@ -112,11 +114,11 @@ impl Walls for BoxRoom {
         (0..6).map(|wall| side_m2(self, wall)).sum()
     }
 
-    fn place(&self, mut at_m2: f64, rng: &mut impl Rng) -> WallPosition {
+    fn point_at(&self, mut at_m2: f64, rng: &mut impl Rng) -> WallPosition {
         let wall = (0..5).find(|wall| {
-            let is_here = at_m2 < side_m2(self, *wall);
-            at_m2 -= if is_here { 0.0 } else { side_m2(self, *wall) };
-            is_here
+            let contains_area = at_m2 < side_m2(self, *wall);
+            at_m2 -= if contains_area { 0.0 } else { side_m2(self, *wall) };
+            contains_area
         });
         let (wall, size) = (wall.unwrap_or(5), self.size_m.to_array());
         let mut position = [0, 1, 2].map(|axis| size[axis] * rng.random::<f64>());
@@ -124,12 +126,12 @@ impl Walls for BoxRoom {
         WallPosition::new(wall, DVec3::from_array(position))
     }
 
-    fn reflected(&self, wall: usize, cosine: f64) -> Option<f64> {
+    fn reflected_share(&self, wall: usize, cosine: f64) -> Option<f64> {
         let wall = self.walls.get(wall).filter(|wall| **wall != Wall::Open)?;
         Some(mean_power(wall.reflection(self.wavenumber_per_m, cosine)))
     }
 
-    fn met(&self, from: &WallPosition, direction: DVec3) -> Option<WallPosition> {
+    fn next_hit(&self, from: &WallPosition, direction: DVec3) -> Option<WallPosition> {
         let (mut nearest_m, mut wall) = (f64::INFINITY, from.wall ^ 1);
         for axis in (0..3).filter(|&axis| direction[axis] != 0.0) {
             let is_high = direction[axis] > 0.0;
@@ -143,7 +145,7 @@ impl Walls for BoxRoom {
         Some(WallPosition::new(wall, (from.position + nearest_m * direction).clamp(DVec3::ZERO, self.size_m)))
     }
 
-    fn seen(&self, _: DVec3, _: &WallPosition) -> f64 {
+    fn visibility(&self, _: DVec3, _: &WallPosition) -> f64 {
         1.0
     }
 }
@@ -168,7 +170,7 @@ impl WallPosition {
         WallPosition { wall, position, normal }
     }
 
-    /// Draws the next point of a ray that leaves here by Lambert's law, and the cosine of its incidence there.
+    /// Draws the next point of a ray that leaves this one by Lambert's law. Also returns the cosine of incidence there.
     fn scattered(&self, walls: &impl Walls, rng: &mut impl Rng) -> Option<(Self, f64)> {
         // A point of the unit sphere around the tip of the normal gives Lambert's law.
         let z: f64 = rng.random_range(-1.0..1.0);
@@ -176,16 +178,16 @@ impl WallPosition {
         let ring = (1.0 - z * z).max(0.0).sqrt();
         let towards = self.normal + DVec3::new(ring * cos, ring * sin, z);
         let direction = towards.try_normalize().unwrap_or(self.normal);
-        let there = walls.met(self, direction)?;
-        Some((there, -direction.dot(there.normal)))
+        let hit = walls.next_hit(self, direction)?;
+        Some((hit, -direction.dot(hit.normal)))
     }
 }
 
-/// Returns the number of walls of a walk and its statistical weight: half of the walks meet one wall, a quarter two,
-/// and so on. `at` is 0 to 1.
-fn bounces(at: f64, most: u32) -> (u32, f64) {
-    let count = (1..most).find(|&n| at < 1.0 - 0.5f64.powi(n as i32)).unwrap_or(most.max(1));
-    (count, 2f64.powi(count.min(most.saturating_sub(1)) as i32))
+/// Returns the number of walls of a walk, at most `max`, and its statistical weight: half of the walks meet one wall, a
+/// quarter two, and so on. `draw` is 0 to 1.
+fn bounces(draw: f64, max: u32) -> (u32, f64) {
+    let count = (1..max).find(|&n| draw < 1.0 - 0.5f64.powi(n as i32)).unwrap_or(max.max(1));
+    (count, 2f64.powi(count.min(max.saturating_sub(1)) as i32))
 }
 
 /// Generates the scattering points of walls.
@@ -198,16 +200,16 @@ pub(super) fn points(
     seed: u64,
 ) -> Vec<WallPoint> {
     let Diffuse { share, points: count, .. } = diffuse;
-    let whole = walls.area_m2();
-    if !(share > 0.0 && whole > 0.0) {
+    let area_m2 = walls.area_m2();
+    if !(share > 0.0 && area_m2 > 0.0) {
         return Vec::new();
     }
     let mut rng = generator(seed, Purpose::WallPoints, [0, 0]);
     let mut points = Vec::with_capacity(count);
     for index in 0..count {
         // One point in each of `count` equal parts of the walls.
-        let at_m2 = (index as f64 + rng.random::<f64>()) / count as f64 * whole;
-        let first = walls.place(at_m2, &mut rng);
+        let at_m2 = (index as f64 + rng.random::<f64>()) / count as f64 * area_m2;
+        let first = walls.point_at(at_m2, &mut rng);
         let phase = Complex64::from_polar(1.0, rng.random_range(0.0..TAU));
         let walk = Walk::from(first, walls, diffuse, tx.position, index, seed);
         // Lambert's law: a power density S on dA scatters `share S dA cos_in cos_out / (pi r^2)`.
@@ -217,12 +219,12 @@ pub(super) fn points(
             let direction = offset / distance_m.max(1e-9);
             let cosine = (-direction.dot(first.normal)).max(0.0);
             let gain = element.pattern.field(element.radar_from_world * direction);
-            let thrown = (walk.left * whole / count as f64 * cosine / PI).sqrt() / distance_m.max(LEAST_LEG_M);
-            (distance_m + walk.length_m, gain * thrown * walls.seen(element.position, &first))
+            let scattered = (walk.power * area_m2 / count as f64 * cosine / PI).sqrt() / distance_m.max(LEAST_LEG_M);
+            (distance_m + walk.length_m, gain * scattered * walls.visibility(element.position, &first))
         };
         let WallPosition { position, normal, .. } = walk.end;
-        let back: Vec<(f64, f64)> = rx.iter().map(leg).collect();
-        let mut antennas = AntennaPaths::new(leg(tx), &back, wavelength_m);
+        let to_receivers: Vec<(f64, f64)> = rx.iter().map(leg).collect();
+        let mut antennas = AntennaPaths::new(leg(tx), &to_receivers, wavelength_m);
         antennas.tx *= phase;
         antennas.rx.iter_mut().for_each(|field| *field *= phase);
         points.push(WallPoint { position, normal, antennas, partner: None });
@@ -245,22 +247,22 @@ struct Walk {
     length_m: f64,
     /// Share of the power on the first wall that the last one scatters in all directions, times the statistical weight
     /// of the walk.
-    left: f64,
+    power: f64,
 }
 
 impl Walk {
     fn from(first: WallPosition, walls: &impl Walls, diffuse: Diffuse, from: DVec3, index: usize, seed: u64) -> Self {
         let mut rng = generator(seed, Purpose::WallWalks, [index as u64, 0]);
         // Multiples of the golden ratio distribute the walks of each number of walls over the whole room.
-        let at = (index as f64 + 0.5) * GOLDEN;
-        let (count, weight) = bounces(at.fract(), diffuse.bounces);
+        let draw = (index as f64 + 0.5) * GOLDEN;
+        let (count, weight) = bounces(draw.fract(), diffuse.bounces);
         // Scattered power is not available for specular reflection.
-        let mirrored_at = |place: &WallPosition, cosine: f64| {
-            Some(walls.reflected(place.wall, cosine.clamp(1e-3, 1.0))? * (1.0 - diffuse.share))
+        let mirrored_at = |point: &WallPosition, cosine: f64| {
+            Some(walls.reflected_share(point.wall, cosine.clamp(1e-3, 1.0))? * (1.0 - diffuse.share))
         };
         let cosine = (from - first.position).normalize_or_zero().dot(first.normal);
         let (mut end, mut length_m) = (first, 0.0);
-        // Parts of the power on the first wall: reflected specularly at every wall, and leaving it in any way.
+        // Shares of the power on the first wall: reflected specularly at every wall, and leaving it in any way.
         let mut mirrored = mirrored_at(&first, cosine).unwrap_or(0.0);
         let mut all = mirrored + diffuse.share;
         for _ in 1..count {
@@ -271,12 +273,12 @@ impl Walk {
             length_m += next.position.distance(end.position);
             end = next;
             // Power that reaches an opening is lost.
-            let here = mirrored_at(&end, cosine);
-            mirrored *= here.unwrap_or(0.0);
-            all *= here.map_or(0.0, |here| here + diffuse.share);
+            let share = mirrored_at(&end, cosine);
+            mirrored *= share.unwrap_or(0.0);
+            all *= share.map_or(0.0, |share| share + diffuse.share);
         }
         let by_images = if count <= diffuse.mirrored { mirrored } else { 0.0 };
-        Walk { end, length_m, left: weight * (all - by_images) }
+        Walk { end, length_m, power: weight * (all - by_images) }
     }
 }
 
@@ -299,14 +301,14 @@ pub(super) mod tests {
 
     /// The mean power at a point over the scattering points equals the integral over all pieces of the walls.
     #[test]
-    fn points_throw_what_walls_do() {
+    fn points_scatter_as_walls_do() {
         let (room, antenna) = room();
-        let (share, place) = (0.1, DVec3::new(3.2, 2.1, 1.0));
+        let (share, receiver) = (0.1, DVec3::new(3.2, 2.1, 1.0));
         let density = |position: DVec3, normal: DVec3, area_m2: f64| {
-            let (there, on) = (position - antenna.position, place - position);
-            let cosines = (-there.normalize().dot(normal)).max(0.0) * on.normalize().dot(normal).max(0.0);
-            let gain = antenna.pattern.field(there.normalize()).powi(2);
-            share * gain * area_m2 * cosines / (PI * there.length_squared() * on.length_squared())
+            let (first, second) = (position - antenna.position, receiver - position);
+            let cosines = (-first.normalize().dot(normal)).max(0.0) * second.normalize().dot(normal).max(0.0);
+            let gain = antenna.pattern.field(first.normalize()).powi(2);
+            share * gain * area_m2 * cosines / (PI * first.length_squared() * second.length_squared())
         };
         let mut exact = 0.0;
         const CUTS: usize = 160;
@@ -327,8 +329,8 @@ pub(super) mod tests {
         let drawn: f64 = (0..SEEDS)
             .flat_map(|seed| points(&room, one_wall(share), &antenna, &[], 0.005, seed))
             .map(|point| {
-                let on = place - point.position;
-                point.antennas.tx.norm_sqr() * on.normalize().dot(point.normal).max(0.0) / on.length_squared()
+                let leg = receiver - point.position;
+                point.antennas.tx.norm_sqr() * leg.normalize().dot(point.normal).max(0.0) / leg.length_squared()
             })
             .sum();
         let ratio = drawn / SEEDS as f64 / exact;
@@ -347,11 +349,11 @@ pub(super) mod tests {
         let mut rng = generator(7, Purpose::WallPoints, [0, 0]);
         let begin = |index: usize| {
             let on_floor = DVec3::new(rng.random_range(0.0..6.0), rng.random_range(0.0..3.5), 0.0);
-            let mut place = WallPosition::new(4, on_floor);
+            let mut point = WallPosition::new(4, on_floor);
             for _ in 0..8 {
-                place = place.scattered(&room, &mut rng).expect("a wall").0;
+                point = point.scattered(&room, &mut rng).expect("a wall").0;
             }
-            Walk::from(place, &room, diffuse, from, index, 7)
+            Walk::from(point, &room, diffuse, from, index, 7)
         };
         let walks = (0..20_000).map(begin).collect();
         (room, walks)
@@ -374,10 +376,10 @@ pub(super) mod tests {
     /// Conductors are lossless: over any number of walls all power remains, minus the part of the images; openings
     /// leave no power.
     #[test]
-    fn walks_carry_what_walls_leave_and_images_do_not() {
+    fn walks_carry_the_power_that_images_do_not() {
         let mean = |diffuse, walls| {
             let (_, walks) = walks(diffuse, walls);
-            walks.iter().map(|walk| walk.left).sum::<f64>() / walks.len() as f64
+            walks.iter().map(|walk| walk.power).sum::<f64>() / walks.len() as f64
         };
         let diffuse = Diffuse { share: 0.1, points: 1, bounces: 6, mirrored: 0 };
         let none = mean(diffuse, [Wall::Conductor; 6]);

@@ -1,10 +1,10 @@
 //! Reference echoes of a skin: physical optics over its whole lit surface, recomputed in every chirp in double
 //! precision.
 //!
-//! Surface, fields and shadows are those of [`super::skin`], but none of its approximations is used: no window, no key
-//! times, no choice of quadrature rules, no patches. Strengths are computed at every corner of the flat pieces, and
-//! every piece has its own path and frequency. Only exact zeros are skipped, and quantities shared by several pairs of
-//! images are computed once.
+//! Surface, fields and occlusion are those of [`super::skin`], but none of its approximations is used: no window, no
+//! key times, no choice of quadrature rules, no patches. Integrands are computed at every corner of the flat pieces,
+//! and every piece has its own path and frequency. Only exact zeros are skipped, and quantities shared by several pairs
+//! of images are computed once.
 
 use std::f64::consts::TAU;
 
@@ -34,14 +34,14 @@ pub fn chirp(
     prepared: &PreparedScene,
     person: &SkinnedPerson,
     people: &[Snapshot],
-    me: usize,
+    target: usize,
     pairs: &[(ImageIndex, ImageIndex)],
     time_s: f64,
     samples: usize,
 ) -> Vec<Vec<f64>> {
     let posed = person.mesh().posed(time_s);
     let indices = distinct_images(pairs.iter().flat_map(|&(p, q)| [p, q])).into_iter();
-    let images: Vec<Image> = indices.map(|index| Image::new(prepared, person, people, me, index, &posed)).collect();
+    let images: Vec<Image> = indices.map(|index| Image::new(prepared, person, people, target, index, &posed)).collect();
     let number = |index: ImageIndex| images.binary_search_by_key(&index, |image| image.index).ok();
     let pairs: Vec<[usize; 2]> = pairs.iter().filter_map(|&(p, q)| Some([number(p)?, number(q)?])).collect();
     let grid = Grid::new(PIECES);
@@ -51,7 +51,7 @@ pub fn chirp(
     for triangle in 0..person.mesh().skin().rest().triangles.len() {
         surface.pose(person, &posed, triangle, &grid);
         for (image, view) in images.iter().zip(&mut views) {
-            view.look(prepared, image, &surface, &grid);
+            view.illuminate_from(prepared, image, &surface, &grid);
         }
         for &[p, q] in &pairs {
             add_triangle(prepared, &surface, &grid, &views[p], &views[q], &mut tones);
@@ -66,7 +66,7 @@ struct Image {
     source: DVec3,
     sinks: Vec<DVec3>,
     /// Factors of obstruction by people and limbs on the field at each vertex.
-    weights: Vec<f64>,
+    obstruction: Vec<f64>,
 }
 
 impl Image {
@@ -74,7 +74,7 @@ impl Image {
         prepared: &PreparedScene,
         person: &SkinnedPerson,
         people: &[Snapshot],
-        me: usize,
+        target: usize,
         index: ImageIndex,
         posed: &PosedSkin,
     ) -> Self {
@@ -82,9 +82,10 @@ impl Image {
         let sinks: Vec<DVec3> = prepared.rx.iter().map(|rx| prepared.room.image_position(index, rx.position)).collect();
         let middle = 0.5 * (source + sinks.iter().sum::<DVec3>() / sinks.len().max(1) as f64);
         let all = vec![true; posed.vertices.len()];
-        let own = self_occlusion::weights(person.mesh().skin(), posed, middle, prepared.wavelength_m, &all);
-        let past = person.past_people(prepared, people, me, index);
-        Image { index, source, sinks, weights: own.iter().zip(past).map(|(a, b)| a * b).collect() }
+        let by_limbs = self_occlusion::factors(person.mesh().skin(), posed, middle, prepared.wavelength_m, &all);
+        let by_people = person.people_factors(prepared, people, target, index);
+        let obstruction = by_limbs.iter().zip(by_people).map(|(a, b)| a * b).collect();
+        Image { index, source, sinks, obstruction }
     }
 }
 
@@ -93,7 +94,7 @@ struct Grid {
     /// Barycentric coordinates of the pieces' corners.
     nodes: Vec<[f64; 3]>,
     /// Barycentric coordinates of the middles of the pieces' edges.
-    between: Vec<[f64; 3]>,
+    edge_middles: Vec<[f64; 3]>,
     /// Corners of each piece, then the middles of its edges, as indices.
     pieces: Vec<([usize; 3], [usize; 3])>,
 }
@@ -118,7 +119,7 @@ impl Grid {
                 }
             }
         }
-        Grid { nodes: all(cuts), between: all(2 * cuts), pieces }
+        Grid { nodes: all(cuts), edge_middles: all(2 * cuts), pieces }
     }
 }
 
@@ -129,7 +130,8 @@ struct Surface {
     cloth: [f64; 3],
     points: Vec<DVec3>,
     normals: Vec<DVec3>,
-    between: Vec<DVec3>,
+    /// Middles of the flat pieces' edges.
+    edge_middles: Vec<DVec3>,
     /// Flat pieces: middle, velocity, twice the area.
     middles: Vec<DVec3>,
     velocities: Vec<DVec3>,
@@ -151,7 +153,7 @@ impl Surface {
             mean(&points, *w) + 4.0 * (bulges[0] * (a * b) + bulges[1] * (b * c) + bulges[2] * (c * a))
         };
         refill(&mut self.points, grid.nodes.iter().map(place));
-        refill(&mut self.between, grid.between.iter().map(place));
+        refill(&mut self.edge_middles, grid.edge_middles.iter().map(place));
         refill(&mut self.normals, grid.nodes.iter().map(|w| mean(&normals, *w).normalize_or_zero()));
         let pieces = grid.pieces.iter().map(|(corners, _)| corners.map(|i| self.points[i]));
         refill(&mut self.middles, pieces.clone().map(|[a, b, c]| (a + b + c) / 3.0));
@@ -164,21 +166,21 @@ impl Surface {
 }
 
 /// Refills a list and keeps its allocation.
-fn refill<T>(list: &mut Vec<T>, with: impl Iterator<Item = T>) {
+fn refill<T>(list: &mut Vec<T>, items: impl Iterator<Item = T>) {
     list.clear();
-    list.extend(with);
+    list.extend(items);
 }
 
 /// Triangle seen from the antennas of an image.
 #[derive(Default)]
 struct ImageView {
-    /// Whether any part of the triangle is visible with a nonzero weight.
-    lit: bool,
+    /// Whether any part of the triangle faces an antenna and is not fully obstructed.
+    is_lit: bool,
     /// Factors of obstruction by limbs and people at the corners.
-    weights: [f64; 3],
+    obstruction: [f64; 3],
     /// Fields of the transmitter and of the first receiver at the pieces' corners; `None` where they face away.
-    there: Vec<Option<Illumination>>,
-    home: Vec<Option<Illumination>>,
+    from_tx: Vec<Option<Illumination>>,
+    from_rx: Vec<Option<Illumination>>,
     tx: Legs,
     rx: Vec<Legs>,
 }
@@ -191,7 +193,7 @@ struct Legs {
     rates_m_per_s: Vec<f64>,
     /// Excess length at the corners of each piece, and its mean over the middles of the edges, m.
     corners_m: Vec<[f64; 3]>,
-    beside_m: Vec<f64>,
+    edges_m: Vec<f64>,
 }
 
 impl Legs {
@@ -200,34 +202,35 @@ impl Legs {
         let rate = |(p, v): (&DVec3, &DVec3)| (*p - antenna).normalize_or_zero().dot(*v);
         refill(&mut self.rates_m_per_s, surface.middles.iter().zip(&surface.velocities).map(rate));
         let at_nodes: Vec<f64> = surface.points.iter().map(|p| p.distance(antenna)).collect();
-        let at_between: Vec<f64> = surface.between.iter().map(|p| p.distance(antenna)).collect();
+        let at_edge_middles: Vec<f64> = surface.edge_middles.iter().map(|p| p.distance(antenna)).collect();
         let pieces = || grid.pieces.iter().zip(&self.lengths_m);
         let corners = pieces().map(|((corners, _), length)| corners.map(|i| at_nodes[i] - length)).collect();
-        let beside =
-            pieces().map(|((_, edges), length)| edges.iter().map(|&i| at_between[i]).sum::<f64>() / 3.0 - length);
-        self.beside_m = beside.collect();
+        let edges =
+            pieces().map(|((_, edges), length)| edges.iter().map(|&i| at_edge_middles[i]).sum::<f64>() / 3.0 - length);
+        self.edges_m = edges.collect();
         self.corners_m = corners;
     }
 }
 
 impl ImageView {
-    fn look(&mut self, prepared: &PreparedScene, image: &Image, surface: &Surface, grid: &Grid) {
+    /// Computes fields and path lengths of a triangle for an image.
+    fn illuminate_from(&mut self, prepared: &PreparedScene, image: &Image, surface: &Surface, grid: &Grid) {
         let (Some(first), Some(sink)) = (prepared.rx.first(), image.sinks.first()) else { return };
-        self.weights = surface.corners.map(|v| image.weights.get(v as usize).copied().unwrap_or_default());
-        let weighted = self.weights.iter().any(|w| *w > 0.0);
+        self.obstruction = surface.corners.map(|v| image.obstruction.get(v as usize).copied().unwrap_or_default());
+        let is_unobstructed = self.obstruction.iter().any(|factor| *factor > 0.0);
         let faces =
             |antenna: DVec3| surface.points.iter().zip(&surface.normals).any(|(p, n)| n.dot(antenna - *p) > 0.0);
-        self.lit = weighted && (faces(image.source) || faces(*sink));
-        if !self.lit {
+        self.is_lit = is_unobstructed && (faces(image.source) || faces(*sink));
+        if !self.is_lit {
             return;
         }
-        let see = |element, at: DVec3| {
-            let seen = |(point, normal): (&DVec3, &DVec3)| {
-                (normal.dot(at - *point) > 0.0).then(|| prepared.room.illuminate(element, image.index, *point))
+        let fields = |element, antenna: DVec3| {
+            let field = |(point, normal): (&DVec3, &DVec3)| {
+                (normal.dot(antenna - *point) > 0.0).then(|| prepared.room.illuminate(element, image.index, *point))
             };
-            surface.points.iter().zip(&surface.normals).map(seen).collect()
+            surface.points.iter().zip(&surface.normals).map(field).collect()
         };
-        (self.there, self.home) = (see(&prepared.tx, image.source), see(first, *sink));
+        (self.from_tx, self.from_rx) = (fields(&prepared.tx, image.source), fields(first, *sink));
         self.tx.measure(image.source, surface, grid);
         self.rx.resize_with(image.sinks.len(), Legs::default);
         for (legs, sink) in self.rx.iter_mut().zip(&image.sinks) {
@@ -241,50 +244,52 @@ fn add_triangle(
     prepared: &PreparedScene,
     surface: &Surface,
     grid: &Grid,
-    out: &ImageView,
-    back: &ImageView,
+    outbound: &ImageView,
+    inbound: &ImageView,
     tones: &mut Tones,
 ) {
-    if !(out.lit && back.lit) {
+    if !(outbound.is_lit && inbound.is_lit) {
         return;
     }
     let k = TAU / prepared.wavelength_m;
     let aperture = prepared.aperture_m();
     let factor = Complex64::new(0.0, -k * aperture / TAU);
     let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
-    let weights = [0, 1, 2].map(|i| out.weights[i] * back.weights[i] * surface.cloth[i]);
-    let strength = |i: usize| {
-        let (Some(there), Some(home)) = (&out.there[i], &back.home[i]) else { return Complex64::ZERO };
-        let bent = 0.5 * (there.direction + home.direction).length();
+    let weights = [0, 1, 2].map(|i| outbound.obstruction[i] * inbound.obstruction[i] * surface.cloth[i]);
+    let integrand = |i: usize| {
+        let (Some(from_tx), Some(from_rx)) = (&outbound.from_tx[i], &inbound.from_rx[i]) else {
+            return Complex64::ZERO;
+        };
+        let half_sum = 0.5 * (from_tx.direction + from_rx.direction).length();
         let [a, b, c] = grid.nodes[i];
         let weight = (weights[0] * a + weights[1] * b + weights[2] * c)
-            * smooth_step((bent - 0.2) / 0.1)
+            * smooth_step((half_sum - 0.2) / 0.1)
             * inside_room(prepared, surface.points[i]);
         if weight == 0.0 {
             return Complex64::ZERO;
         }
-        let arrival = Arrival { field: there.field, direction: there.direction };
-        let received = received(&arrival, surface.normals[i], &skin, k, -home.direction, home.field);
-        let spreading = 1.0 / (there.distance_m.max(LEAST_DISTANCE_M) * home.distance_m.max(LEAST_DISTANCE_M));
+        let arrival = Arrival { field: from_tx.field, direction: from_tx.direction };
+        let received = received(&arrival, surface.normals[i], &skin, k, -from_rx.direction, from_rx.field);
+        let spreading = 1.0 / (from_tx.distance_m.max(LEAST_DISTANCE_M) * from_rx.distance_m.max(LEAST_DISTANCE_M));
         factor * received * (spreading * weight)
     };
-    let strengths: Vec<Complex64> = (0..grid.nodes.len()).map(strength).collect();
-    let Some(first) = back.rx.first() else { return };
+    let integrands: Vec<Complex64> = (0..grid.nodes.len()).map(integrand).collect();
+    let Some(first) = inbound.rx.first() else { return };
     for (piece, (corners, _)) in grid.pieces.iter().enumerate() {
-        let strengths = corners.map(|i| strengths[i]);
-        if strengths == [Complex64::ZERO; 3] {
+        let integrands = corners.map(|i| integrands[i]);
+        if integrands == [Complex64::ZERO; 3] {
             continue;
         }
-        // Over a piece the strength is linear, and so is the path except for a mean offset. Within millimetres the
-        // offset is the same for all receivers.
-        let longer = [0, 1, 2].map(|i| out.tx.corners_m[piece][i] + first.corners_m[piece][i]);
-        let bend = out.tx.beside_m[piece] + first.beside_m[piece] - (longer[0] + longer[1] + longer[2]) / 3.0;
-        let [a, b, c] = longer.map(|l| -k * (l + bend));
+        // Over a piece the integrand is linear, and so is the path except for a mean offset. The offset is the same for
+        // all receivers, which are millimetres apart.
+        let excess = [0, 1, 2].map(|i| outbound.tx.corners_m[piece][i] + first.corners_m[piece][i]);
+        let bend = outbound.tx.edges_m[piece] + first.edges_m[piece] - (excess[0] + excess[1] + excess[2]) / 3.0;
+        let [a, b, c] = excess.map(|l| -k * (l + bend));
         let [x, y, z] = triangle::moments(a, b, c);
-        let field = (x * strengths[0] + y * strengths[1] + z * strengths[2]) * surface.twice_areas[piece];
-        for (rx, legs) in back.rx.iter().enumerate() {
-            let length_m = out.tx.lengths_m[piece] + legs.lengths_m[piece];
-            let rate_m_per_s = out.tx.rates_m_per_s[piece] + legs.rates_m_per_s[piece];
+        let field = (x * integrands[0] + y * integrands[1] + z * integrands[2]) * surface.twice_areas[piece];
+        for (rx, legs) in inbound.rx.iter().enumerate() {
+            let length_m = outbound.tx.lengths_m[piece] + legs.lengths_m[piece];
+            let rate_m_per_s = outbound.tx.rates_m_per_s[piece] + legs.rates_m_per_s[piece];
             tones.add(rx, field, length_m / SPEED_OF_LIGHT_M_PER_S, rate_m_per_s / SPEED_OF_LIGHT_M_PER_S);
         }
     }
@@ -313,18 +318,18 @@ impl<'a> Tones<'a> {
         let chirp = &self.prepared.chirp;
         let cycles = chirp.phase_cycles(delay_s);
         let amplitude = field.conj() * Complex64::from_polar(1.0, TAU * (cycles - cycles.round()));
-        let place = chirp.beat_hz(delay_s, delay_rate) / self.step_hz;
-        let below = place.floor();
-        let at = self.place(below as i64);
+        let position = chirp.beat_hz(delay_s, delay_rate) / self.step_hz;
+        let below = position.floor();
+        let at = self.slot(below as i64);
         if let Some([one, other]) = self.amplitudes.get_mut(rx).and_then(|all| all.get_mut(at..at + 2)?.as_mut_array())
         {
-            *one += amplitude * (below + 1.0 - place);
-            *other += amplitude * (place - below);
+            *one += amplitude * (below + 1.0 - position);
+            *other += amplitude * (position - below);
         }
     }
 
-    /// Returns the position of a tone after making room for it and the next.
-    fn place(&mut self, number: i64) -> usize {
+    /// Returns the index of a tone in the lists of amplitudes, after making room for it and the next.
+    fn slot(&mut self, number: i64) -> usize {
         let len = self.amplitudes.first().map_or(0, Vec::len);
         if len == 0 {
             self.first = number;
@@ -349,11 +354,11 @@ impl<'a> Tones<'a> {
             for (number, amplitude) in (self.first..).zip(all).filter(|(_, a)| **a != Complex64::ZERO) {
                 let beat_hz = number as f64 * self.step_hz;
                 let cycles = beat_hz / self.prepared.chirp.sample_rate_hz;
-                let turn = |samples: f64| Complex64::from_polar(1.0, TAU * cycles * samples);
+                let phasor = |samples: f64| Complex64::from_polar(1.0, TAU * cycles * samples);
                 let amplitude = amplitude * self.prepared.at_adc(rx, Complex64::ONE, beat_hz);
                 // Four samples are computed in parallel.
-                let mut four: [Complex64; 4] = std::array::from_fn(|i| amplitude * turn(i as f64 - middle));
-                let step = turn(4.0);
+                let mut four: [Complex64; 4] = std::array::from_fn(|i| amplitude * phasor(i as f64 - middle));
+                let step = phasor(4.0);
                 for chunk in out.chunks_mut(4) {
                     for (x, value) in chunk.iter_mut().zip(&mut four) {
                         *x += value.re;

@@ -1,15 +1,16 @@
 //! Echoes of a person by paths over the scattering points of walls.
 //!
-//! An echo travels from the antennas to a segment and back, by two of these ways: directly, or over one of the points.
+//! An echo consists of two one-way paths between the antennas and a segment, each directly or over one of the points.
 //! The transmitter may use either of them and the receivers the other. Both directions have nearly the same length, so
-//! they are one echo, whose amplitude at each receiver is their sum with their phases ([`AntennaPaths::both_ways`]).
+//! they are one echo. Its amplitude at each receiver is the sum of both with their phases
+//! ([`AntennaPaths::both_ways`]).
 //!
-//! All ways end with few legs: between a segment and each antenna, and between it and each point. A leg has a length
-//! with two time derivatives, and a field; an echo adds the lengths and multiplies the fields of its two ways.
+//! All paths end with one of few legs: between a segment and an antenna, or between it and a point. A leg has a length
+//! with two time derivatives, and a field. An echo adds the lengths and multiplies the fields of its two legs.
 //!
-//! An echo weaker than a path that is invisible in any map matters by its mean power only. Of such echoes, only a part is
-//! taken, with the same mean power: an echo is taken if its power, relative to that of the invisible path, exceeds a
-//! number from an even sequence, and then has the amplitude of that path ([`Thinning`]).
+//! An echo weaker than a path that is invisible in any map matters by its mean power only. Of such echoes, only a part
+//! is computed, with the same mean power ([`Thinning`]). An echo is computed if its power, relative to that of the
+//! invisible path, exceeds a number from an even sequence. It then has the amplitude of that path.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI};
 
@@ -17,7 +18,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::KernelLevel;
 
-use super::diffuse_legs::{HeardRows, Leg, LegRows, Scatterer, heard_by_ways, legs};
+use super::diffuse_legs::{EchoRows, Leg, LegRows, Scatterer, legs, two_leg_echoes};
 use super::{Snapshot, inside_room};
 use crate::diffuse::{AntennaPaths, BEFORE_M, GOLDEN, LEAST_LEG_M, WallPoint};
 use crate::em::fresnel;
@@ -33,7 +34,7 @@ use crate::tracks::RECEIVERS;
 
 /// Smallest number of points for a segment, if there are as many. Fewer and stronger echoes would appear in maps as
 /// individual detections, like a second person.
-const LEAST_POINTS: usize = 64;
+const MIN_POINTS: usize = 64;
 
 /// Tolerance up to which the echoes of all points are computed, dB.
 const ALL_POINTS_DB: f64 = 0.5;
@@ -42,27 +43,29 @@ const ALL_POINTS_DB: f64 = 0.5;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Thinning {
     /// Number of the walls' points that each segment of a body takes.
-    points_a_segment: usize,
+    points_per_segment: usize,
     /// Amplitude at the ADC of a path that is invisible in any map, LSB.
     invisible_lsb: f64,
 }
 
 impl Thinning {
-    /// Takes all points up to 0.5 dB, and a quarter of them at 1 dB. `threshold_lsb` is the amplitude below which a path
-    /// may be neglected at the tolerance. It is visible at coarse tolerances, where that of 0.5 dB is the limit.
+    /// Takes all points up to 0.5 dB, and a quarter of them at 1 dB. `threshold_lsb` is the amplitude below which a
+    /// path may be neglected at the tolerance. At coarser tolerances than 0.5 dB such a path is visible, so that the
+    /// invisible amplitude is the threshold of 0.5 dB.
     pub fn new(points: usize, tolerance_db: f64, threshold_lsb: f64) -> Self {
-        let part = (ALL_POINTS_DB / tolerance_db).powi(2);
+        let fraction = (ALL_POINTS_DB / tolerance_db).powi(2);
         Thinning {
-            points_a_segment: ((points as f64 * part).ceil() as usize).clamp(LEAST_POINTS.min(points), points),
+            points_per_segment: ((points as f64 * fraction).ceil() as usize).clamp(MIN_POINTS.min(points), points),
             invisible_lsb: threshold_lsb * (ALL_POINTS_DB / tolerance_db).min(1.0),
         }
     }
 
     /// Returns the largest number of a person's diffuse echoes in an interval.
-    pub fn most_echoes(&self) -> usize {
-        /// Number of echoes for each point: by way of the point and directly, and half of an echo by way of two points.
+    pub fn max_echoes(&self) -> usize {
+        /// Number of echoes for each point, rounded up: one by way of the point and directly, and half of one by way of
+        /// two points.
         const ECHOES: usize = 2;
-        ECHOES * SEGMENTS * self.points_a_segment
+        ECHOES * SEGMENTS * self.points_per_segment
     }
 }
 
@@ -73,62 +76,64 @@ fn points_of(segment: usize, taken: usize, points: usize) -> impl Iterator<Item 
     (0..taken).map(move |i| ((i as f64 + shift) * points as f64 / taken as f64) as usize).filter(move |&i| i < points)
 }
 
-/// Returns the draws for a segment's echoes by way of one of the points that it takes, 0 to 1: with a direct way back,
-/// and by way of the point's partner. An echo is taken if its power, relative to that of an invisible path, exceeds its
-/// draw. For all segments and the places of points among those taken, the draws are spread evenly (Roberts's sequence,
-/// multiples of powers of the inverse plastic number).
-fn draws(segment: usize, place: usize) -> [f64; 2] {
+/// Returns the draws, 0 to 1, for a segment's echoes by way of one of the points that it takes: with a direct other
+/// path, and by way of the point's partner. An echo is computed if its power, relative to that of an invisible path,
+/// exceeds its draw. `rank` is the index of the point among those that the segment takes. Over all segments and ranks
+/// the draws are spread evenly (Roberts's sequence, multiples of powers of the inverse plastic number).
+fn draws(segment: usize, rank: usize) -> [f64; 2] {
     const STEPS: [f64; 2] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3];
-    let draw = (0.5 + place as f64 * STEPS[0] + segment as f64 * STEPS[1]).fract();
+    let draw = (0.5 + rank as f64 * STEPS[0] + segment as f64 * STEPS[1]).fract();
     [draw, (draw + 0.5).fract()]
 }
 
-/// Adds a person's diffuse echoes to those of each interval of a frame. `own` is that person at the ends of the
+/// Adds a person's diffuse echoes to those of each interval of a frame. `snapshots` is that person at the ends of the
 /// intervals. Echoes are scaled so that the mean power does not depend on the part of them that is computed.
-pub fn add(prepared: &PreparedScene, thinning: &Thinning, own: &[&Snapshot], intervals: &mut [HeldEchoes]) {
-    let (points, points_a_segment) = (&prepared.wall_points, thinning.points_a_segment);
-    let share = (points.len() as f64 / points_a_segment.max(1) as f64).sqrt();
-    let segments: Vec<Segment> =
-        (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(prepared, own, s, share)).collect();
-    let strongest = segments.iter().map(Segment::most_strength).fold(0.0, f64::max);
-    let audible = audible(prepared, thinning, own, strongest);
-    let mut taken: [Vec<Taken>; 2] = Default::default();
+pub fn add(prepared: &PreparedScene, thinning: &Thinning, snapshots: &[&Snapshot], intervals: &mut [HeldEchoes]) {
+    let (points, points_per_segment) = (&prepared.wall_points, thinning.points_per_segment);
+    let share = (points.len() as f64 / points_per_segment.max(1) as f64).sqrt();
+    let segments: Vec<Segment> = (0..snapshots.first().map_or(0, |now| now.body.len()))
+        .map(|s| Segment::new(prepared, snapshots, s, share))
+        .collect();
+    let strongest = segments.iter().map(Segment::max_strength).fold(0.0, f64::max);
+    let bounds = power_bounds(prepared, thinning, snapshots, strongest);
+    // Paths over one point, and over two.
+    let mut paths: [Vec<WallPath>; 2] = Default::default();
     for (number, segment) in segments.iter().enumerate() {
-        taken.iter_mut().for_each(Vec::clear);
-        let weaker = (segment.most_strength() / strongest.max(1e-300)).powi(2);
-        for (place, index) in points_of(number, points_a_segment, points.len()).enumerate() {
-            let (Some(point), Some(&[alone, paired])) = (points.get(index), audible.get(index)) else { continue };
-            let [draw, paired_draw] = draws(number, place);
+        paths.iter_mut().for_each(Vec::clear);
+        let weaker = (segment.max_strength() / strongest.max(1e-300)).powi(2);
+        for (rank, index) in points_of(number, points_per_segment, points.len()).enumerate() {
+            let (Some(point), Some(&[alone, paired])) = (points.get(index), bounds.get(index)) else { continue };
+            let [draw, paired_draw] = draws(number, rank);
             if alone * weaker > draw {
-                taken[0].push(Taken { point, partner: None, draw });
+                paths[0].push(WallPath { point, partner: None, draw });
             }
             let partner = point.partner.filter(|_| paired * weaker > paired_draw);
             if let Some(partner) = partner.and_then(|number| points.get(number)) {
-                taken[1].push(Taken { point, partner: Some(partner), draw: paired_draw });
+                paths[1].push(WallPath { point, partner: Some(partner), draw: paired_draw });
             }
         }
-        for lanes in taken.iter().flat_map(|of_a_kind| of_a_kind.chunks(WIDE)) {
+        for lanes in paths.iter().flat_map(|of_kind| of_kind.chunks(WIDE)) {
             segment.add(prepared, thinning, lanes, intervals);
         }
     }
 }
 
-/// Way over a point, or over it and its partner, whose echo is taken if its power exceeds its draw.
-struct Taken<'a> {
+/// Path over a point, or over it and its partner. Its echo is computed if its power exceeds its draw.
+struct WallPath<'a> {
     point: &'a WallPoint,
     partner: Option<&'a WallPoint>,
     draw: f64,
 }
 
-impl Taken<'_> {
+impl WallPath<'_> {
     /// Returns the length between the legs other than those to the segment, m.
     fn between_m(&self) -> f64 {
         self.point.antennas.length_m + self.partner.map_or(0.0, |partner| partner.antennas.length_m)
     }
 
-    /// Returns the paths to the antennas at the way's second end, and a factor of the field. `direct` is the segment's
-    /// own direct path.
-    fn back<'a>(&'a self, direct: &'a DirectPaths, points: usize) -> (&'a AntennaPaths, f64) {
+    /// Returns the paths to the antennas at the path's second end, and a factor of the field. `direct` is the segment's
+    /// direct path.
+    fn second_end<'a>(&'a self, direct: &'a DirectPaths, points: usize) -> (&'a AntennaPaths, f64) {
         match self.partner {
             None => (&direct.paths, 1.0),
             // One pair of points stands for as many pairs as there are points.
@@ -140,12 +145,17 @@ impl Taken<'_> {
 /// Bounds the power of the echoes over each point, relative to that of an invisible path: by way of the point and
 /// directly, and by way of it and its partner. The bound uses the distance of the whole body, and the strength of its
 /// strongest segment.
-fn audible(prepared: &PreparedScene, thinning: &Thinning, own: &[&Snapshot], strongest: f64) -> Vec<[f64; 2]> {
+fn power_bounds(
+    prepared: &PreparedScene,
+    thinning: &Thinning,
+    snapshots: &[&Snapshot],
+    strongest: f64,
+) -> Vec<[f64; 2]> {
     let chest = |now: &Snapshot| now.body[CHEST].centre;
     let reach = |now: &Snapshot| now.body.iter().map(|e| e.centre.distance(chest(now))).fold(0.0, f64::max);
-    let reach_m = own.iter().map(|now| reach(now)).fold(0.0, f64::max);
+    let reach_m = snapshots.iter().map(|now| reach(now)).fold(0.0, f64::max);
     let near = |position: DVec3| {
-        let distance_m = own.iter().map(|now| chest(now).distance(position)).fold(f64::INFINITY, f64::min);
+        let distance_m = snapshots.iter().map(|now| chest(now).distance(position)).fold(f64::INFINITY, f64::min);
         1.0 / (distance_m - reach_m).max(LEAST_LEG_M)
     };
     let relative = prepared.lsb.first().copied().unwrap_or(0.0) * strongest / thinning.invisible_lsb;
@@ -154,19 +164,19 @@ fn audible(prepared: &PreparedScene, thinning: &Thinning, own: &[&Snapshot], str
     let points = &prepared.wall_points;
     // Visibility from the middle of the body is decided once per frame, so that echoes over a point do not switch
     // within it.
-    let middle = own.get(own.len() / 2).map_or(DVec3::ZERO, |now| chest(now));
-    let seen = |point: &WallPoint| {
+    let middle = snapshots.get(snapshots.len() / 2).map_or(DVec3::ZERO, |now| chest(now));
+    let is_visible = |point: &WallPoint| {
         let before = point.position + point.normal * BEFORE_M;
         if prepared.room.field_on_segment(before, middle) > 0.5 { 1.0 } else { 0.0 }
     };
-    let near_points: Vec<f64> = points.iter().map(|point| near(point.position) * seen(point)).collect();
+    let near_points: Vec<f64> = points.iter().map(|point| near(point.position) * is_visible(point)).collect();
     let weight = (points.len() as f64).sqrt();
     let bound = |(point, near): (&WallPoint, &f64)| {
         let by_two = |partner: usize| {
-            let field = points.get(partner).map_or(0.0, |other| point.antennas.stronger_way(&other.antennas));
+            let field = points.get(partner).map_or(0.0, |other| point.antennas.stronger_field(&other.antennas));
             weight * field * near_points.get(partner).unwrap_or(&0.0)
         };
-        let fields = [point.antennas.stronger_way(&direct), point.partner.map_or(0.0, by_two)];
+        let fields = [point.antennas.stronger_field(&direct), point.partner.map_or(0.0, by_two)];
         fields.map(|field| (field * near * relative).powi(2))
     };
     points.iter().zip(&near_points).map(bound).collect()
@@ -174,7 +184,8 @@ fn audible(prepared: &PreparedScene, thinning: &Thinning, own: &[&Snapshot], str
 
 /// Segment at the ends of a frame's intervals.
 struct Segment {
-    lit: Vec<Scatterer>,
+    /// Its motion, by time.
+    scatterers: Vec<Scatterer>,
     /// Amplitude of its echo at an antenna for unit fields on both legs, by time.
     strength: Vec<f64>,
     /// Direct paths to the antennas, by time.
@@ -191,8 +202,8 @@ struct DirectPaths {
 }
 
 impl DirectPaths {
-    fn new(prepared: &PreparedScene, lit: &Scatterer) -> Self {
-        let leg = |antenna: &Element| Leg::from_antenna(prepared, lit, antenna);
+    fn new(prepared: &PreparedScene, scatterer: &Scatterer) -> Self {
+        let leg = |antenna: &Element| Leg::from_antenna(prepared, scatterer, antenna);
         let (tx, rx) = (leg(&prepared.tx), prepared.rx.iter().map(leg).collect::<Vec<Leg>>());
         let first = rx.first().unwrap_or(&tx);
         let length = std::array::from_fn(|order| 0.5 * (tx.length[order] + first.length[order]));
@@ -202,15 +213,20 @@ impl DirectPaths {
     }
 }
 
-/// Delay of an echo, s, with two derivatives, and its amplitude at each receiver, LSB.
-type Key = ([f64; 3], [Complex64; RECEIVERS]);
+/// Echo at one time.
+struct EchoState {
+    /// Delay, s, with two derivatives.
+    delay: [f64; 3],
+    /// Amplitude at each receiver, LSB.
+    amplitudes: [Complex64; RECEIVERS],
+}
 
 impl Segment {
     /// Builds a segment of a person. `share` is the amplitude factor that compensates for the reduced number of points.
-    fn new(prepared: &PreparedScene, own: &[&Snapshot], segment: usize, share: f64) -> Self {
+    fn new(prepared: &PreparedScene, snapshots: &[&Snapshot], segment: usize, share: f64) -> Self {
         let skin = fresnel::half_space(SKIN_PERMITTIVITY, 1.0).te.norm_sqr();
         let aperture = prepared.aperture_m();
-        let lit = |now: &&Snapshot| {
+        let scatterer = |now: &&Snapshot| {
             let (centre, velocity, acceleration) = now.centre(segment);
             Scatterer { centre, velocity, acceleration }
         };
@@ -220,71 +236,70 @@ impl Segment {
             // An antenna receives one polarisation of the diffuse field.
             share * scattered * aperture * FRAC_1_SQRT_2 * inside_room(prepared, now.centre(segment).0)
         };
-        let lit: Vec<Scatterer> = own.iter().map(lit).collect();
+        let scatterers: Vec<Scatterer> = snapshots.iter().map(scatterer).collect();
         let first_lsb = prepared.lsb.first().copied().unwrap_or(1.0);
         let mut gains = [0.0; RECEIVERS];
         gains.iter_mut().zip(&prepared.lsb).for_each(|(gain, lsb)| *gain = lsb / first_lsb);
-        let antennas = lit.iter().map(|lit| DirectPaths::new(prepared, lit)).collect();
-        Segment { strength: own.iter().map(strength).collect(), antennas, gains, lit }
+        let antennas = scatterers.iter().map(|scatterer| DirectPaths::new(prepared, scatterer)).collect();
+        Segment { strength: snapshots.iter().map(strength).collect(), antennas, gains, scatterers }
     }
 
     /// Largest amplitude at an antenna for unit fields on both legs.
-    fn most_strength(&self) -> f64 {
+    fn max_strength(&self) -> f64 {
         self.strength.iter().copied().fold(0.0, f64::max)
     }
 
     /// Adds echoes, one per lane and all of one kind, whose largest power exceeds their draw ([`draws`]).
-    fn add(&self, prepared: &PreparedScene, thinning: &Thinning, taken: &[Taken], intervals: &mut [HeldEchoes]) {
-        let Some(first) = taken.first() else { return };
+    fn add(&self, prepared: &PreparedScene, thinning: &Thinning, paths: &[WallPath], intervals: &mut [HeldEchoes]) {
+        let Some(first) = paths.first() else { return };
         let (level, lsb) = (KernelLevel::detect(), prepared.lsb.first().copied().unwrap_or(0.0));
-        let rows = |of: &dyn Fn(&Taken) -> Option<DVec3>| {
+        let rows = |of: &dyn Fn(&WallPath) -> Option<DVec3>| {
             let mut rows = [[0.0; WIDE]; 3];
             for l in 0..WIDE {
-                // Unused lanes repeat the first way.
-                store(&mut rows, l, of(taken.get(l).unwrap_or(first)).unwrap_or_default().to_array());
+                // Unused lanes repeat the first path.
+                store(&mut rows, l, of(paths.get(l).unwrap_or(first)).unwrap_or_default().to_array());
             }
             rows
         };
-        let ends = [rows(&|taken| Some(taken.point.position)), rows(&|taken| Some(taken.point.normal))];
+        let ends = [rows(&|path| Some(path.point.position)), rows(&|path| Some(path.point.normal))];
         let is_paired = first.partner.is_some();
-        let partners = is_paired
-            .then(|| [rows(&|taken| Some(taken.partner?.position)), rows(&|taken| Some(taken.partner?.normal))]);
+        let partners =
+            is_paired.then(|| [rows(&|path| Some(path.partner?.position)), rows(&|path| Some(path.partner?.normal))]);
         let mut between_m = [0.0; WIDE];
-        between_m.iter_mut().zip(taken).for_each(|(between_m, taken)| *between_m = taken.between_m());
+        between_m.iter_mut().zip(paths).for_each(|(between_m, path)| *between_m = path.between_m());
         let points = prepared.wall_points.len();
         let mut power = [0f64; WIDE];
-        let mut times = Vec::with_capacity(self.lit.len());
-        for ((lit, strength), direct) in self.lit.iter().zip(&self.strength).zip(&self.antennas) {
-            let (mut there, mut back) = (LegRows::default(), LegRows::of_all(direct.length, 1.0));
-            legs(level, lit, &ends, &mut there);
+        let mut times = Vec::with_capacity(self.scatterers.len());
+        for ((scatterer, strength), direct) in self.scatterers.iter().zip(&self.strength).zip(&self.antennas) {
+            let (mut outbound, mut inbound) = (LegRows::default(), LegRows::of_all(direct.length, 1.0));
+            legs(level, scatterer, &ends, &mut outbound);
             if let Some(partners) = &partners {
-                legs(level, lit, partners, &mut back);
+                legs(level, scatterer, partners, &mut inbound);
             }
-            let mut heard = HeardRows::default();
-            heard_by_ways(level, prepared, lsb * strength, [&there, &back], &between_m, &mut heard);
-            for (l, (power, taken)) in power.iter_mut().zip(taken).enumerate() {
-                let (paths, factor) = taken.back(direct, points);
-                let stronger = factor * taken.point.antennas.stronger_way(paths) / thinning.invisible_lsb;
-                *power = power.max(heard.power[l] * stronger * stronger);
+            let mut echoes = EchoRows::default();
+            two_leg_echoes(level, prepared, lsb * strength, [&outbound, &inbound], &between_m, &mut echoes);
+            for (l, (power, path)) in power.iter_mut().zip(paths).enumerate() {
+                let (antennas, factor) = path.second_end(direct, points);
+                let stronger = factor * path.point.antennas.stronger_field(antennas) / thinning.invisible_lsb;
+                *power = power.max(echoes.power[l] * stronger * stronger);
             }
-            times.push(heard);
+            times.push(echoes);
         }
-        for (l, (&power, taken)) in
-            power.iter().zip(taken).enumerate().filter(|(_, (power, taken))| **power > taken.draw)
+        for (l, (&power, path)) in power.iter().zip(paths).enumerate().filter(|(_, (power, path))| **power > path.draw)
         {
             let louder = power.sqrt().recip().max(1.0);
-            let key = |(heard, direct): (&HeardRows, &DirectPaths)| -> Key {
-                let (paths, factor) = taken.back(direct, points);
-                let fields = taken.point.antennas.both_ways(paths);
-                let amplitude = Complex64::new(heard.amplitude[0][l], heard.amplitude[1][l]) * (factor * louder);
+            let state = |(echoes, direct): (&EchoRows, &DirectPaths)| -> EchoState {
+                let (antennas, factor) = path.second_end(direct, points);
+                let fields = path.point.antennas.both_ways(antennas);
+                let amplitude = Complex64::new(echoes.amplitude[0][l], echoes.amplitude[1][l]) * (factor * louder);
                 let gained = |receiver: usize| amplitude * fields[receiver] * self.gains[receiver];
-                (heard.delay.map(|row| row[l]), std::array::from_fn(gained))
+                EchoState { delay: echoes.delay.map(|row| row[l]), amplitudes: std::array::from_fn(gained) }
             };
-            let mut keys = times.iter().zip(&self.antennas).map(key);
-            let Some(mut begin) = keys.next() else { continue };
-            for (end, interval) in keys.zip(intervals.iter_mut()) {
-                let amplitudes = std::array::from_fn(|receiver| [begin.1[receiver], end.1[receiver]]);
-                interval.push(&HeldEcho { delay: [begin.0, end.0], amplitudes });
+            let mut states = times.iter().zip(&self.antennas).map(state);
+            let Some(mut begin) = states.next() else { continue };
+            for (end, interval) in states.zip(intervals.iter_mut()) {
+                let amplitudes = std::array::from_fn(|receiver| [begin.amplitudes[receiver], end.amplitudes[receiver]]);
+                interval.push(&HeldEcho { delay: [begin.delay, end.delay], amplitudes });
                 begin = end;
             }
         }
@@ -298,12 +313,12 @@ mod tests {
     /// Subsets cover all points evenly, and all of them at a tight tolerance.
     #[test]
     fn segments_take_points_evenly() {
-        let of = |points: usize, tolerance_db: f64| Thinning::new(points, tolerance_db, 2.0 * tolerance_db);
-        let points = |of: Thinning| of.points_a_segment;
-        assert_eq!([0.1, 0.5, 0.75, 1.0, 5.0].map(|db| points(of(256, db))), [256, 256, 114, 64, 64]);
-        assert_eq!([0.5, 5.0].map(|db| points(of(64, db))), [64, 64]);
+        let thinning = |points: usize, tolerance_db: f64| Thinning::new(points, tolerance_db, 2.0 * tolerance_db);
+        let points = |thinning: Thinning| thinning.points_per_segment;
+        assert_eq!([0.1, 0.5, 0.75, 1.0, 5.0].map(|db| points(thinning(256, db))), [256, 256, 114, 64, 64]);
+        assert_eq!([0.5, 5.0].map(|db| points(thinning(64, db))), [64, 64]);
         assert_eq!(
-            [0.1, 0.5, 1.0, 5.0].map(|db| of(256, db).invisible_lsb),
+            [0.1, 0.5, 1.0, 5.0].map(|db| thinning(256, db).invisible_lsb),
             [0.2, 1.0, 1.0, 1.0],
             "it stays invisible"
         );
@@ -317,32 +332,33 @@ mod tests {
         assert!(taken.iter().all(|&times| (2..=4).contains(&times)), "{taken:?}");
     }
 
-    /// The part of the echoes that is taken equals their power relative to that of an invisible path, in every segment. With
-    /// the power of the invisible path, this part has the same mean power as all of them.
+    /// In every segment, the fraction of echoes that is computed equals their power relative to that of an invisible
+    /// path. With the power of the invisible path, this fraction has the same mean power as all echoes.
     #[test]
     fn draws_keep_the_mean_power() {
         for (points, most_mean, most) in [(256, 0.001, 0.012), (64, 0.005, 0.05)] {
-            for (power, way) in [0.01, 0.05, 0.2, 0.5, 0.9].into_iter().flat_map(|power| [(power, 0), (power, 1)]) {
-                let taken = |segment: usize| (0..points).filter(|&place| power > draws(segment, place)[way]).count();
-                let of_segments: Vec<f64> = (0..SEGMENTS).map(|s| taken(s) as f64 / points as f64).collect();
-                let mean = of_segments.iter().sum::<f64>() / SEGMENTS as f64;
+            for (power, kind) in [0.01, 0.05, 0.2, 0.5, 0.9].into_iter().flat_map(|power| [(power, 0), (power, 1)]) {
+                let count = |segment: usize| (0..points).filter(|&rank| power > draws(segment, rank)[kind]).count();
+                let fractions: Vec<f64> = (0..SEGMENTS).map(|s| count(s) as f64 / points as f64).collect();
+                let mean = fractions.iter().sum::<f64>() / SEGMENTS as f64;
                 assert!((mean - power).abs() < most_mean + 0.01 * power, "{points}, {power}: {mean}");
-                assert!(of_segments.iter().all(|part| (part - power).abs() < most), "{power}: {of_segments:?}");
+                assert!(fractions.iter().all(|fraction| (fraction - power).abs() < most), "{power}: {fractions:?}");
             }
         }
     }
 
-    /// Compares the echo over a point and directly, in both directions together, with separate paths from the transmitter
-    /// to each receiver: at one time, and between the ends of an interval of 25 ms, in which a walker passes at 1 m.
+    /// Compares the echo over a point and directly, in both directions together, with separate paths from the
+    /// transmitter to each receiver: at one time, and between the ends of an interval of 25 ms, in which a walker
+    /// passes at 1 m.
     #[test]
     fn both_directions_are_one_echo() {
         const WAVELENGTH_M: f64 = 0.005;
         let tx = DVec3::new(0.0, 0.0, 1.1);
         let rx = [[0.0, 0.006, 1.1], [0.0, 0.006, 1.1025], [0.0, 0.0085, 1.1]].map(DVec3::from_array);
-        let legs_to = |place: DVec3| -> (f64, [f64; 3]) { (tx.distance(place), rx.map(|rx| rx.distance(place))) };
-        let paths = |place: DVec3| {
-            let (there, back) = legs_to(place);
-            AntennaPaths::new((there, 0.6), &back.map(|length_m| (length_m, 0.5)), WAVELENGTH_M)
+        let legs_to = |point: DVec3| -> (f64, [f64; 3]) { (tx.distance(point), rx.map(|rx| rx.distance(point))) };
+        let paths = |point: DVec3| {
+            let (outbound, inbound) = legs_to(point);
+            AntennaPaths::new((outbound, 0.6), &inbound.map(|length_m| (length_m, 0.5)), WAVELENGTH_M)
         };
         let turned = |length_m: f64| Complex64::from_polar(1.0, 2.0 * PI * length_m / WAVELENGTH_M);
         let point = DVec3::new(2.5, 1.8, 0.4);

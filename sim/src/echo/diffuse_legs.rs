@@ -1,4 +1,5 @@
-//! Legs of diffuse echoes between antennas or wall points and a segment, and vectorised echoes over them, one way per lane.
+//! Legs of diffuse echoes between antennas or wall points and a segment, and vectorised echoes over them, one path per
+//! lane.
 
 // Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
@@ -23,23 +24,23 @@ pub(super) struct Leg {
 
 impl Leg {
     /// Computes a leg from a position that radiates a field, times m, in a direction.
-    fn new(lit: &Scatterer, from: DVec3, sends: impl Fn(DVec3) -> f64) -> Self {
-        let offset = lit.centre - from;
+    fn new(scatterer: &Scatterer, from: DVec3, radiated: impl Fn(DVec3) -> f64) -> Self {
+        let offset = scatterer.centre - from;
         let distance_m = offset.length();
         let direction = offset / distance_m.max(1e-9);
-        let least_m = distance_m.max(LEAST_LEG_M);
-        let rate = direction.dot(lit.velocity);
+        let clamped_m = distance_m.max(LEAST_LEG_M);
+        let rate = direction.dot(scatterer.velocity);
         // Transverse motion increases the second derivative.
-        let across = (lit.velocity.length_squared() - rate * rate) / least_m;
-        let length = [distance_m, rate, direction.dot(lit.acceleration) + across];
-        Leg { length, field: sends(direction) / least_m }
+        let across = (scatterer.velocity.length_squared() - rate * rate) / clamped_m;
+        let length = [distance_m, rate, direction.dot(scatterer.acceleration) + across];
+        Leg { length, field: radiated(direction) / clamped_m }
     }
 
     /// Computes the leg from an antenna.
-    pub(super) fn from_antenna(prepared: &PreparedScene, lit: &Scatterer, antenna: &Element) -> Self {
-        let straight = prepared.room.field_on_segment(antenna.position, lit.centre);
-        let sends = |direction: DVec3| antenna.pattern.field(antenna.radar_from_world * direction) * straight;
-        Leg::new(lit, antenna.position, sends)
+    pub(super) fn from_antenna(prepared: &PreparedScene, scatterer: &Scatterer, antenna: &Element) -> Self {
+        let straight = prepared.room.field_on_segment(antenna.position, scatterer.centre);
+        let radiated = |direction: DVec3| antenna.pattern.field(antenna.radar_from_world * direction) * straight;
+        Leg::new(scatterer, antenna.position, radiated)
     }
 }
 
@@ -60,36 +61,37 @@ pub(super) struct LegRows {
 impl LegRows {
     /// Repeats a leg in all lanes.
     pub(super) fn of_all(length: [f64; 3], field: f64) -> Self {
-        LegRows { length: length.map(|of| [of; WIDE]), field: [field; WIDE] }
+        LegRows { length: length.map(|value| [value; WIDE]), field: [field; WIDE] }
     }
 }
 
 compiled_for_levels! {
     /// Computes the legs from wall points, given by their positions and normals.
-    pub(super) fn legs(lit: &Scatterer, points: &[WideRow3; 2], out: &mut LegRows) = legs_body;
+    pub(super) fn legs(scatterer: &Scatterer, points: &[WideRow3; 2], out: &mut LegRows) = legs_body;
 }
 
 #[inline(always)]
-fn legs_body(lit: &Scatterer, [positions, normals]: &[WideRow3; 2], out: &mut LegRows) {
-    let [centre, velocity, acceleration] = [lit.centre, lit.velocity, lit.acceleration].map(|of| of.to_array());
+fn legs_body(scatterer: &Scatterer, [positions, normals]: &[WideRow3; 2], out: &mut LegRows) {
+    let [centre, velocity, acceleration] =
+        [scatterer.centre, scatterer.velocity, scatterer.acceleration].map(|of| of.to_array());
     let square = dot(velocity, velocity);
     for l in 0..WIDE {
         let offset = subtract(centre, wide_lane(positions, l));
         let distance_m = dot(offset, offset).sqrt();
-        let least_m = if distance_m > LEAST_LEG_M { distance_m } else { LEAST_LEG_M };
+        let clamped_m = if distance_m > LEAST_LEG_M { distance_m } else { LEAST_LEG_M };
         let direction = scale(offset, 1.0 / if distance_m > 1e-9 { distance_m } else { 1e-9 });
         let rate = dot(direction, velocity);
         let cosine = dot(direction, wide_lane(normals, l));
         out.length[0][l] = distance_m;
         out.length[1][l] = rate;
-        out.length[2][l] = dot(direction, acceleration) + (square - rate * rate) / least_m;
-        out.field[l] = if cosine > 0.0 { cosine.sqrt() / least_m } else { 0.0 };
+        out.length[2][l] = dot(direction, acceleration) + (square - rate * rate) / clamped_m;
+        out.field[l] = if cosine > 0.0 { cosine.sqrt() / clamped_m } else { 0.0 };
     }
 }
 
-/// Echoes over two legs, one way per lane, for unit fields between legs and antennas.
+/// Echoes over two legs, one path per lane, for unit fields between legs and antennas.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct HeardRows {
+pub(super) struct EchoRows {
     /// Delay, s, with its first and second time derivative.
     pub(super) delay: [WideRow; 3],
     /// Amplitude at the ADC, LSB: real and imaginary part.
@@ -101,34 +103,34 @@ pub(super) struct HeardRows {
 compiled_for_levels! {
     /// Computes the echoes over two legs and a length between them, m. `lsb` is the amplitude at the ADC for unit legs
     /// before the filters.
-    pub(super) fn heard_by_ways(
+    pub(super) fn two_leg_echoes(
         prepared: &PreparedScene,
         lsb: f64,
         legs: [&LegRows; 2],
         between_m: &WideRow,
-        out: &mut HeardRows,
-    ) = heard_body;
+        out: &mut EchoRows,
+    ) = two_leg_echoes_body;
 }
 
 #[inline(always)]
-fn heard_body(
+fn two_leg_echoes_body(
     prepared: &PreparedScene,
     lsb: f64,
-    [there, back]: [&LegRows; 2],
+    [outbound, inbound]: [&LegRows; 2],
     between_m: &WideRow,
-    out: &mut HeardRows,
+    out: &mut EchoRows,
 ) {
     let (chirp, filters) = (prepared.chirp, prepared.filters);
     let per_m = 1.0 / SPEED_OF_LIGHT_M_PER_S;
     for l in 0..WIDE {
-        let delay_s = (there.length[0][l] + back.length[0][l] + between_m[l]) * per_m;
-        let delay_rate = (there.length[1][l] + back.length[1][l]) * per_m;
+        let delay_s = (outbound.length[0][l] + inbound.length[0][l] + between_m[l]) * per_m;
+        let delay_rate = (outbound.length[1][l] + inbound.length[1][l]) * per_m;
         let response = filters.response_in_lane(chirp.beat_hz(delay_s, delay_rate));
-        let amplitude = lsb * there.field[l] * back.field[l];
+        let amplitude = lsb * outbound.field[l] * inbound.field[l];
         let (re, im) = (amplitude * response[0], amplitude * response[1]);
         out.delay[0][l] = delay_s;
         out.delay[1][l] = delay_rate;
-        out.delay[2][l] = (there.length[2][l] + back.length[2][l]) * per_m;
+        out.delay[2][l] = (outbound.length[2][l] + inbound.length[2][l]) * per_m;
         out.amplitude[0][l] = re;
         out.amplitude[1][l] = im;
         out.power[l] = re * re + im * im;
@@ -144,7 +146,7 @@ mod tests {
 
     /// A leg's derivatives are those of its length.
     #[test]
-    fn legs_bend_as_their_lengths_do() {
+    fn derivatives_of_legs_are_those_of_their_lengths() {
         let (velocity, acceleration) = (DVec3::new(1.0, -2.0, 0.5), DVec3::new(-4.0, 3.0, 9.0));
         let at = |time_s: f64| {
             let centre = DVec3::new(1.0, 0.4, 1.0) + velocity * time_s + 0.5 * acceleration * time_s * time_s;
@@ -161,7 +163,7 @@ mod tests {
     /// Legs side by side are those of each point alone.
     #[test]
     fn legs_side_by_side_are_those_of_each() {
-        let lit = Scatterer {
+        let scatterer = Scatterer {
             centre: DVec3::new(1.0, 0.4, 1.0),
             velocity: DVec3::new(1.0, -2.0, 0.5),
             acceleration: DVec3::new(-4.0, 3.0, 9.0),
@@ -174,9 +176,9 @@ mod tests {
             store(&mut points[1], l, normal.to_array());
         }
         let mut rows = LegRows::default();
-        legs(KernelLevel::detect(), &lit, &points, &mut rows);
+        legs(KernelLevel::detect(), &scatterer, &points, &mut rows);
         for l in 0..WIDE {
-            let one = Leg::new(&lit, place(l), |direction| direction.dot(normal).max(0.0).sqrt());
+            let one = Leg::new(&scatterer, place(l), |direction| direction.dot(normal).max(0.0).sqrt());
             assert!((rows.field[l] - one.field).abs() < 1e-12, "{l}: {rows:?} {one:?}");
             for (row, one) in rows.length.iter().zip(one.length) {
                 assert!((row[l] - one).abs() < 1e-12, "{l}: {rows:?} {one}");

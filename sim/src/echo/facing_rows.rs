@@ -35,7 +35,8 @@ impl EllipsoidRows {
 }
 
 compiled_for_levels! {
-    /// Computes the point of each ellipsoid that faces a source, as [`facing`](super::obstruction::facing) does.
+    /// Computes the point of each ellipsoid that faces a source, as [`facing_point`](super::obstruction::facing_point)
+    /// does.
     pub(super) fn facing_rows(of: &EllipsoidRows, source: Vector, out: &mut WideRow3) = facing_rows_body;
 }
 
@@ -46,8 +47,8 @@ fn facing_rows_body(of: &EllipsoidRows, source: Vector, out: &mut WideRow3) {
         let [x, y, z] = [wide_lane(&of.axes[0], l), wide_lane(&of.axes[1], l), wide_lane(&of.axes[2], l)];
         let towards = subtract(source, centre);
         let unit = normalized(times([dot(x, towards), dot(y, towards), dot(z, towards)], semi_axes_m));
-        let place = times(unit, semi_axes_m);
-        store(out, l, add(centre, add(add(scale(x, place[0]), scale(y, place[1])), scale(z, place[2]))));
+        let offset = times(unit, semi_axes_m);
+        store(out, l, add(centre, add(add(scale(x, offset[0]), scale(y, offset[1])), scale(z, offset[2]))));
     }
 }
 
@@ -55,7 +56,7 @@ fn facing_rows_body(of: &EllipsoidRows, source: Vector, out: &mut WideRow3) {
 mod tests {
     use glam::DVec3;
 
-    use super::super::obstruction::facing;
+    use super::super::obstruction::facing_point;
     use super::*;
     use crate::lanes::tests::assert_same_at_every_level;
     use crate::people::motion::{MotionBuilder, Person};
@@ -79,7 +80,7 @@ mod tests {
             let found = of_lanes(KernelLevel::Portable);
             for (i, segment) in body.iter().enumerate() {
                 let point = DVec3::from_array(wide_lane(&found[i / WIDE], i % WIDE));
-                assert!(point.distance(facing(segment, source)) < 1e-12, "{i} {source}: {point}");
+                assert!(point.distance(facing_point(segment, source)) < 1e-12, "{i} {source}: {point}");
             }
         }
     }

@@ -17,35 +17,36 @@ pub(super) type Rules = [Option<usize>; HALVES];
 pub(super) struct PatchPose {
     pub(super) vertices: VertexRows,
     pub(super) triangles: TriangleRows,
-    /// Velocities of the triangles' middles, m/s, and of their corners relative to these.
+    /// Velocities of the triangles' middles, m/s.
     pub(super) velocity: Row3,
-    pub(super) against: [Row3; 3],
-    /// Directions and distances of the vertices by image antenna, valid for the requested images.
-    pub(super) lights: Vec<DirectionRows>,
+    /// Velocities of the triangles' corners relative to their middles, m/s: `[corner]`.
+    pub(super) corner_velocity: [Row3; 3],
+    /// Directions and distances of the vertices by image antenna, valid for images given to [`Self::view_from`].
+    pub(super) directions: Vec<DirectionRows>,
     pub(super) views: Vec<ViewRows>,
     /// Nodes of each rule in each half of the lanes, and whether they have been computed.
     nodes: Vec<[(bool, Nodes); HALVES]>,
-    /// Empty node list.
-    none: Nodes,
+    /// Empty list, for halves without a rule.
+    no_nodes: Nodes,
 }
 
 /// Returns the positions of vertices relative to `origin`, m, and their normals.
 pub(super) fn vertex_rows(posed: &PosedSkin, patch: &SkinPatch, origin: DVec3) -> [Row3; 2] {
     let mut rows = [[[0.0; LANES]; 3]; 2];
     for (l, &v) in patch.vertices.iter().enumerate() {
-        let (place, normal) = (posed.vertices[v as usize] - origin, posed.normals[v as usize]);
+        let (position, normal) = (posed.vertices[v as usize] - origin, posed.normals[v as usize]);
         for axis in 0..3 {
-            (rows[0][axis][l], rows[1][axis][l]) = (place[axis] as f32, normal[axis] as f32);
+            (rows[0][axis][l], rows[1][axis][l]) = (position[axis] as f32, normal[axis] as f32);
         }
     }
     rows
 }
 
 /// Gathers a vector quantity of vertices at every corner of triangles: `[corner]`.
-fn vectors_at_corners(of: &Row3, corners: &[[usize; 3]; LANES]) -> [Row3; 3] {
+fn vectors_at_corners(vectors: &Row3, corners: &[[usize; 3]; LANES]) -> [Row3; 3] {
     let mut rows: [Row3; 3] = Default::default();
     for axis in 0..3 {
-        let at = at_corners(&of[axis], corners);
+        let at = at_corners(&vectors[axis], corners);
         (rows[0][axis], rows[1][axis], rows[2][axis]) = (at[0], at[1], at[2]);
     }
     rows
@@ -55,86 +56,98 @@ impl PatchPose {
     /// Creates an empty pose with room for a number of images.
     pub(super) fn new(images: usize, integrator: &Integrator) -> Self {
         let zero: Row3 = Default::default();
-        let vertices = VertexRows { places: zero, normals: zero, left: [0.0; LANES], narrowing: [1.0; LANES] };
+        let vertices =
+            VertexRows { positions: zero, normals: zero, amplitude_factor: [0.0; LANES], narrowing: [1.0; LANES] };
         let level = integrator.level;
         let triangles = triangle_rows(level, &[zero; 3], &[zero; 3], &[zero; 3]);
         PatchPose {
             vertices,
             triangles,
             velocity: zero,
-            against: [zero; 3],
-            lights: vec![direction_rows(level, [0.0; 3], &zero); images],
+            corner_velocity: [zero; 3],
+            directions: vec![direction_rows(level, [0.0; 3], &zero); images],
             views: vec![view_rows(level, DVec3::ZERO, DVec3::ZERO, &triangles, 1.0); images],
             nodes: integrator.rules.iter().map(|_| Default::default()).collect(),
-            none: Nodes::default(),
+            no_nodes: Nodes::default(),
         }
     }
 
-    /// Computes the pose of a patch, with `left` and `narrowing` of its [`VertexRows`].
+    /// Computes the pose of a patch, with `amplitude_factor` and `narrowing` of its [`VertexRows`].
     pub(super) fn pose(
         &mut self,
         level: KernelLevel,
         patch: &SkinPatch,
         posed: &PosedSkin,
         origin: DVec3,
-        left: Row,
+        amplitude_factor: Row,
         narrowing: Row,
     ) {
-        let [places, normals] = vertex_rows(posed, patch, origin);
-        self.vertices = VertexRows { places, normals, left, narrowing };
+        let [positions, normals] = vertex_rows(posed, patch, origin);
+        self.vertices = VertexRows { positions, normals, amplitude_factor, narrowing };
         let mut velocities: Row3 = Default::default();
         for (l, &v) in patch.vertices.iter().enumerate() {
             let velocity = posed.velocities_m_per_s[v as usize];
             (0..3).for_each(|axis| velocities[axis][l] = velocity[axis] as f32);
         }
-        let corners = vectors_at_corners(&places, &patch.corners);
+        let corners = vectors_at_corners(&positions, &patch.corners);
         let corner_normals = vectors_at_corners(&normals, &patch.corners);
         let bulges = bulge_rows(level, &corners, &corner_normals);
         self.triangles = triangle_rows(level, &corners, &corner_normals, &bulges);
-        let all = vectors_at_corners(&velocities, &patch.corners);
+        let corner_velocities = vectors_at_corners(&velocities, &patch.corners);
         self.velocity = std::array::from_fn(|axis| {
-            std::array::from_fn(|l| (all[0][axis][l] + all[1][axis][l] + all[2][axis][l]) * (1.0 / 3.0))
+            std::array::from_fn(|l| {
+                (corner_velocities[0][axis][l] + corner_velocities[1][axis][l] + corner_velocities[2][axis][l])
+                    * (1.0 / 3.0)
+            })
         });
-        self.against = all.map(|corner| {
+        self.corner_velocity = corner_velocities.map(|corner| {
             std::array::from_fn(|axis| std::array::from_fn(|l| corner[axis][l] - self.velocity[axis][l]))
         });
-        self.nodes.iter_mut().flatten().for_each(|(found, _)| *found = false);
+        self.nodes.iter_mut().flatten().for_each(|(is_computed, _)| *is_computed = false);
     }
 
     /// Computes directions and distances from an image antenna.
-    pub(super) fn look(&mut self, image: usize, antenna: DVec3, origin: DVec3, wavelength_m: f64, level: KernelLevel) {
+    pub(super) fn view_from(
+        &mut self,
+        image: usize,
+        antenna: DVec3,
+        origin: DVec3,
+        wavelength_m: f64,
+        level: KernelLevel,
+    ) {
         let from_origin = (antenna - origin).as_vec3().to_array();
-        self.lights[image] = direction_rows(level, from_origin, &self.vertices.places);
+        self.directions[image] = direction_rows(level, from_origin, &self.vertices.positions);
         self.views[image] = view_rows(level, antenna, origin, &self.triangles, wavelength_m);
     }
 
     /// Computes the nodes of each half's rule, if they are not yet known.
-    pub(super) fn find_nodes(&mut self, rules: Rules, integrator: &Integrator) {
+    pub(super) fn compute_nodes(&mut self, rules: Rules, integrator: &Integrator) {
         for (half, rule) in rules.into_iter().enumerate() {
             let Some((rule, nodes)) = rule.and_then(|rule| Some((rule, self.nodes.get_mut(rule)?))) else { continue };
-            if let Some((found, nodes)) = nodes.get_mut(half)
-                && !*found
+            if let Some((is_computed, nodes)) = nodes.get_mut(half)
+                && !*is_computed
             {
                 place_nodes(integrator.level, &self.triangles, half, &integrator.rules[rule], nodes);
-                *found = true;
+                *is_computed = true;
             }
         }
     }
 
+    /// Returns the nodes of each half's rule.
     pub(super) fn nodes(&self, rules: Rules) -> [&Nodes; HALVES] {
-        let of_half = |half: usize| rules[half].map_or(&self.none, |rule| &self.nodes[rule][half].1);
+        let of_half = |half: usize| rules[half].map_or(&self.no_nodes, |rule| &self.nodes[rule][half].1);
         std::array::from_fn(of_half)
     }
 }
 
 /// Gathers a scalar quantity of vertices at every corner of triangles.
 #[inline(always)]
-pub(super) fn at_corners(of: &Row, corners: &[[usize; 3]; LANES]) -> [Row; 3] {
+pub(super) fn at_corners(values: &Row, corners: &[[usize; 3]; LANES]) -> [Row; 3] {
     let mut rows: [Row; 3] = Default::default();
     for l in 0..LANES {
-        rows[0][l] = of[corners[l][0] % LANES];
-        rows[1][l] = of[corners[l][1] % LANES];
-        rows[2][l] = of[corners[l][2] % LANES];
+        rows[0][l] = values[corners[l][0] % LANES];
+        rows[1][l] = values[corners[l][1] % LANES];
+        rows[2][l] = values[corners[l][2] % LANES];
     }
     rows
 }

@@ -13,13 +13,13 @@ use radome_dsp::KernelLevel;
 use crate::lanes::{LANES, Row, compiled_for_levels, cos_sin_of_turns};
 use crate::synthesis::{CHIRPS, EchoChirps};
 
-/// Number of nodes per interval for small and for larger relative phase rates of the echoes.
+/// Numbers of nodes per interval, for small and for larger phase rates of the echoes relative to the common path.
 const FEW: usize = 8;
 const MANY: usize = 16;
-/// Largest phase rates relative to the common path for these node counts, cycles per interval. The polynomial error is
-/// below a thousandth.
-const FEW_TURNS: f32 = 0.5;
-const MANY_TURNS: f32 = 2.4;
+/// Largest such phase rates for these numbers of nodes, cycles per interval. The error of the polynomial is below a
+/// thousandth.
+const MAX_TURNS_FEW: f32 = 0.5;
+const MAX_TURNS_MANY: f32 = 2.4;
 
 /// Small echoes at one end of an interval between key times, one per lane. Lengths are in wavelengths, slopes are per
 /// interval.
@@ -58,7 +58,7 @@ struct ChirpRow {
     /// First chirp of the block in this interval.
     begin: usize,
     /// Positions (0..1) in the interval.
-    places: [f32; CHIRPS],
+    positions: [f32; CHIRPS],
     /// 1 for chirps in this interval, 0 for others.
     inside: [f32; CHIRPS],
 }
@@ -75,7 +75,7 @@ pub struct IntervalChirps {
 /// outside of the interval.
 #[derive(Debug, Clone, PartialEq)]
 struct Nodes<const N: usize> {
-    places: [f32; N],
+    positions: [f32; N],
     /// Weights by block of chirps.
     weights: Vec<[[f32; CHIRPS]; N]>,
 }
@@ -87,26 +87,26 @@ fn nodes<const N: usize>() -> [f64; N] {
 
 impl<const N: usize> Nodes<N> {
     fn new(rows: &[ChirpRow]) -> Self {
-        let places = nodes::<N>();
+        let positions = nodes::<N>();
         // Weights are Lagrange polynomials.
-        let below = places.map(|own| others(&places, own).map(|other| own - other).product::<f64>());
+        let below = positions.map(|own| others(&positions, own).map(|other| own - other).product::<f64>());
         let weights = |row: &ChirpRow| -> [[f32; CHIRPS]; N] {
             std::array::from_fn(|k| {
                 let weight = |i: usize| {
-                    let u = f64::from(row.places[i]);
-                    let above: f64 = others(&places, places[k]).map(|other| u - other).product();
+                    let u = f64::from(row.positions[i]);
+                    let above: f64 = others(&positions, positions[k]).map(|other| u - other).product();
                     row.inside[i] * (above / below[k]) as f32
                 };
                 std::array::from_fn(weight)
             })
         };
-        Nodes { places: places.map(|place| place as f32), weights: rows.iter().map(weights).collect() }
+        Nodes { positions: positions.map(|position| position as f32), weights: rows.iter().map(weights).collect() }
     }
 }
 
 /// Returns all nodes but one.
-fn others(places: &[f64], own: f64) -> impl Iterator<Item = f64> {
-    places.iter().copied().filter(move |place| *place != own)
+fn others(positions: &[f64], own: f64) -> impl Iterator<Item = f64> {
+    positions.iter().copied().filter(move |position| *position != own)
 }
 
 /// Divides chirps into `intervals` intervals of equal length. Chirp times are fractions of the whole, in ascending
@@ -114,23 +114,23 @@ fn others(places: &[f64], own: f64) -> impl Iterator<Item = f64> {
 pub fn intervals_of(chirps: &[f64], intervals: usize) -> Vec<IntervalChirps> {
     let last = intervals.saturating_sub(1);
     // Chirps before the first key time or after the last belong to the nearest interval.
-    let stretch_of = |chirp: f64| ((chirp * intervals as f64).max(0.0) as usize).min(last);
-    let in_stretch = |interval: usize| {
+    let interval_of = |chirp: f64| ((chirp * intervals as f64).max(0.0) as usize).min(last);
+    let interval_chirps = |interval: usize| {
         let in_row = |(row, chirps): (usize, &[f64])| {
-            let begin = chirps.iter().position(|&chirp| stretch_of(chirp) == interval)?;
-            let (mut places, mut inside) = ([0.0; CHIRPS], [0.0; CHIRPS]);
+            let begin = chirps.iter().position(|&chirp| interval_of(chirp) == interval)?;
+            let (mut positions, mut inside) = ([0.0; CHIRPS], [0.0; CHIRPS]);
             for i in 0..CHIRPS {
                 // An incomplete last block is padded with its last chirp.
                 let Some(&chirp) = chirps.get(i).or(chirps.last()) else { continue };
-                places[i] = (chirp * intervals as f64 - interval as f64) as f32;
-                inside[i] = if i < chirps.len() && stretch_of(chirp) == interval { 1.0 } else { 0.0 };
+                positions[i] = (chirp * intervals as f64 - interval as f64) as f32;
+                inside[i] = if i < chirps.len() && interval_of(chirp) == interval { 1.0 } else { 0.0 };
             }
-            Some(ChirpRow { row, begin, places, inside })
+            Some(ChirpRow { row, begin, positions, inside })
         };
         let rows: Vec<ChirpRow> = chirps.chunks(CHIRPS).enumerate().filter_map(in_row).collect();
         IntervalChirps { few: Nodes::new(&rows), many: Nodes::new(&rows), rows }
     };
-    (0..intervals).map(in_stretch).collect()
+    (0..intervals).map(interval_chirps).collect()
 }
 
 /// Sums of the echoes of one patch in each chirp.
@@ -152,10 +152,10 @@ impl PatchSums {
         self.sums.resize(chirps.div_ceil(CHIRPS), EchoChirps::default());
     }
 
-    /// Sets the common path, to which lengths are relative, in the chirps of an interval of `interval_s` seconds. `ends`
-    /// are its length, m, and rate, m/s, at both ends. Intervals must be given in order.
-    pub fn follow(&mut self, ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps) {
-        follow(self.level, ends, interval_s, chirps, &mut self.sums);
+    /// Sets the common path, to which lengths are relative, in the chirps of an interval of `interval_s` seconds.
+    /// `ends` are its length, m, and rate, m/s, at both ends. Intervals must be given in order.
+    pub fn set_common_path(&mut self, ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps) {
+        set_common_path(self.level, ends, interval_s, chirps, &mut self.sums);
     }
 
     /// Adds echoes in the chirps of an interval, from their values at its ends.
@@ -182,19 +182,24 @@ impl PatchSums {
 }
 
 compiled_for_levels! {
-    fn follow(ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps, sums: &mut [EchoChirps]) = follow_body;
+    fn set_common_path(
+        ends: [(f64, f64); 2],
+        interval_s: f64,
+        chirps: &IntervalChirps,
+        sums: &mut [EchoChirps],
+    ) = set_common_path_body;
 }
 
 #[inline(always)]
-fn follow_body(ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps, sums: &mut [EchoChirps]) {
+fn set_common_path_body(ends: [(f64, f64); 2], interval_s: f64, chirps: &IntervalChirps, sums: &mut [EchoChirps]) {
     let [(begin_m, begin_rate), (end_m, end_rate)] = ends;
     let (first, second, step_m) = (begin_rate * interval_s, end_rate * interval_s, end_m - begin_m);
     let (square, cube) = (3.0 * step_m - 2.0 * first - second, first + second - 2.0 * step_m);
     let per_s = 1.0 / interval_s;
-    for ChirpRow { row, begin, places, .. } in &chirps.rows {
+    for ChirpRow { row, begin, positions, .. } in &chirps.rows {
         let Some(sums) = sums.get_mut(*row) else { continue };
         for i in 0..CHIRPS {
-            let u = f64::from(places[i]);
+            let u = f64::from(positions[i]);
             let length_m = begin_m + u * (first + u * (square + u * cube));
             let rate_m_per_s = ((first + u * (2.0 * square + u * (3.0 * cube))) * per_s) as f32;
             // Later intervals overwrite the rest of the block.
@@ -221,23 +226,23 @@ fn add_body(ends: [&TrackRows; 2], chirps: &IntervalChirps, sums: &mut [EchoChir
         count += usize::from(is_live(l));
     }
     let live = &live[..count];
-    let (turns, rows) = (cubics.most_turns(live), chirps.rows.len());
-    // The sums at the nodes cost as much as one or two blocks; evaluating the polynomial costs little more.
-    if turns <= FEW_TURNS && rows > 1 {
-        add_through(&cubics, live, &chirps.few, &chirps.rows, sums);
-    } else if turns <= MANY_TURNS && rows > 3 {
-        add_through(&cubics, live, &chirps.many, &chirps.rows, sums);
+    let (turns, rows) = (cubics.max_turns(live), chirps.rows.len());
+    // The sums at the nodes cost as much as those in one or two blocks. Evaluating the polynomial costs little.
+    if turns <= MAX_TURNS_FEW && rows > 1 {
+        add_by_nodes(&cubics, live, &chirps.few, &chirps.rows, sums);
+    } else if turns <= MAX_TURNS_MANY && rows > 3 {
+        add_by_nodes(&cubics, live, &chirps.many, &chirps.rows, sums);
     } else {
-        for ChirpRow { row, places, inside, .. } in &chirps.rows {
+        for ChirpRow { row, positions, inside, .. } in &chirps.rows {
             let Some(sums) = sums.get_mut(*row) else { continue };
-            let [re, im, moment_re, moment_im, detoured_re, detoured_im] = sum(&cubics, live, places);
+            let [re, im, moment_re, moment_im, detoured_re, detoured_im] = sum(&cubics, live, positions);
             for i in 0..CHIRPS {
                 sums.field[0][i] += inside[i] * re[i];
                 sums.field[1][i] += inside[i] * im[i];
                 sums.moment[0][i] += inside[i] * moment_re[i];
                 sums.moment[1][i] += inside[i] * moment_im[i];
-                sums.detoured[0][i] += inside[i] * detoured_re[i];
-                sums.detoured[1][i] += inside[i] * detoured_im[i];
+                sums.detour[0][i] += inside[i] * detoured_re[i];
+                sums.detour[1][i] += inside[i] * detoured_im[i];
             }
         }
     }
@@ -245,22 +250,22 @@ fn add_body(ends: [&TrackRows; 2], chirps: &IntervalChirps, sums: &mut [EchoChir
 
 /// Adds the sum of echoes by interpolation between a few nodes.
 #[inline(always)]
-fn add_through<const N: usize>(
+fn add_by_nodes<const N: usize>(
     cubics: &CubicRows,
     live: &[usize],
     nodes: &Nodes<N>,
     rows: &[ChirpRow],
     sums: &mut [EchoChirps],
 ) {
-    let [re, im, moment_re, moment_im, detoured_re, detoured_im] = sum(cubics, live, &nodes.places);
+    let [re, im, moment_re, moment_im, detoured_re, detoured_im] = sum(cubics, live, &nodes.positions);
     for (ChirpRow { row, .. }, weights) in rows.iter().zip(&nodes.weights) {
         let Some(sums) = sums.get_mut(*row) else { continue };
         add_weighted(&re, weights, &mut sums.field[0]);
         add_weighted(&im, weights, &mut sums.field[1]);
         add_weighted(&moment_re, weights, &mut sums.moment[0]);
         add_weighted(&moment_im, weights, &mut sums.moment[1]);
-        add_weighted(&detoured_re, weights, &mut sums.detoured[0]);
-        add_weighted(&detoured_im, weights, &mut sums.detoured[1]);
+        add_weighted(&detoured_re, weights, &mut sums.detour[0]);
+        add_weighted(&detoured_im, weights, &mut sums.detour[1]);
     }
 }
 
@@ -308,7 +313,7 @@ impl CubicRows {
 
     /// Returns the largest rate of a length at the ends and in the middle, cycles per interval.
     #[inline(always)]
-    fn most_turns(&self, live: &[usize]) -> f32 {
+    fn max_turns(&self, live: &[usize]) -> f32 {
         let [_, first, square, cube] = &self.length;
         let mut most = 0f32;
         for &t in live {
@@ -324,7 +329,7 @@ impl CubicRows {
 
 /// Sums the fields, moments and detour-weighted fields of the live echoes at positions between the ends.
 #[inline(always)]
-fn sum<const N: usize>(cubics: &CubicRows, live: &[usize], places: &[f32; N]) -> [[f32; N]; 6] {
+fn sum<const N: usize>(cubics: &CubicRows, live: &[usize], positions: &[f32; N]) -> [[f32; N]; 6] {
     let mut rows = [[0f32; N]; 6];
     for &t in live {
         let t = t % LANES;
@@ -335,7 +340,7 @@ fn sum<const N: usize>(cubics: &CubicRows, live: &[usize], places: &[f32; N]) ->
         let moment_im = [cubics.moment[1][0][t], cubics.moment[1][1][t]];
         let detour_rad = cubics.detour_rad[t];
         for i in 0..N {
-            let u = places[i];
+            let u = positions[i];
             let l = length[0] + u * (length[1] + u * (length[2] + u * length[3]));
             let a = re[0] + u * (re[1] + u * (re[2] + u * re[3]));
             let b = im[0] + u * (im[1] + u * (im[2] + u * im[3]));
@@ -415,21 +420,21 @@ mod tests {
     #[test]
     fn sums_are_those_of_double_precision_at_every_level() {
         const COUNT: usize = 61;
-        let places: Vec<f64> = (0..COUNT).map(|i| (i as f64 + 0.3) / COUNT as f64).collect();
+        let positions: Vec<f64> = (0..COUNT).map(|i| (i as f64 + 0.3) / COUNT as f64).collect();
         const BOUNDS: [f64; 3] = [1e-3, 2e-2, 1e-4];
         for turns in [0.3, 0.45, 0.7, 2.0, 2.4, 30.0] {
             let ends = ends(turns);
-            let most = CubicRows::between(ends.each_ref()).most_turns(&std::array::from_fn::<_, LANES, _>(|l| l));
+            let most = CubicRows::between(ends.each_ref()).max_turns(&std::array::from_fn::<_, LANES, _>(|l| l));
             assert!(most > 0.5 * turns && most < 1.6 * turns, "{most} of {turns}");
             for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
                 let mut sums = PatchSums::new(level);
                 sums.clear(COUNT);
-                for chirps in intervals_of(&places, 1) {
+                for chirps in intervals_of(&positions, 1) {
                     sums.add(ends.each_ref(), &chirps);
                 }
-                for (i, &u) in places.iter().enumerate() {
+                for (i, &u) in positions.iter().enumerate() {
                     let of = &sums.chirps()[i / CHIRPS];
-                    let found = [&of.field, &of.moment, &of.detoured];
+                    let found = [&of.field, &of.moment, &of.detour];
                     for ((exact, found), most) in exact(&ends, u).into_iter().zip(found).zip(BOUNDS) {
                         let found = Complex64::new(found[0][i % CHIRPS].into(), found[1][i % CHIRPS].into());
                         assert!((found - exact).norm() < most, "{level}, {turns} turns, chirp {i}: {found} {exact}");
@@ -441,20 +446,20 @@ mod tests {
 
     /// The path in every chirp is the cubic of its interval, and continues to the end of the last block.
     #[test]
-    fn paths_are_followed_through_all_stretches() {
+    fn the_common_path_is_set_in_all_intervals() {
         let (count, intervals, span_s) = (45, 3, 0.06);
-        let places: Vec<f64> = (0..count).map(|i| (f64::from(i) + 0.4) / f64::from(count)).collect();
+        let positions: Vec<f64> = (0..count).map(|i| (f64::from(i) + 0.4) / f64::from(count)).collect();
         let at = |t: f64| (3.0 + t * (1.5 - 4.0 * t), 1.5 - 8.0 * t);
         let mut sums = PatchSums::new(KernelLevel::detect());
-        sums.clear(places.len());
-        for (interval, chirps) in intervals_of(&places, intervals).iter().enumerate() {
+        sums.clear(positions.len());
+        for (interval, chirps) in intervals_of(&positions, intervals).iter().enumerate() {
             let interval_s = span_s / intervals as f64;
             let ends = [interval, interval + 1].map(|end| at(end as f64 * interval_s));
-            sums.follow(ends, interval_s, chirps);
+            sums.set_common_path(ends, interval_s, chirps);
         }
-        for number in 0..places.len().next_multiple_of(CHIRPS) {
-            let place = places[number.min(places.len() - 1)];
-            let (length_m, rate_m_per_s) = at(place * span_s);
+        for number in 0..positions.len().next_multiple_of(CHIRPS) {
+            let position = positions[number.min(positions.len() - 1)];
+            let (length_m, rate_m_per_s) = at(position * span_s);
             let (block, i) = (&sums.chirps()[number / CHIRPS], number % CHIRPS);
             assert!((block.length_m[i] - length_m).abs() < 1e-8, "chirp {number}");
             assert!((f64::from(block.rate_m_per_s[i]) - rate_m_per_s).abs() < 1e-5, "chirp {number}");
@@ -462,7 +467,7 @@ mod tests {
     }
 
     #[test]
-    fn every_chirp_is_in_one_stretch() {
+    fn every_chirp_is_in_one_interval() {
         let chirps: Vec<f64> = (0..45).map(|i| -0.01 + f64::from(i) / 43.0).collect();
         for intervals in [1, 2, 3, 8] {
             let mut found = [0; 45];
@@ -471,7 +476,7 @@ mod tests {
                     if row.inside[i] == 1.0 {
                         let number = row.row * CHIRPS + i;
                         found[number] += 1;
-                        let at = (interval as f64 + f64::from(row.places[i])) / intervals as f64;
+                        let at = (interval as f64 + f64::from(row.positions[i])) / intervals as f64;
                         assert!((at - chirps[number]).abs() < 1e-6 && i >= row.begin);
                     } else {
                         assert_eq!(row.inside[i], 0.0);

@@ -1,4 +1,4 @@
-//! Vectorised echoes of paths over one segment each: fields of the antennas, reflection by skin, and received signals.
+//! Vectorised echoes of paths by way of one segment: fields of the antennas, reflection by skin, and received signals.
 //! Each lane gives the same result as [`super::Paths::trace`] for one path.
 
 // Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
@@ -41,25 +41,30 @@ pub(super) struct LengthRows {
 /// Motion of the surface of a segment: velocity of its centre, m/s, and velocity per component of a point on the unit
 /// sphere.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Drift(pub(super) [Vector; 4]);
+pub(super) struct SurfaceMotion(pub(super) [Vector; 4]);
 
 compiled_for_levels! {
     /// Computes the fields of an antenna's images at points in the given directions, before any wall. `signs` are the
     /// signs of the images' axes.
-    pub(super) fn launched(element: &Element, signs: &WideRow3, towards: &WideRow3, field: &mut WideRow3) = launched_body;
+    pub(super) fn transmitted_fields(
+        element: &Element,
+        signs: &WideRow3,
+        towards: &WideRow3,
+        field: &mut WideRow3,
+    ) = transmitted_body;
 }
 
 #[inline(always)]
-fn launched_body(element: &Element, signs: &WideRow3, towards: &WideRow3, field: &mut WideRow3) {
-    let turn = &element.radar_from_world;
-    let ahead = [turn.x_axis.x, turn.y_axis.x, turn.z_axis.x];
-    let left = [turn.x_axis.y, turn.y_axis.y, turn.z_axis.y];
-    let own = [element.polarisation.x, element.polarisation.y, element.polarisation.z];
+fn transmitted_body(element: &Element, signs: &WideRow3, towards: &WideRow3, field: &mut WideRow3) {
+    let rotation = &element.radar_from_world;
+    let ahead = [rotation.x_axis.x, rotation.y_axis.x, rotation.z_axis.x];
+    let left = [rotation.x_axis.y, rotation.y_axis.y, rotation.z_axis.y];
+    let own_polarisation = [element.polarisation.x, element.polarisation.y, element.polarisation.z];
     for l in 0..WIDE {
         let (direction, sign) = (scale(wide_lane(towards, l), -1.0), wide_lane(signs, l));
         let departure = times(direction, sign);
         let gain = element.pattern.field_in_lane(dot(ahead, departure), dot(left, departure));
-        let polarisation = times(own, sign);
+        let polarisation = times(own_polarisation, sign);
         let transverse = subtract(polarisation, scale(direction, dot(direction, polarisation)));
         store(field, l, scale(transverse, gain));
     }
@@ -68,27 +73,27 @@ fn launched_body(element: &Element, signs: &WideRow3, towards: &WideRow3, field:
 compiled_for_levels! {
     /// Computes path amplitudes without phase, real and imaginary part. They combine the fields of both antennas at the
     /// specular points, the reflection by skin, spreading, and a factor of each path.
-    pub(super) fn reflected(
+    pub(super) fn path_amplitudes(
         permittivity: Complex64,
-        seen: &SpecularRows,
+        specular: &SpecularRows,
         fields: &[WideFields; 2],
         factors: &WideRow,
         amplitude: &mut [WideRow; 2],
-    ) = reflected_body;
+    ) = path_amplitudes_body;
 }
 
 #[inline(always)]
-fn reflected_body(
+fn path_amplitudes_body(
     permittivity: Complex64,
-    seen: &SpecularRows,
+    specular: &SpecularRows,
     fields: &[WideFields; 2],
     factors: &WideRow,
     amplitude: &mut [WideRow; 2],
 ) {
-    let [there, back] = fields;
+    let [outbound, inbound] = fields;
     let (mut re, mut im) = ([0.0; WIDE], [0.0; WIDE]);
     for l in 0..WIDE {
-        let (direction, normal) = (scale(wide_lane(&seen.towards[0], l), -1.0), wide_lane(&seen.normal, l));
+        let (direction, normal) = (scale(wide_lane(&specular.towards[0], l), -1.0), wide_lane(&specular.normal, l));
         let cosine = -dot(direction, normal);
         let cosine = if cosine > 0.0 { cosine } else { 0.0 };
         let cosine = if cosine < 1.0 { cosine } else { 1.0 };
@@ -97,15 +102,15 @@ fn reflected_body(
         let te = choose(dot(across, across) < 1e-12, tangent(direction), normalized(across));
         let tm = cross(te, direction);
         let tm_out = cross(te, add(direction, scale(normal, 2.0 * cosine)));
-        let (r_te, r_tm) = skin([permittivity.re, permittivity.im], cosine);
-        let (e_re, e_im) = (wide_lane(&there.re, l), wide_lane(&there.im, l));
-        let (b_re, b_im) = (wide_lane(&back.re, l), wide_lane(&back.im, l));
+        let (r_te, r_tm) = skin_reflection([permittivity.re, permittivity.im], cosine);
+        let (e_re, e_im) = (wide_lane(&outbound.re, l), wide_lane(&outbound.im, l));
+        let (b_re, b_im) = (wide_lane(&inbound.re, l), wide_lane(&inbound.im, l));
         let by_te = multiply(multiply(r_te, [dot(e_re, te), dot(e_im, te)]), [dot(b_re, te), dot(b_im, te)]);
         let by_tm = multiply(multiply(r_tm, [dot(e_re, tm), dot(e_im, tm)]), [dot(b_re, tm_out), dot(b_im, tm_out)]);
-        let (t_m, r_m) = (seen.distances_m[0][l], seen.distances_m[1][l]);
+        let (t_m, r_m) = (specular.distances_m[0][l], specular.distances_m[1][l]);
         let t_m = if t_m > LEAST_DISTANCE_M { t_m } else { LEAST_DISTANCE_M };
         let r_m = if r_m > LEAST_DISTANCE_M { r_m } else { LEAST_DISTANCE_M };
-        let spreading = factors[l] * seen.cosine[l] / (seen.det_j[l].sqrt() * t_m * r_m);
+        let spreading = factors[l] * specular.cosine[l] / (specular.det_j[l].sqrt() * t_m * r_m);
         re[l] = spreading * (by_te[0] + by_tm[0]);
         im[l] = spreading * (by_te[1] + by_tm[1]);
     }
@@ -126,7 +131,7 @@ fn divide(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
 /// Reflection coefficients of a lossy half-space, TE and TM ([`crate::em::fresnel::half_space`]), for a permittivity
 /// whose real part exceeds one.
 #[inline(always)]
-fn skin(permittivity: [f64; 2], cosine: f64) -> ([f64; 2], [f64; 2]) {
+fn skin_reflection(permittivity: [f64; 2], cosine: f64) -> ([f64; 2], [f64; 2]) {
     let [eps_re, eps_im] = permittivity;
     let real = eps_re - (1.0 - cosine * cosine);
     let modulus = (real * real + eps_im * eps_im).sqrt();
@@ -140,23 +145,23 @@ fn skin(permittivity: [f64; 2], cosine: f64) -> ([f64; 2], [f64; 2]) {
 
 compiled_for_levels! {
     /// Computes the echoes at a receiver whose images are at `sinks`.
-    pub(super) fn received(
+    pub(super) fn receiver_echoes(
         prepared: &PreparedScene,
         lsb: f64,
-        seen: &SpecularRows,
-        drift: &Drift,
+        specular: &SpecularRows,
+        motion: &SurfaceMotion,
         sinks: &WideRow3,
         amplitude: &[WideRow; 2],
         out: &mut ReceivedRows,
-    ) = received_body;
+    ) = receiver_echoes_body;
 }
 
 #[inline(always)]
-fn received_body(
+fn receiver_echoes_body(
     prepared: &PreparedScene,
     lsb: f64,
-    seen: &SpecularRows,
-    drift: &Drift,
+    specular: &SpecularRows,
+    motion: &SurfaceMotion,
     sinks: &WideRow3,
     amplitude: &[WideRow; 2],
     out: &mut ReceivedRows,
@@ -164,12 +169,12 @@ fn received_body(
     let (chirp, filters) = (prepared.chirp, prepared.filters);
     let per_m = 1.0 / SPEED_OF_LIGHT_M_PER_S;
     for l in 0..WIDE {
-        let velocity = velocity(drift, wide_lane(&seen.unit, l));
-        let to_rx = subtract(wide_lane(sinks, l), wide_lane(&seen.point, l));
+        let velocity = velocity(motion, wide_lane(&specular.unit, l));
+        let to_rx = subtract(wide_lane(sinks, l), wide_lane(&specular.point, l));
         let distance_m = dot(to_rx, to_rx).sqrt();
         let least_m = if distance_m > 1e-9 { distance_m } else { 1e-9 };
-        let rate = dot(wide_lane(&seen.towards[0], l), velocity) + dot(to_rx, velocity) / least_m;
-        let delay_s = (seen.distances_m[0][l] + distance_m) * per_m;
+        let rate = dot(wide_lane(&specular.towards[0], l), velocity) + dot(to_rx, velocity) / least_m;
+        let delay_s = (specular.distances_m[0][l] + distance_m) * per_m;
         let delay_rate = -rate * per_m;
         let response = filters.response_in_lane(chirp.beat_hz(delay_s, delay_rate));
         let at_adc = multiply([lsb * amplitude[0][l], -lsb * amplitude[1][l]], response);
@@ -182,21 +187,26 @@ fn received_body(
 
 /// Velocity of a segment's material at a point of the unit sphere, m/s.
 #[inline(always)]
-fn velocity(drift: &Drift, unit: Vector) -> Vector {
-    let [centre, x, y, z] = drift.0;
+fn velocity(motion: &SurfaceMotion, unit: Vector) -> Vector {
+    let [centre, x, y, z] = motion.0;
     add(add(centre, scale(x, unit[0])), add(scale(y, unit[1]), scale(z, unit[2])))
 }
 
 compiled_for_levels! {
     /// Computes the distances of specular points from an end of each path.
-    pub(super) fn lengths(seen: &SpecularRows, drift: &Drift, ends: &WideRow3, out: &mut LengthRows) = lengths_body;
+    pub(super) fn path_lengths(
+        specular: &SpecularRows,
+        motion: &SurfaceMotion,
+        ends: &WideRow3,
+        out: &mut LengthRows,
+    ) = path_lengths_body;
 }
 
 #[inline(always)]
-fn lengths_body(seen: &SpecularRows, drift: &Drift, ends: &WideRow3, out: &mut LengthRows) {
+fn path_lengths_body(specular: &SpecularRows, motion: &SurfaceMotion, ends: &WideRow3, out: &mut LengthRows) {
     for l in 0..WIDE {
-        let velocity = velocity(drift, wide_lane(&seen.unit, l));
-        let offset = subtract(wide_lane(&seen.point, l), wide_lane(ends, l));
+        let velocity = velocity(motion, wide_lane(&specular.unit, l));
+        let offset = subtract(wide_lane(&specular.point, l), wide_lane(ends, l));
         let length_m = dot(offset, offset).sqrt();
         out.length_m[l] = length_m;
         out.rate[l] = dot(offset, velocity) / if length_m > 1e-9 { length_m } else { 1e-9 };
@@ -214,7 +224,7 @@ mod tests {
         for i in 0..=1000 {
             let cosine = 1e-3 * f64::from(i);
             let expected = half_space(SKIN_PERMITTIVITY, cosine);
-            let (te, tm) = skin([SKIN_PERMITTIVITY.re, SKIN_PERMITTIVITY.im], cosine);
+            let (te, tm) = skin_reflection([SKIN_PERMITTIVITY.re, SKIN_PERMITTIVITY.im], cosine);
             for (got, expected) in [(te, expected.te), (tm, expected.tm)] {
                 assert!((Complex64::new(got[0], got[1]) - expected).norm() < 1e-14, "{cosine}: {got:?} {expected}");
             }

@@ -2,11 +2,11 @@
 //!
 //! Geometrical visibility is binary, but the field is not. The field behind a knife edge is a continuous function of
 //! the distance to the shadow boundary: half on it, and decaying behind it ([`crate::diffraction::knife_edge`]). Shadow
-//! boundaries are the outlines of limbs seen from the antenna: mesh edges at which triangles turn away. An outline
-//! affects only surfaces behind it that lie before the next surface visible just beside it. Triangles and outlines are
-//! projected from the antenna to a plane at the body's distance and entered in a grid. A vertex thus tests only the few
-//! of them nearby. A test compares the result with rays to each vertex. Most of a body hides nothing else of it, so the
-//! grids hold only what lies in front of a queried point.
+//! boundaries are the outlines of limbs seen from the antenna: mesh edges between a triangle that faces the antenna and
+//! one that faces away. An outline affects only surfaces between it and the next surface that is visible just beside
+//! it. Triangles and outlines are projected from the antenna to a plane at the body's distance and entered in a grid. A
+//! vertex thus tests only the few of them nearby. Most of a body hides nothing else of it, so the grids hold only what
+//! lies in front of a queried point. A test compares the result with rays to each vertex.
 
 // Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
@@ -30,18 +30,19 @@ const BEHIND_M: f32 = 0.02;
 
 /// Vertex projected to the plane, and its distance from the antenna, m.
 #[derive(Debug, Clone, Copy, Default)]
-struct Seen {
+struct ProjectedVertex {
     at: Vec2,
     depth_m: f32,
 }
 
 /// Segment of an outline on the plane.
 #[derive(Debug, Clone, Copy)]
-struct Piece {
+struct OutlineSegment {
     from: Vec2,
     to: Vec2,
-    /// Distance from the antenna, and that of the surface that a ray just beside it meets, m.
+    /// Distance from the antenna, m.
     depth_m: f32,
+    /// Distance from the antenna to the surface that a ray just beside the outline meets, m.
     behind_m: f32,
 }
 
@@ -58,15 +59,15 @@ struct Facet {
     nearest_m: f32,
 }
 
-/// Grid of lists: each cell lists the things that touch it and lie in front of a queried point.
+/// Grid of lists: each cell lists the entries that touch it and lie in front of a queried point.
 struct Cells<T> {
     low: Vec2,
     per_m: f32,
     /// Number of cells along both axes.
     count: [u32; 2],
     cells: Vec<Cell>,
-    things: Vec<T>,
-    /// Linked lists: index of a thing, and index of the next link.
+    entries: Vec<T>,
+    /// Linked lists: index of an entry, and index of the next link.
     links: Vec<(u32, u32)>,
 }
 
@@ -79,16 +80,16 @@ struct Cell {
     /// point.
     nearest_m: f32,
     /// Largest depth that is queried in this cell, m.
-    asked_m: f32,
+    query_depth_m: f32,
 }
 
 /// End of a list.
 const END: u32 = u32::MAX;
 
 /// Projection of a body seen from an antenna, reduced to what lies in front of queried points.
-struct View {
+struct Projection {
     triangles: Cells<Facet>,
-    outlines: Cells<Piece>,
+    outlines: Cells<OutlineSegment>,
 }
 
 /// Projection plane: perspective from the antenna, in metres at the body's distance.
@@ -119,11 +120,11 @@ impl Plane {
 
 compiled_for_levels! {
     /// Appends the projections of vertices.
-    fn look(plane: &Plane, vertices: &[DVec3], seen: &mut Vec<Seen>) = look_body;
+    fn project_vertices(plane: &Plane, vertices: &[DVec3], projected: &mut Vec<ProjectedVertex>) = project_body;
 }
 
 #[inline(always)]
-fn look_body(plane: &Plane, vertices: &[DVec3], seen: &mut Vec<Seen>) {
+fn project_body(plane: &Plane, vertices: &[DVec3], projected: &mut Vec<ProjectedVertex>) {
     let (f, u, v) = (plane.forward.as_vec3(), plane.u.as_vec3(), plane.v.as_vec3());
     let distance_m = plane.distance_m as f32;
     for vertices in vertices.chunks(LANES) {
@@ -143,24 +144,24 @@ fn look_body(plane: &Plane, vertices: &[DVec3], seen: &mut Vec<Seen>) {
             depth_m[l] = (ahead * ahead + (across * across + above * above)).sqrt();
         }
         for l in 0..vertices.len() {
-            seen.push(Seen { at: Vec2::new(right[l], up[l]), depth_m: depth_m[l] });
+            projected.push(ProjectedVertex { at: Vec2::new(right[l], up[l]), depth_m: depth_m[l] });
         }
     }
 }
 
-/// Returns the factor on the field of an (image) antenna at each vertex in `wanted`; 1 at the others.
-pub fn weights(skin: &Skin, posed: &PosedSkin, antenna: DVec3, wavelength_m: f64, wanted: &[bool]) -> Vec<f64> {
-    let mut all = vec![1.0; posed.vertices.len()];
-    let Some(plane) = Plane::new(antenna, &posed.vertices) else { return all };
-    let mut seen = Vec::with_capacity(posed.vertices.len());
-    look(KernelLevel::detect(), &plane, &posed.vertices, &mut seen);
-    let is_asked = |&v: &usize| wanted[v] && posed.normals[v].dot(antenna - posed.vertices[v]) > 0.0;
-    let asked: Vec<usize> = (0..seen.len()).filter(is_asked).collect();
-    let view = View::new(skin, &plane, &seen, &asked);
-    for v in asked {
-        all[v] = view.weight(&seen[v], wavelength_m);
+/// Returns the factor on the field of an (image) antenna at each vertex in `is_wanted`; 1 at the others.
+pub fn factors(skin: &Skin, posed: &PosedSkin, antenna: DVec3, wavelength_m: f64, is_wanted: &[bool]) -> Vec<f64> {
+    let mut factors = vec![1.0; posed.vertices.len()];
+    let Some(plane) = Plane::new(antenna, &posed.vertices) else { return factors };
+    let mut projected = Vec::with_capacity(posed.vertices.len());
+    project_vertices(KernelLevel::detect(), &plane, &posed.vertices, &mut projected);
+    let is_queried = |&v: &usize| is_wanted[v] && posed.normals[v].dot(antenna - posed.vertices[v]) > 0.0;
+    let queried: Vec<usize> = (0..projected.len()).filter(is_queried).collect();
+    let projection = Projection::new(skin, &plane, &projected, &queried);
+    for v in queried {
+        factors[v] = projection.factor_at(&projected[v], wavelength_m);
     }
-    all
+    factors
 }
 
 impl<T> Cells<T> {
@@ -169,17 +170,17 @@ impl<T> Cells<T> {
         // The grid covers a body of a few metres; points enlarged by perspective beyond it share the last cells.
         let across = |length: f32| ((length / width_m) as u32 + 1).min(400);
         let count = [across(high.x - low.x), across(high.y - low.y)];
-        let empty = Cell { head: END, nearest_m: f32::INFINITY, asked_m: f32::NEG_INFINITY };
+        let empty = Cell { head: END, nearest_m: f32::INFINITY, query_depth_m: f32::NEG_INFINITY };
         let cells = vec![empty; (count[0] * count[1]) as usize];
-        Cells { low, per_m: 1.0 / width_m, count, cells, things: Vec::new(), links: Vec::new() }
+        Cells { low, per_m: 1.0 / width_m, count, cells, entries: Vec::new(), links: Vec::new() }
     }
 
     #[inline]
     fn cell(&self, at: Vec2) -> [u32; 2] {
         // Points outside share the border cells.
-        let place = (at - self.low) * self.per_m;
-        let number = |place: f32, count: u32| (place as i32).clamp(0, count as i32 - 1) as u32;
-        [number(place.x, self.count[0]), number(place.y, self.count[1])]
+        let cells = (at - self.low) * self.per_m;
+        let number = |cells: f32, count: u32| (cells as i32).clamp(0, count as i32 - 1) as u32;
+        [number(cells.x, self.count[0]), number(cells.y, self.count[1])]
     }
 
     fn number(&self, at: Vec2) -> usize {
@@ -188,10 +189,10 @@ impl<T> Cells<T> {
     }
 
     /// Registers a query at a point for everything nearer than a depth, m.
-    fn will_ask(&mut self, at: Vec2, than_m: f32) {
+    fn register_query(&mut self, at: Vec2, depth_m: f32) {
         let number = self.number(at);
         if let Some(cell) = self.cells.get_mut(number) {
-            cell.asked_m = cell.asked_m.max(than_m);
+            cell.query_depth_m = cell.query_depth_m.max(depth_m);
         }
     }
 
@@ -203,69 +204,71 @@ impl<T> Cells<T> {
 
     /// Returns whether any query in these cells covers this depth, m.
     #[inline]
-    fn is_asked(&self, [[x0, x1], [y0, y1]]: [[u32; 2]; 2], depth_m: f32) -> bool {
-        let asked_m = |x: u32, y: u32| {
+    fn has_query(&self, [[x0, x1], [y0, y1]]: [[u32; 2]; 2], depth_m: f32) -> bool {
+        let query_depth_m = |x: u32, y: u32| {
             let cell = self.cells.get((y * self.count[0] + x) as usize);
-            cell.map_or(f32::NEG_INFINITY, |cell| cell.asked_m)
+            cell.map_or(f32::NEG_INFINITY, |cell| cell.query_depth_m)
         };
         // In most cases the corner cells are all cells.
         if x1 - x0 < 2 && y1 - y0 < 2 {
-            let below = (depth_m < asked_m(x0, y0)) | (depth_m < asked_m(x1, y0));
-            return below | (depth_m < asked_m(x0, y1)) | (depth_m < asked_m(x1, y1));
+            let below = (depth_m < query_depth_m(x0, y0)) | (depth_m < query_depth_m(x1, y0));
+            return below | (depth_m < query_depth_m(x0, y1)) | (depth_m < query_depth_m(x1, y1));
         }
-        (y0..=y1).any(|y| (x0..=x1).any(|x| depth_m < asked_m(x, y)))
+        (y0..=y1).any(|y| (x0..=x1).any(|x| depth_m < query_depth_m(x, y)))
     }
 
-    /// Adds a thing to those of these cells that have a query beyond its depth.
+    /// Adds an entry to those of these cells that have a query beyond its depth.
     #[inline]
-    fn push(&mut self, [[x0, x1], [y0, y1]]: [[u32; 2]; 2], depth_m: f32, thing: T) {
-        let number = self.things.len() as u32;
+    fn push(&mut self, [[x0, x1], [y0, y1]]: [[u32; 2]; 2], depth_m: f32, entry: T) {
+        let number = self.entries.len() as u32;
         for y in y0..y1 + 1 {
             let row = (y * self.count[0] + x0) as usize..(y * self.count[0] + x1 + 1) as usize;
-            for cell in self.cells.get_mut(row).unwrap_or_default().iter_mut().filter(|cell| depth_m < cell.asked_m) {
+            for cell in
+                self.cells.get_mut(row).unwrap_or_default().iter_mut().filter(|cell| depth_m < cell.query_depth_m)
+            {
                 self.links.push((number, cell.head));
                 cell.head = self.links.len() as u32 - 1;
                 cell.nearest_m = cell.nearest_m.min(depth_m);
             }
         }
-        self.things.push(thing);
+        self.entries.push(entry);
     }
 
     /// Iterates over the entries of a point's cell, if any of them is nearer than a depth, m.
     #[inline]
-    fn at(&self, at: Vec2, than_m: f32) -> impl Iterator<Item = &T> {
-        let cell = self.cells.get(self.number(at)).filter(|cell| cell.nearest_m < than_m);
+    fn at(&self, at: Vec2, depth_m: f32) -> impl Iterator<Item = &T> {
+        let cell = self.cells.get(self.number(at)).filter(|cell| cell.nearest_m < depth_m);
         let mut next = cell.map_or(END, |cell| cell.head);
         std::iter::from_fn(move || {
-            let &(thing, after) = self.links.get(next as usize)?;
+            let &(entry, after) = self.links.get(next as usize)?;
             next = after;
-            self.things.get(thing as usize)
+            self.entries.get(entry as usize)
         })
     }
 }
 
-impl View {
-    fn new(skin: &Skin, plane: &Plane, seen: &[Seen], asked: &[usize]) -> Self {
+impl Projection {
+    fn new(skin: &Skin, plane: &Plane, projected: &[ProjectedVertex], queried: &[usize]) -> Self {
         let (low, high) =
-            seen.iter().fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(l, h), s| (l.min(s.at), h.max(s.at)));
+            projected.iter().fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(l, h), s| (l.min(s.at), h.max(s.at)));
         let (mut triangles, mut outlines) = (Cells::new(low, high, TRIANGLE_CELL_M), Cells::new(low, high, CELL_M));
-        for Seen { at, depth_m } in asked.iter().map(|&v| seen[v]) {
-            triangles.will_ask(at, depth_m - BEHIND_M);
-            outlines.will_ask(at, depth_m - BEHIND_M);
+        for ProjectedVertex { at, depth_m } in queried.iter().map(|&v| projected[v]) {
+            triangles.register_query(at, depth_m - BEHIND_M);
+            outlines.register_query(at, depth_m - BEHIND_M);
         }
         let corners = |t: usize| {
             let [a, b, c] = skin.rest().triangles[t];
-            [seen[a as usize], seen[b as usize], seen[c as usize]]
+            [projected[a as usize], projected[b as usize], projected[c as usize]]
         };
         // Counter-clockwise triangles face away, as the third axis of the plane points away from the antenna.
-        let handed = if plane.u.cross(plane.v).dot(plane.forward) < 0.0 { 1.0 } else { -1.0 };
-        let faces = |[a, b, c]: [Seen; 3]| (b.at - a.at).perp_dot(c.at - a.at) * handed > 0.0;
+        let handedness = if plane.u.cross(plane.v).dot(plane.forward) < 0.0 { 1.0 } else { -1.0 };
+        let faces = |[a, b, c]: [ProjectedVertex; 3]| (b.at - a.at).perp_dot(c.at - a.at) * handedness > 0.0;
         let facing: Vec<bool> = (0..skin.rest().triangles.len()).map(|t| faces(corners(t))).collect();
-        let pieces = pieces(skin, seen, &facing, &outlines);
-        for (_, beside) in &pieces {
-            triangles.will_ask(*beside, f32::INFINITY);
+        let outline_segments = outline_segments(skin, projected, &facing, &outlines);
+        for (_, beside) in &outline_segments {
+            triangles.register_query(*beside, f32::INFINITY);
         }
-        let cells: Vec<[u32; 2]> = seen.iter().map(|s| triangles.cell(s.at)).collect();
+        let cells: Vec<[u32; 2]> = projected.iter().map(|s| triangles.cell(s.at)).collect();
         for t in (0..facing.len()).filter(|&t| facing[t]) {
             let [p, q, r] = skin.rest().triangles[t];
             let (p, q, r) = (cells[p as usize], cells[q as usize], cells[r as usize]);
@@ -273,25 +276,25 @@ impl View {
             let around = [along(0), along(1)];
             let [a, b, c] = corners(t);
             let nearest_m = a.depth_m.min(b.depth_m).min(c.depth_m);
-            if triangles.is_asked(around, nearest_m) {
+            if triangles.has_query(around, nearest_m) {
                 triangles.push(around, nearest_m, Facet::new([a, b, c]));
             }
         }
-        let mut view = View { triangles, outlines };
-        for (mut piece, beside) in pieces {
-            piece.behind_m = view.nearest_m(beside, f32::INFINITY);
+        let mut projection = Projection { triangles, outlines };
+        for (mut outline, beside) in outline_segments {
+            outline.behind_m = projection.nearest_m(beside, f32::INFINITY);
             // A hidden outline casts no further shadow.
-            if piece.behind_m > piece.depth_m - 1e-3 {
-                view.outlines.push(view.outlines.around(piece.reach()), piece.depth_m, piece);
+            if outline.behind_m > outline.depth_m - 1e-3 {
+                projection.outlines.push(projection.outlines.around(outline.affected_box()), outline.depth_m, outline);
             }
         }
-        view
+        projection
     }
 
-    /// Returns the depth of the nearest triangle at a point, if nearer than a depth, m; otherwise returns that depth.
-    fn nearest_m(&self, at: Vec2, than_m: f32) -> f32 {
-        let mut nearest = than_m;
-        for facet in self.triangles.at(at, than_m) {
+    /// Returns the depth of the nearest triangle at a point, m, but no more than `depth_m`.
+    fn nearest_m(&self, at: Vec2, depth_m: f32) -> f32 {
+        let mut nearest = depth_m;
+        for facet in self.triangles.at(at, depth_m) {
             if facet.nearest_m >= nearest {
                 continue;
             }
@@ -305,21 +308,21 @@ impl View {
     }
 
     /// Returns the factor on the field at a vertex.
-    fn weight(&self, &Seen { at, depth_m }: &Seen, wavelength_m: f64) -> f64 {
+    fn factor_at(&self, &ProjectedVertex { at, depth_m }: &ProjectedVertex, wavelength_m: f64) -> f64 {
         let least_m = depth_m - BEHIND_M;
         // Squared distance across in units of the first Fresnel zone, and in metres.
         let (mut nearest, mut across_m2) = (f32::INFINITY, f32::INFINITY);
-        for piece in self.outlines.at(at, least_m) {
-            let behind_m = depth_m - piece.depth_m;
-            if behind_m < BEHIND_M || piece.behind_m < least_m {
+        for outline in self.outlines.at(at, least_m) {
+            let behind_m = depth_m - outline.depth_m;
+            if behind_m < BEHIND_M || outline.behind_m < least_m {
                 continue;
             }
-            let along = piece.to - piece.from;
-            let part = ((at - piece.from).dot(along) / along.length_squared().max(1e-18)).clamp(0.0, 1.0);
+            let along = outline.to - outline.from;
+            let fraction = ((at - outline.from).dot(along) / along.length_squared().max(1e-18)).clamp(0.0, 1.0);
             // Distances are measured on the plane at the body's distance. The slight magnification of nearer parts is
             // neglected.
-            let distance2 = (piece.from + along * part).distance_squared(at);
-            let zones = distance2 * depth_m / (piece.depth_m * behind_m);
+            let distance2 = (outline.from + along * fraction).distance_squared(at);
+            let zones = distance2 * depth_m / (outline.depth_m * behind_m);
             if zones < nearest {
                 (nearest, across_m2) = (zones, distance2);
             }
@@ -330,9 +333,9 @@ impl View {
         }
         let nu = (2.0 * f64::from(nearest) / wavelength_m).sqrt();
         if shaded {
-            // Reaches zero at the end of the reach.
-            let part = f64::from(across_m2 / (REACH_M * REACH_M));
-            knife_edge(nu) * (1.0 - part) * (1.0 - part)
+            // The factor falls to zero at the end of the reach.
+            let fraction = f64::from(across_m2 / (REACH_M * REACH_M));
+            knife_edge(nu) * (1.0 - fraction) * (1.0 - fraction)
         } else {
             knife_edge(-nu)
         }
@@ -341,8 +344,13 @@ impl View {
 
 /// Returns the outline segments near which something behind them is queried. Each comes with the point just beside it
 /// at which the surface behind is to be found; `behind_m` is not yet set.
-fn pieces(skin: &Skin, seen: &[Seen], facing: &[bool], outlines: &Cells<Piece>) -> Vec<(Piece, Vec2)> {
-    let mut pieces = Vec::new();
+fn outline_segments(
+    skin: &Skin,
+    projected: &[ProjectedVertex],
+    facing: &[bool],
+    outlines: &Cells<OutlineSegment>,
+) -> Vec<(OutlineSegment, Vec2)> {
+    let mut outline_segments = Vec::new();
     for edge in skin.edges() {
         let [left, right] = edge.triangles;
         // The border of an open surface is an outline of its facing triangles.
@@ -351,10 +359,10 @@ fn pieces(skin: &Skin, seen: &[Seen], facing: &[bool], outlines: &Cells<Piece>) 
             continue;
         }
         let [p, q] = edge.vertices;
-        let (from, to) = (seen[p as usize], seen[q as usize]);
+        let (from, to) = (projected[p as usize], projected[q as usize]);
         let depth_m = 0.5 * (from.depth_m + to.depth_m);
-        let piece = Piece { from: from.at, to: to.at, depth_m, behind_m: f32::INFINITY };
-        if !outlines.is_asked(outlines.around(piece.reach()), depth_m) {
+        let outline = OutlineSegment { from: from.at, to: to.at, depth_m, behind_m: f32::INFINITY };
+        if !outlines.has_query(outlines.around(outline.affected_box()), depth_m) {
             continue;
         }
         // Both triangles lie on the same side of the outline; the third corner of either gives the side.
@@ -362,22 +370,22 @@ fn pieces(skin: &Skin, seen: &[Seen], facing: &[bool], outlines: &Cells<Piece>) 
         let third = corners.and_then(|t| t.iter().find(|v| **v != p && **v != q));
         let Some(&third) = third else { continue };
         let along = to.at - from.at;
-        let side = along.perp_dot(seen[third as usize].at - from.at);
+        let side = along.perp_dot(projected[third as usize].at - from.at);
         let outward = (if side > 0.0 { -along.perp() } else { along.perp() }).normalize_or_zero();
-        pieces.push((piece, 0.5 * (from.at + to.at) + outward * BESIDE_M));
+        outline_segments.push((outline, 0.5 * (from.at + to.at) + outward * BESIDE_M));
     }
-    pieces
+    outline_segments
 }
 
-impl Piece {
+impl OutlineSegment {
     /// Returns the box within which the segment affects the field.
-    fn reach(&self) -> (Vec2, Vec2) {
+    fn affected_box(&self) -> (Vec2, Vec2) {
         (self.from.min(self.to) - REACH_M, self.from.max(self.to) + REACH_M)
     }
 }
 
 impl Facet {
-    fn new([a, b, c]: [Seen; 3]) -> Self {
+    fn new([a, b, c]: [ProjectedVertex; 3]) -> Self {
         let (u, v) = (b.at - a.at, c.at - a.at);
         let over = 1.0 / u.perp_dot(v);
         Facet {
@@ -411,7 +419,7 @@ mod tests {
 
     /// The field exceeds one half where a ray reaches the vertex, and is below one half elsewhere.
     #[test]
-    fn light_is_where_rays_are() {
+    fn vertices_reached_by_rays_are_lit() {
         let walker = walker();
         let all = vec![true; walker.skin().rest().vertices.len()];
         for (time_s, antenna) in [(2.0, DVec3::new(0.0, 0.0, 1.5)), (2.4, DVec3::new(8.0, -1.0, 0.9))] {
@@ -419,9 +427,9 @@ mod tests {
             let mesh = walker.mesh_at(time_s);
             let groups: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
             let tracer = RayTracer::new(mesh, &groups).expect("tracer");
-            let weights = weights(walker.skin(), &posed, antenna, WAVELENGTH_M, &all);
+            let factors = factors(walker.skin(), &posed, antenna, WAVELENGTH_M, &all);
             let (mut shaded, mut wrong, mut facing) = (0, 0, 0);
-            for ((weight, v), normal) in weights.iter().zip(&posed.vertices).zip(&posed.normals) {
+            for ((factor, v), normal) in factors.iter().zip(&posed.vertices).zip(&posed.normals) {
                 let depth_m = v.distance(antenna);
                 if normal.dot(antenna - *v) <= 0.3 * depth_m {
                     continue;
@@ -430,7 +438,7 @@ mod tests {
                 let is_shaded = hit.is_some_and(|hit| hit.distance_m < depth_m - f64::from(BEHIND_M));
                 facing += 1;
                 shaded += i32::from(is_shaded);
-                wrong += i32::from(is_shaded != (*weight < 0.5));
+                wrong += i32::from(is_shaded != (*factor < 0.5));
             }
             assert!(shaded >= 30 && facing > 1000, "{shaded} of {facing}: a walker shades himself");
             // A knife edge leaves 0.496 at grazing incidence, and outlines end in pieces of an edge's length.
@@ -444,7 +452,7 @@ mod tests {
         let walker = walker();
         let all = vec![true; walker.skin().rest().vertices.len()];
         let antenna = DVec3::new(0.0, 0.0, 1.5);
-        let at = |time_s: f64| weights(walker.skin(), &walker.posed(time_s), antenna, WAVELENGTH_M, &all);
+        let at = |time_s: f64| factors(walker.skin(), &walker.posed(time_s), antenna, WAVELENGTH_M, &all);
         let (mut jumps, mut before) = (0, at(2.0));
         for i in 1..20 {
             let now = at(2.0 + 0.0005 * f64::from(i));
@@ -458,16 +466,16 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Weights stay between 0 and 1 for antennas beside a foot, inside the chest, and very far away.
+        /// Factors stay between 0 and 1 for antennas beside a foot, inside the chest, and very far away.
         #[test]
-        fn antennas_anywhere_leave_finite_weights() {
+        fn antennas_anywhere_give_finite_factors() {
             let walker = walker();
             let posed = walker.posed(2.0);
             let all = vec![true; posed.vertices.len()];
             let inside = posed.vertices.iter().sum::<DVec3>() / posed.vertices.len() as f64;
             for antenna in [posed.vertices[0] + DVec3::Z * 1e-3, inside, DVec3::new(1e3, -2e3, 5.0)] {
-                let weights = weights(walker.skin(), &posed, antenna, WAVELENGTH_M, &all);
-                assert!(weights.iter().all(|w| (0.0..=1.0).contains(w)));
+                let factors = factors(walker.skin(), &posed, antenna, WAVELENGTH_M, &all);
+                assert!(factors.iter().all(|w| (0.0..=1.0).contains(w)));
             }
         }
     }

@@ -1,10 +1,10 @@
 //! Echoes of a person modelled as a mesh: physical optics near specular points, patch by patch.
 //!
 //! Physical optics contributes only where the path length is nearly stationary. A smooth window over the angle between
-//! normal and bisector keeps specular points with several Fresnel zones around them. The rest cancels and is dropped.
+//! normal and bisector keeps specular points with several Fresnel zones around them. The rest cancels and is left out.
 //! Inside the window each triangle is integrated ([`crate::em::curved_triangle`]) at the key times. Between them it is
-//! a point of the body with an exact delay and a slowly varying strength. Triangles of one small patch are summed chirp
-//! by chirp (`patch_sum.rs`) into one tone. No specular point is tracked between key times: their appearance,
+//! a point of the body with an exact delay and a slowly varying field. The triangles of one small patch are summed
+//! chirp by chirp (`patch_sum.rs`) into one tone. No specular point is tracked between key times: their appearance,
 //! merging and disappearance are part of the sum.
 //!
 //! A patch has as many triangles as there are lanes. It is processed for every path and every key time before the next,
@@ -12,17 +12,17 @@
 //!
 //! A path and its reverse differ by the few millimetres between transmitter and receivers, so they are integrated once.
 //!
-//! The strength at a vertex contains the reflection of the image antenna's field by skin (both polarisations, true
+//! The integrand at a vertex contains the reflection of the image antenna's field by skin (both polarisations, true
 //! incidence), cloth, pattern and walls. It also contains the obstruction by people and by the body's own limbs.
 
 use glam::DVec3;
 
-use super::error_budget::{ErrorBudget, Missed};
+use super::error_budget::{ErrorBudget, ErrorEstimate};
 use super::patch::{FrameTimes, ImagePositions, middle_antenna};
 use super::patch_pose::vertex_rows;
-use super::patch_solver::{Pair, PatchSolver, Tally, Work};
+use super::patch_solver::{ErrorSums, ImagePair, PatchSolver, SolverInputs};
 use super::surface_currents::{any_near_specular, direction_rows};
-use super::{EchoReport, Snapshot, distinct_images, past_people, self_occlusion};
+use super::{EchoReport, Snapshot, distinct_images, people_factor, self_occlusion};
 use crate::em::curved_triangle::Integrator;
 use crate::em::image::ImageIndex;
 use crate::lanes::Row;
@@ -54,14 +54,21 @@ impl SkinnedPerson {
 
     /// Returns the factors of obstruction by other people, and by the body itself before the last wall, on an image
     /// antenna's field at each vertex. They are computed by segment and blended over the vertices.
-    pub fn past_people(&self, prepared: &PreparedScene, people: &[Snapshot], me: usize, index: ImageIndex) -> Vec<f64> {
-        let Some(own) = people.get(me) else { return vec![1.0; self.cloth.len()] };
-        let of_segment: [f64; SEGMENTS] =
-            std::array::from_fn(|s| past_people(prepared, people, me, index, prepared.tx.position, own.body[s].centre));
-        if of_segment.iter().all(|&w| w == 1.0) {
+    pub fn people_factors(
+        &self,
+        prepared: &PreparedScene,
+        people: &[Snapshot],
+        target: usize,
+        index: ImageIndex,
+    ) -> Vec<f64> {
+        let Some(snapshot) = people.get(target) else { return vec![1.0; self.cloth.len()] };
+        let antenna = prepared.tx.position;
+        let by_segment: [f64; SEGMENTS] =
+            std::array::from_fn(|s| people_factor(prepared, people, target, index, antenna, snapshot.body[s].centre));
+        if by_segment.iter().all(|&factor| factor == 1.0) {
             return vec![1.0; self.cloth.len()];
         }
-        self.mesh.skin().blend(&of_segment)
+        self.mesh.skin().blend(&by_segment)
     }
 
     /// Returns the moving mesh.
@@ -69,9 +76,9 @@ impl SkinnedPerson {
         &self.mesh
     }
 
-    /// Adds a person's echoes in a frame to grids. `people` are snapshots of all people at the key times, of whom this
-    /// is number `me`. `pairs` are the audible pairs with their loudness, LSB, the loudest first; a path and its
-    /// reverse count as one. Returns the error of the loudest pair's field, and the omitted power of the others.
+    /// Adds a person's echoes in a frame to grids. `people` are snapshots of all people at the key times; this person
+    /// is number `target`. `pairs` are the audible pairs with their loudness, LSB, the loudest first; a path and its
+    /// reverse count as one. Returns the errors of the loudest pair's field, and the omitted power of all pairs.
     #[allow(clippy::too_many_arguments)]
     pub fn add_echoes(
         &self,
@@ -80,154 +87,161 @@ impl SkinnedPerson {
         budget: &ErrorBudget,
         times: &FrameTimes,
         people: &[Vec<Snapshot>],
-        me: usize,
+        target: usize,
         pairs: &[((ImageIndex, ImageIndex), f64)],
         grids: &mut ChirpGrids,
         report: &mut EchoReport,
-    ) -> Missed {
+    ) -> ErrorEstimate {
         // Fast limbs need additional key times half-way between.
-        let fine = times.halved();
+        let fine = times.with_midpoints();
         let posed: Vec<PosedSkin> = fine.keys_s.iter().map(|&t| self.mesh.posed(t)).collect();
-        let (ways, mut left_out_lsb2) = loud_ways(pairs, budget);
-        let indices = distinct_images(ways.iter().flat_map(|(way, _)| *way));
-        let Some(middle) = posed.get(posed.len() / 2) else { return Missed::default() };
+        let (pairs, mut omitted_lsb2) = unordered_pairs(pairs, budget);
+        let images = distinct_images(pairs.iter().flat_map(|(pair, _)| *pair));
+        let Some(middle) = posed.get(posed.len() / 2) else { return ErrorEstimate::default() };
         let antenna = middle_antenna(prepared);
-        let pair = |&(way, loudness): &([ImageIndex; 2], f64)| Pair {
-            images: way.map(|index| indices.binary_search(&index).unwrap_or(0)),
+        let image_pair = |&(pair, loudness): &([ImageIndex; 2], f64)| ImagePair {
+            images: pair.map(|index| images.binary_search(&index).unwrap_or(0)),
             loudness_lsb: loudness,
             settings: budget.settings(loudness),
         };
-        let mut work = Work {
+        let mut inputs = SolverInputs {
             prepared,
             integrator,
             skin: self.mesh.skin(),
             cloth: &self.cloth,
             times: [times, &fine],
             origin: middle.vertices.iter().sum::<DVec3>() / middle.vertices.len().max(1) as f64,
-            places: indices.iter().map(|&index| ImagePositions::new(prepared, &antenna, index)).collect(),
-            pairs: ways.iter().map(pair).collect(),
+            positions: images.iter().map(|&index| ImagePositions::new(prepared, &antenna, index)).collect(),
+            pairs: pairs.iter().map(image_pair).collect(),
             antenna,
-            indices,
+            images,
             posed,
-            weights: Vec::new(),
-            missed_between_keys: budget.missed_between_keys(),
+            obstruction: Vec::new(),
+            interpolation_tolerance: budget.interpolation_tolerance(),
         };
-        let near_specular = self.near_specular(&work);
-        work.weights = self.weights(&work, people, me, &near_specular, budget);
+        let near_specular = self.near_specular(&inputs);
+        inputs.obstruction = self.obstruction_factors(&inputs, people, target, &near_specular, budget);
 
-        let loudest = prepared.lsb.iter().copied().fold(0.0, f64::max);
-        // Patches add up, so the threshold of a single patch lies far below the visible level.
-        let least = (budget.least_patch_lsb() / loudest.max(1e-300)) as f32;
-        let mut solver = PatchSolver::new(&work, least);
-        let mut missed = Tally::default();
+        let max_lsb = prepared.lsb.iter().copied().fold(0.0, f64::max);
+        let min_field = (budget.min_patch_lsb() / max_lsb.max(1e-300)) as f32;
+        let mut solver = PatchSolver::new(&inputs, min_field);
+        let mut errors = ErrorSums::default();
         for (patch, near_specular) in
-            work.skin.patches().iter().zip(&near_specular).filter(|(_, pairs)| !pairs.is_empty())
+            inputs.skin.patches().iter().zip(&near_specular).filter(|(_, pairs)| !pairs.is_empty())
         {
-            report.clamped += solver.pose(&work, patch, near_specular);
+            report.clamped += solver.pose(&inputs, patch, near_specular);
             for &number in near_specular {
-                let Some(pair) = work.pairs.get(number) else { continue };
-                if !solver.integrate(&work, patch, pair) {
+                let Some(pair) = inputs.pairs.get(number) else { continue };
+                if !solver.integrate(&inputs, patch, pair) {
                     continue;
                 }
                 if number == 0 {
-                    solver.add_missed(&work, patch, pair, &mut missed);
+                    solver.add_errors(&inputs, patch, pair, &mut errors);
                 }
-                report.synthesised += usize::from(solver.add_tone(&work, pair, grids));
+                report.synthesised += usize::from(solver.add_tone(&inputs, pair, grids));
             }
         }
-        left_out_lsb2 += solver.left_out() * loudest * loudest;
-        let Missed { between_keys, by_integration, .. } = missed.missed();
-        let by_integration = by_integration * work.pairs.first().map_or(1.0, |pair| pair.settings.beyond());
-        Missed { between_keys, by_integration, left_out: left_out_lsb2 / (budget.noise_lsb * budget.noise_lsb) }
+        omitted_lsb2 += solver.omitted_power() * max_lsb * max_lsb;
+        let ErrorEstimate { interpolation, integration, .. } = errors.estimate();
+        let integration = integration * inputs.pairs.first().map_or(1.0, |pair| pair.settings.share_beyond_window());
+        ErrorEstimate {
+            interpolation,
+            integration,
+            omitted_power: omitted_lsb2 / (budget.noise_lsb * budget.noise_lsb),
+        }
     }
 
     /// Returns, for each patch, the pairs of images for which it is near a specular point at the beginning or at the
     /// end.
-    fn near_specular(&self, work: &Work) -> Vec<Vec<usize>> {
-        let level = work.integrator.level;
+    fn near_specular(&self, inputs: &SolverInputs) -> Vec<Vec<usize>> {
+        let level = inputs.integrator.level;
         let patches = self.mesh.skin().patches();
         let mut all = vec![Vec::new(); patches.len()];
-        let ends = [work.posed.first(), work.posed.last()];
+        let ends = [inputs.posed.first(), inputs.posed.last()];
         for (patch, near_specular) in patches.iter().zip(&mut all) {
-            let seen: Vec<_> = ends
+            let at_ends: Vec<_> = ends
                 .iter()
                 .flatten()
                 .map(|posed| {
-                    let [places, normals] = vertex_rows(posed, patch, work.origin);
-                    let light =
-                        |place: &ImagePositions| direction_rows(level, from(work.origin, place.middle), &places);
-                    (normals, work.places.iter().map(light).collect::<Vec<_>>())
+                    let [places, normals] = vertex_rows(posed, patch, inputs.origin);
+                    let directions = |position: &ImagePositions| {
+                        direction_rows(level, relative_to(inputs.origin, position.middle), &places)
+                    };
+                    (normals, inputs.positions.iter().map(directions).collect::<Vec<_>>())
                 })
                 .collect();
             let narrowing = patch.vertices.map(|v| self.mesh.skin().narrowing()[v as usize]);
-            let shines = |pair: &Pair| {
+            let is_near = |pair: &ImagePair| {
                 let [a, b] = pair.images;
                 let outer = pair.settings.window[1] as f32;
-                let lit = |(normals, lights): &([Row; 3], Vec<_>)| {
-                    any_near_specular(level, normals, &narrowing, [&lights[a], &lights[b]], outer)
+                let is_near_at = |(normals, directions): &([Row; 3], Vec<_>)| {
+                    any_near_specular(level, normals, &narrowing, [&directions[a], &directions[b]], outer)
                 };
-                seen.iter().any(lit)
+                at_ends.iter().any(is_near_at)
             };
             near_specular
-                .extend(work.pairs.iter().enumerate().filter(|(_, pair)| shines(pair)).map(|(number, _)| number));
+                .extend(inputs.pairs.iter().enumerate().filter(|(_, pair)| is_near(pair)).map(|(number, _)| number));
         }
         all
     }
 
     /// Returns the factors of obstruction on every image antenna's field at the vertices of patches near its specular
     /// points. The number of key times depends on the loudness of the image.
-    fn weights(
+    fn obstruction_factors(
         &self,
-        work: &Work,
+        inputs: &SolverInputs,
         people: &[Vec<Snapshot>],
-        me: usize,
+        target: usize,
         near_specular: &[Vec<usize>],
         budget: &ErrorBudget,
     ) -> Vec<Vec<(f64, Vec<f64>)>> {
-        let mut wanted = vec![vec![false; self.cloth.len()]; work.indices.len()];
-        for (patch, pairs) in work.skin.patches().iter().zip(near_specular) {
-            for image in pairs.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images) {
-                patch.vertices.iter().for_each(|&v| wanted[image][v as usize] = true);
+        let mut is_wanted = vec![vec![false; self.cloth.len()]; inputs.images.len()];
+        for (patch, pairs) in inputs.skin.patches().iter().zip(near_specular) {
+            for image in pairs.iter().filter_map(|&number| inputs.pairs.get(number)).flat_map(|pair| pair.images) {
+                patch.vertices.iter().for_each(|&v| is_wanted[image][v as usize] = true);
             }
         }
         let last = people.len().saturating_sub(1);
         let of_image = |image: usize| {
-            let (index, place) = (work.indices[image], &work.places[image]);
-            let of = work.pairs.iter().filter(|pair| pair.images.contains(&image));
-            let keys = budget.shade_keys(of.map(|pair| pair.loudness_lsb).fold(0.0, f64::max), last);
+            let (index, antenna) = (inputs.images[image], inputs.positions[image].middle);
+            let pairs = inputs.pairs.iter().filter(|pair| pair.images.contains(&image));
+            let keys = budget.occlusion_keys(pairs.map(|pair| pair.loudness_lsb).fold(0.0, f64::max), last);
             let at = |key: usize| {
                 // There is an additional pose between any two key times of people.
-                let posed = work.posed.get(2 * key)?;
-                let own =
-                    self_occlusion::weights(work.skin, posed, place.middle, work.prepared.wavelength_m, &wanted[image]);
-                let others = self.past_people(work.prepared, people.get(key)?, me, index);
-                Some((2.0 * key as f64, own.iter().zip(others).map(|(a, b)| a * b).collect()))
+                let posed = inputs.posed.get(2 * key)?;
+                let wavelength_m = inputs.prepared.wavelength_m;
+                let by_limbs = self_occlusion::factors(inputs.skin, posed, antenna, wavelength_m, &is_wanted[image]);
+                let by_people = self.people_factors(inputs.prepared, people.get(key)?, target, index);
+                Some((2.0 * key as f64, by_limbs.iter().zip(by_people).map(|(a, b)| a * b).collect()))
             };
             keys.into_iter().filter_map(at).collect()
         };
-        (0..work.indices.len()).map(of_image).collect()
+        (0..inputs.images.len()).map(of_image).collect()
     }
 }
 
 /// Returns the pairs that are loud enough to count, each once for a path and its reverse, with the loudness, LSB, of
 /// the first of both. Also returns the power of the pairs that are left out, LSB^2.
-fn loud_ways(pairs: &[((ImageIndex, ImageIndex), f64)], budget: &ErrorBudget) -> (Vec<([ImageIndex; 2], f64)>, f64) {
-    let mut ways: Vec<([ImageIndex; 2], f64)> = Vec::new();
-    let mut left_out_lsb2 = 0.0;
+fn unordered_pairs(
+    pairs: &[((ImageIndex, ImageIndex), f64)],
+    budget: &ErrorBudget,
+) -> (Vec<([ImageIndex; 2], f64)>, f64) {
+    let mut kept: Vec<([ImageIndex; 2], f64)> = Vec::new();
+    let mut omitted_lsb2 = 0.0;
     for &((p, q), loudness) in pairs {
-        if loudness < budget.least_pair_lsb() {
-            left_out_lsb2 += loudness * loudness;
+        if loudness < budget.min_pair_lsb() {
+            omitted_lsb2 += loudness * loudness;
             continue;
         }
-        let way = [p.min(q), p.max(q)];
-        if !ways.iter().any(|(known, _)| *known == way) {
-            ways.push((way, loudness));
+        let pair = [p.min(q), p.max(q)];
+        if !kept.iter().any(|(known, _)| *known == pair) {
+            kept.push((pair, loudness));
         }
     }
-    (ways, left_out_lsb2)
+    (kept, omitted_lsb2)
 }
 
 /// Returns an antenna's position relative to an origin, in single precision.
-fn from(origin: DVec3, antenna: DVec3) -> [f32; 3] {
+fn relative_to(origin: DVec3, antenna: DVec3) -> [f32; 3] {
     (antenna - origin).as_vec3().to_array()
 }

@@ -1,7 +1,7 @@
 //! Monostatic echo of a surface at rest, computed with the patches of skins.
 //!
 //! The computation is that of a person at one key time ([`super::skin`]) without motion: the same patches, triangles,
-//! strengths and shadows. Validation applies it to bodies with known cross-sections.
+//! integrands and occlusion. Validation applies it to bodies with known cross-sections.
 
 use std::f64::consts::TAU;
 
@@ -12,16 +12,16 @@ use super::error_budget::IntegrationSettings;
 use super::patch_pose::{PatchPose, at_corners};
 use super::patch_solver::rules_for;
 use super::self_occlusion;
-use super::surface_currents::{Between, FieldAround, field_rows, strengths};
+use super::surface_currents::{FieldAround, IntegrandInputs, field_rows, integrands};
 use crate::em::Phasor3;
 use crate::em::curved_triangle::{Integrator, moments, spans_rad};
 use crate::geometry::Surface;
 use crate::lanes::{LANES, Row};
 use crate::people::skin::{PosedSkin, Skin, SkinPatch};
 
-/// Largest distance from which shadows are cast, m. Farther antennas are moved to it, because shadows are computed in
-/// single precision.
-const FARTHEST_SHADING_M: f64 = 1e3;
+/// Largest distance of the antenna in the computation of occlusion, m. Farther antennas are moved to it, because
+/// occlusion is computed in single precision.
+const MAX_OCCLUSION_DISTANCE_M: f64 = 1e3;
 
 /// Closed surface at rest.
 #[derive(Debug, Clone)]
@@ -63,34 +63,39 @@ impl StillSkin {
     /// [`crate::em::current::received`] over the square of the distance, with the phase of the path relative to that by
     /// the middle of the surface.
     pub fn integral(&self, integrator: &Integrator, view: &StillView) -> Complex64 {
-        let shading = self.origin + (view.antenna - self.origin).clamp_length_max(FARTHEST_SHADING_M);
-        let wanted = vec![true; self.posed.vertices.len()];
-        let weights = self_occlusion::weights(&self.skin, &self.posed, shading, view.wavelength_m, &wanted);
+        let antenna = self.origin + (view.antenna - self.origin).clamp_length_max(MAX_OCCLUSION_DISTANCE_M);
+        let is_queried = vec![true; self.posed.vertices.len()];
+        let occlusion = self_occlusion::factors(&self.skin, &self.posed, antenna, view.wavelength_m, &is_queried);
         let mut pose = PatchPose::new(1, integrator);
-        self.skin.patches().iter().map(|patch| self.of_patch(integrator, view, patch, &weights, &mut pose)).sum()
+        self.skin
+            .patches()
+            .iter()
+            .map(|patch| self.patch_integral(integrator, view, patch, &occlusion, &mut pose))
+            .sum()
     }
 
-    fn of_patch(
+    /// Integrates over one patch. `occlusion` is the factor on the field at each vertex.
+    fn patch_integral(
         &self,
         integrator: &Integrator,
         view: &StillView,
         patch: &SkinPatch,
-        weights: &[f64],
+        occlusion: &[f64],
         pose: &mut PatchPose,
     ) -> Complex64 {
         let level = integrator.level;
         pose.pose(level, patch, &self.posed, self.origin, [1.0; LANES], [1.0; LANES]);
-        pose.look(0, view.antenna, self.origin, view.wavelength_m, level);
-        let around = FieldAround::new(self.centre(patch), self.origin, view.field);
-        let field = field_rows(level, &around, &pose.vertices.places);
-        let weights = patch.vertices.map(|v| weights.get(v as usize).map_or(1.0, |weight| *weight as f32));
-        let (re, im) = strengths(
+        pose.view_from(0, view.antenna, self.origin, view.wavelength_m, level);
+        let expansion = FieldAround::new(self.centre(patch), self.origin, view.field);
+        let field = field_rows(level, &expansion, &pose.vertices.positions);
+        let occlusion = patch.vertices.map(|v| occlusion.get(v as usize).map_or(1.0, |factor| *factor as f32));
+        let (re, im) = integrands(
             level,
-            &Between {
+            &IntegrandInputs {
                 vertices: &pose.vertices,
-                lights: [&pose.lights[0]; 2],
+                directions: [&pose.directions[0]; 2],
                 fields: [&field; 2],
-                weights: [&weights; 2],
+                obstruction: [&occlusion; 2],
                 permittivity: view.permittivity,
                 settings: &view.settings,
                 factor: 1.0,
@@ -101,9 +106,9 @@ impl StillSkin {
         }
         let spans = spans_rad(level, [&pose.views[0]; 2]);
         let rules = rules_for(&spans, 0..patch.triangles.len(), view.settings.ease);
-        pose.find_nodes(rules, integrator);
-        let seen = &pose.views[0];
-        let moments = moments(level, pose.nodes(rules), [seen; 2]);
+        pose.compute_nodes(rules, integrator);
+        let view_rows = &pose.views[0];
+        let moments = moments(level, pose.nodes(rules), [view_rows; 2]);
         let (re, im) = (at_corners(&re, &patch.corners), at_corners(&im, &patch.corners));
         let middle_m = view.antenna.distance(self.origin);
         let of_triangle = |(l, distance_m): (usize, &f64)| {
@@ -112,14 +117,14 @@ impl StillSkin {
             let longer_m = 2.0 * (distance_m - middle_m);
             products.sum::<Complex64>() * Complex64::from_polar(1.0, -TAU * longer_m / view.wavelength_m)
         };
-        let triangles = seen.distances_m.iter().enumerate().take(patch.triangles.len());
-        // Strengths contain a factor j, which is removed here.
+        let triangles = view_rows.distances_m.iter().enumerate().take(patch.triangles.len());
+        // Integrands contain a factor j, which is removed here.
         -Complex64::I * triangles.map(of_triangle).sum::<Complex64>()
     }
 
     fn centre(&self, patch: &SkinPatch) -> DVec3 {
-        let places = patch.vertices.iter().filter_map(|&v| self.posed.vertices.get(v as usize));
-        places.sum::<DVec3>() / LANES as f64
+        let positions = patch.vertices.iter().filter_map(|&v| self.posed.vertices.get(v as usize));
+        positions.sum::<DVec3>() / LANES as f64
     }
 }
 

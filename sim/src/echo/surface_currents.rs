@@ -1,5 +1,6 @@
-//! Physical-optics strengths at sixteen vertices of a skin: the factor of `exp(-j k L)` and an area in the field from
-//! one image antenna to another. The formulation is that of [`crate::em::current::received`]; a test compares both.
+//! Physical-optics integrands at sixteen vertices of a skin. The integrand is the received field per area of the skin,
+//! from one image antenna to another, without the phase `exp(-j k L)` of the path. The formulation is that of
+//! [`crate::em::current::received`]; a test compares both.
 
 // Loops use lane indices: several rows are accessed together, and the compiler vectorises these loops.
 #![allow(clippy::needless_range_loop)]
@@ -16,10 +17,10 @@ use crate::lanes::{LANES, Row, Row3, compiled_for_levels, cos_sin_of_turns, lane
 #[derive(Debug, Clone, Copy)]
 pub(super) struct VertexRows {
     /// Positions relative to a common nearby origin, m.
-    pub(super) places: Row3,
+    pub(super) positions: Row3,
     pub(super) normals: Row3,
     /// Factor of clothes and walls on the amplitude.
-    pub(super) left: Row,
+    pub(super) amplitude_factor: Row,
     /// Factor on the sine of the angle from the specular direction, applied before the window.
     pub(super) narrowing: Row,
 }
@@ -44,7 +45,7 @@ pub(super) struct FieldRows {
 /// 1/m.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FieldAround {
-    pub(super) place: [f32; 3],
+    pub(super) point: [f32; 3],
     pub(super) field: Phasor3,
     pub(super) slopes: [Phasor3; 3],
 }
@@ -57,29 +58,29 @@ impl FieldAround {
     pub(super) fn new(centre: DVec3, origin: DVec3, field_at: impl Fn(DVec3) -> Phasor3) -> Self {
         let field = field_at(centre);
         let slope = |axis: DVec3| {
-            let there = field_at(centre + axis * FIELD_STEP_M);
-            Phasor3 { re: (there.re - field.re) / FIELD_STEP_M, im: (there.im - field.im) / FIELD_STEP_M }
+            let ahead = field_at(centre + axis * FIELD_STEP_M);
+            Phasor3 { re: (ahead.re - field.re) / FIELD_STEP_M, im: (ahead.im - field.im) / FIELD_STEP_M }
         };
-        FieldAround { place: (centre - origin).as_vec3().to_array(), field, slopes: DVec3::AXES.map(slope) }
+        FieldAround { point: (centre - origin).as_vec3().to_array(), field, slopes: DVec3::AXES.map(slope) }
     }
 }
 
 compiled_for_levels! {
     /// Evaluates the expanded field at vertices.
-    pub(super) fn field_rows(around: &FieldAround, places: &Row3) -> FieldRows = field_body;
+    pub(super) fn field_rows(expansion: &FieldAround, positions: &Row3) -> FieldRows = field_body;
 }
 
 #[inline(always)]
-fn field_body(around: &FieldAround, places: &Row3) -> FieldRows {
+fn field_body(expansion: &FieldAround, positions: &Row3) -> FieldRows {
     let mut rows = FieldRows::default();
-    let [x, y, z] = &around.slopes;
+    let [x, y, z] = &expansion.slopes;
     for axis in 0..3 {
         let at = |v: DVec3| v.to_array()[axis] as f32;
-        let (re, by_re) = (at(around.field.re), [at(x.re), at(y.re), at(z.re)]);
-        let (im, by_im) = (at(around.field.im), [at(x.im), at(y.im), at(z.im)]);
+        let (re, by_re) = (at(expansion.field.re), [at(x.re), at(y.re), at(z.re)]);
+        let (im, by_im) = (at(expansion.field.im), [at(x.im), at(y.im), at(z.im)]);
         for l in 0..LANES {
-            let [x, y, z] = lane(places, l);
-            let d = [x - around.place[0], y - around.place[1], z - around.place[2]];
+            let [x, y, z] = lane(positions, l);
+            let d = [x - expansion.point[0], y - expansion.point[1], z - expansion.point[2]];
             rows.re[axis][l] = re + dot(d, by_re);
             rows.im[axis][l] = im + dot(d, by_im);
         }
@@ -87,29 +88,29 @@ fn field_body(around: &FieldAround, places: &Row3) -> FieldRows {
     rows
 }
 
-/// Inputs of the strengths at vertices.
-pub(super) struct Between<'a> {
+/// Inputs of [`integrands`].
+pub(super) struct IntegrandInputs<'a> {
     pub(super) vertices: &'a VertexRows,
-    /// The transmitting and the receiving image antenna.
-    pub(super) lights: [&'a DirectionRows; 2],
+    /// Directions to the transmitting and to the receiving image antenna.
+    pub(super) directions: [&'a DirectionRows; 2],
     pub(super) fields: [&'a FieldRows; 2],
     /// Factors of obstruction by people and limbs on both fields.
-    pub(super) weights: [&'a Row; 2],
+    pub(super) obstruction: [&'a Row; 2],
     pub(super) permittivity: Complex64,
     pub(super) settings: &'a IntegrationSettings,
-    /// Common factor of all strengths, to be multiplied by j.
+    /// Common factor of all integrands, to be multiplied by j.
     pub(super) factor: f32,
 }
 
 impl DirectionRows {
     #[inline(always)]
-    fn new(antenna: [f32; 3], places: &Row3) -> Self {
+    fn new(antenna: [f32; 3], positions: &Row3) -> Self {
         let mut rows = DirectionRows { towards: Default::default(), inverse_m: [0.0; LANES] };
         for l in 0..LANES {
-            let (x, y, z) = (antenna[0] - places[0][l], antenna[1] - places[1][l], antenna[2] - places[2][l]);
+            let (x, y, z) = (antenna[0] - positions[0][l], antenna[1] - positions[1][l], antenna[2] - positions[2][l]);
             let distance = (x * x + y * y + z * z).sqrt();
-            let over = 1.0 / distance.max(1e-6);
-            (rows.towards[0][l], rows.towards[1][l], rows.towards[2][l]) = (x * over, y * over, z * over);
+            let inverse = 1.0 / distance.max(1e-6);
+            (rows.towards[0][l], rows.towards[1][l], rows.towards[2][l]) = (x * inverse, y * inverse, z * inverse);
             rows.inverse_m[l] = 1.0 / distance.max(LEAST_DISTANCE_M as f32);
         }
         rows
@@ -124,16 +125,21 @@ impl DirectionRows {
 compiled_for_levels! {
     /// Computes directions and inverse distances to an antenna. Its position has the same origin as those of the
     /// vertices.
-    pub(super) fn direction_rows(antenna: [f32; 3], places: &Row3) -> DirectionRows = DirectionRows::new;
+    pub(super) fn direction_rows(antenna: [f32; 3], positions: &Row3) -> DirectionRows = DirectionRows::new;
 }
 
 compiled_for_levels! {
     /// Returns whether any vertex is near a specular point: within the window, and facing both antennas.
-    pub(super) fn any_near_specular(normals: &Row3, narrowing: &Row, lights: [&DirectionRows; 2], outer: f32) -> bool = near_specular_body;
+    pub(super) fn any_near_specular(
+        normals: &Row3,
+        narrowing: &Row,
+        directions: [&DirectionRows; 2],
+        outer: f32,
+    ) -> bool = any_near_specular_body;
 }
 
 #[inline(always)]
-fn near_specular_body(normals: &Row3, narrowing: &Row, [out, back]: [&DirectionRows; 2], outer: f32) -> bool {
+fn any_near_specular_body(normals: &Row3, narrowing: &Row, [out, back]: [&DirectionRows; 2], outer: f32) -> bool {
     let mut any = 0u32;
     for l in 0..LANES {
         let (mut with_out, mut with_back, mut square) = (0.0, 0.0, 0.0);
@@ -144,17 +150,17 @@ fn near_specular_body(normals: &Row3, narrowing: &Row, [out, back]: [&DirectionR
             square += (t + r) * (t + r);
         }
         let cosine = with_out + with_back;
-        let shines = (with_out > 0.0)
+        let is_near = (with_out > 0.0)
             & (with_back > 0.0)
             & ((square - cosine * cosine) * (narrowing[l] * narrowing[l]) < square * (outer * outer))
             & (square > 4.0 * GRAZING[0] * GRAZING[0]);
-        any |= u32::from(shines);
+        any |= u32::from(is_near);
     }
     any != 0
 }
 
-/// Half the length of the sum of the unit vectors to both antennas: the weight of specular points rises from zero at
-/// the first value to one at the second. Below that, forward scattering dominates, which this method does not model.
+/// Half the length of the sum of the unit vectors to both antennas, at which the weight of specular points is zero and
+/// from which it is one. At smaller values forward scattering dominates, which this method does not model.
 pub(super) const GRAZING: [f32; 2] = [0.1, 0.3];
 
 /// [`crate::math::smooth_step`] from 0 at `from` to 1 at `to`.
@@ -166,8 +172,8 @@ fn smooth_step(x: f32, from: f32, to: f32) -> f32 {
 }
 
 compiled_for_levels! {
-    /// Computes strengths, real and imaginary parts.
-    pub(super) fn strengths(between: &Between) -> (Row, Row) = strengths_body;
+    /// Computes integrands, real and imaginary parts.
+    pub(super) fn integrands(between: &IntegrandInputs) -> (Row, Row) = integrands_body;
 }
 
 #[inline(always)]
@@ -187,14 +193,21 @@ fn sum(a: [f32; 3], b: [f32; 3], factor: f32) -> [f32; 3] {
 
 #[inline(always)]
 fn divide(a: (f32, f32), b: (f32, f32)) -> (f32, f32) {
-    let over = 1.0 / (b.0 * b.0 + b.1 * b.1);
-    ((a.0 * b.0 + a.1 * b.1) * over, (a.1 * b.0 - a.0 * b.1) * over)
+    let inverse = 1.0 / (b.0 * b.0 + b.1 * b.1);
+    ((a.0 * b.0 + a.1 * b.1) * inverse, (a.1 * b.0 - a.0 * b.1) * inverse)
 }
 
 #[inline(always)]
-fn strengths_body(between: &Between) -> (Row, Row) {
-    let Between { vertices, lights: [out, back], fields: [field, received], weights, permittivity, settings, factor } =
-        between;
+fn integrands_body(between: &IntegrandInputs) -> (Row, Row) {
+    let IntegrandInputs {
+        vertices,
+        directions: [out, back],
+        fields: [field, received],
+        obstruction,
+        permittivity,
+        settings,
+        factor,
+    } = between;
     let (eps_re, eps_im) = (permittivity.re as f32, permittivity.im as f32);
     let (inner, outer) = (settings.window[0] as f32, settings.window[1] as f32);
     let (mut all_re, mut all_im) = ([0.0; LANES], [0.0; LANES]);
@@ -203,7 +216,7 @@ fn strengths_body(between: &Between) -> (Row, Row) {
         let t = lane(&out.towards, l);
         let s = lane(&back.towards, l);
         let (field_re, field_im) = (lane(&field.re, l), lane(&field.im, l));
-        let (heard_re, heard_im) = (lane(&received.re, l), lane(&received.im, l));
+        let (receiver_re, receiver_im) = (lane(&received.re, l), lane(&received.im, l));
         let bisector = sum(t, s, 1.0);
         let length = dot(bisector, bisector).sqrt();
         let cosine = dot(n, bisector) / length.max(1e-6);
@@ -212,7 +225,7 @@ fn strengths_body(between: &Between) -> (Row, Row) {
         let window = smooth_step(sine, outer, inner) * smooth_step(0.5 * length, GRAZING[0], GRAZING[1]);
         let lit = (cosine > 0.0) & (with_t > 0.0) & (with_s > 0.0);
         let spreading = out.inverse_m[l] * back.inverse_m[l];
-        let weight = window * vertices.left[l] * weights[0][l] * weights[1][l] * spreading;
+        let weight = window * vertices.amplitude_factor[l] * obstruction[0][l] * obstruction[1][l] * spreading;
         let weight = if lit { weight } else { 0.0 };
 
         // Directions of the incident and the reflected wave.
@@ -232,8 +245,8 @@ fn strengths_body(between: &Between) -> (Row, Row) {
         let normal_incidence = dot(across, across) < 1e-8;
         let pick = |any: f32, across: f32| if normal_incidence { any } else { across };
         let u = [pick(any[0], across[0]), pick(any[1], across[1]), pick(any[2], across[2])];
-        let over = 1.0 / dot(u, u).sqrt().max(1e-12);
-        let u = [u[0] * over, u[1] * over, u[2] * over];
+        let inverse = 1.0 / dot(u, u).sqrt().max(1e-12);
+        let u = [u[0] * inverse, u[1] * inverse, u[2] * inverse];
         let (v, w) = (cross(u, d), cross(u, o));
         let (along_u, along_v) = ((dot(field_re, u), dot(field_im, u)), (dot(field_re, v), dot(field_im, v)));
         let reflected_u = (te.0 * along_u.0 - te.1 * along_u.1, te.0 * along_u.1 + te.1 * along_u.0);
@@ -247,7 +260,7 @@ fn strengths_body(between: &Between) -> (Row, Row) {
         let m_re = cross(n, sum(field_re, reflected_re, 1.0));
         let m_im = cross(n, sum(field_im, reflected_im, 1.0));
         // Field of both currents at the receiving antenna.
-        let (p_re, p_im) = (sum(heard_re, s, -dot(s, heard_re)), sum(heard_im, s, -dot(s, heard_im)));
+        let (p_re, p_im) = (sum(receiver_re, s, -dot(s, receiver_re)), sum(receiver_im, s, -dot(s, receiver_im)));
         let (sp_re, sp_im) = (cross(s, p_re), cross(s, p_im));
         let re = dot(j_re, p_re) - dot(j_im, p_im) - (dot(m_re, sp_re) - dot(m_im, sp_im));
         let im = dot(j_re, p_im) + dot(j_im, p_re) - (dot(m_re, sp_im) + dot(m_im, sp_re));
@@ -257,7 +270,7 @@ fn strengths_body(between: &Between) -> (Row, Row) {
     (all_re, all_im)
 }
 
-/// Returns the common factor of all strengths, without `j`: `-j k / 2 pi` of physical optics, and the antennas'
+/// Returns the common factor of all integrands, without `j`: `-j k / 2 pi` of physical optics, and the antennas'
 /// aperture `lambda / 4 pi`.
 pub(super) fn common_factor(wavelength_m: f64) -> f32 {
     let k = std::f64::consts::TAU / wavelength_m;
@@ -279,7 +292,7 @@ mod tests {
     /// Normals range from the line of sight to grazing. Fields are complex as behind lossy walls, and antennas are
     /// together or apart.
     #[test]
-    fn strengths_are_those_of_physical_optics() {
+    fn integrands_are_those_of_physical_optics() {
         let mut rng = generator(3, Purpose::Noise, [0, 0]);
         let mut vector = move || {
             let mut number = || rng.random_range(-1.0..1.0);
@@ -288,12 +301,13 @@ mod tests {
         let settings = IntegrationSettings { window: [5.0, 9.0], ..IntegrationSettings::for_tolerance(0.5) };
         let level = KernelLevel::detect();
         let ones = [1.0; LANES];
-        let mut heard_some = 0;
+        let mut compared = 0;
         for i in 0..4000 {
             let point = vector();
-            let out = point + 3.0 * vector().normalize();
-            let back = if i % 2 == 0 { out + 0.002 * vector() } else { point + 2.0 * vector().normalize() };
-            let (t, s) = ((out - point).normalize(), (back - point).normalize());
+            let outbound_antenna = point + 3.0 * vector().normalize();
+            let inbound_antenna =
+                if i % 2 == 0 { outbound_antenna + 0.002 * vector() } else { point + 2.0 * vector().normalize() };
+            let (t, s) = ((outbound_antenna - point).normalize(), (inbound_antenna - point).normalize());
             let normal = if i % 5 == 0 { t } else { (t + s + 0.9 * vector()).normalize() };
             // Fields are transverse to the direction of propagation.
             let mut phasor = |along: DVec3| {
@@ -305,29 +319,31 @@ mod tests {
                 continue;
             }
             let row3 = |v: DVec3| v.as_vec3().to_array().map(|x| [x; LANES]);
-            let vertices = VertexRows { places: row3(point), normals: row3(normal), left: ones, narrowing: ones };
-            let lights = [out, back].map(|a| direction_rows(level, a.as_vec3().to_array(), &vertices.places));
+            let vertices =
+                VertexRows { positions: row3(point), normals: row3(normal), amplitude_factor: ones, narrowing: ones };
+            let directions = [outbound_antenna, inbound_antenna]
+                .map(|a| direction_rows(level, a.as_vec3().to_array(), &vertices.positions));
             let zero = Phasor3::real(DVec3::ZERO);
-            let around = |field| FieldAround { place: [0.0; 3], field, slopes: [zero; 3] };
-            let rows = fields.map(|field| field_rows(level, &around(field), &vertices.places));
-            let between = Between {
+            let expansion = |field| FieldAround { point: [0.0; 3], field, slopes: [zero; 3] };
+            let rows = fields.map(|field| field_rows(level, &expansion(field), &vertices.positions));
+            let between = IntegrandInputs {
                 vertices: &vertices,
-                lights: [&lights[0], &lights[1]],
+                directions: [&directions[0], &directions[1]],
                 fields: [&rows[0], &rows[1]],
-                weights: [&ones, &ones],
+                obstruction: [&ones, &ones],
                 permittivity: SKIN_PERMITTIVITY,
                 settings: &settings,
                 factor: 1.0,
             };
-            let (re, im) = strengths(level, &between);
+            let (re, im) = integrands(level, &between);
             let skin = Wall::HalfSpace { permittivity: SKIN_PERMITTIVITY };
             let arrival = Arrival { field: fields[0], direction: -t };
-            let exact =
-                received(&arrival, normal, &skin, 1257.0, s, fields[1]) / (out.distance(point) * back.distance(point));
+            let exact = received(&arrival, normal, &skin, 1257.0, s, fields[1])
+                / (outbound_antenna.distance(point) * inbound_antenna.distance(point));
             let miss = (Complex64::new(im[7].into(), (-re[7]).into()) - exact).norm();
             assert!(miss < 3e-6, "{miss:e} of {exact}");
-            heard_some += 1;
+            compared += 1;
         }
-        assert!(heard_some > 1500, "{heard_some}");
+        assert!(compared > 1500, "{compared}");
     }
 }

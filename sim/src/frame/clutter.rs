@@ -6,11 +6,11 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::FrameSimulator;
-use super::paths::Traced;
+use super::paths::FramePaths;
 use crate::diffraction::{self, Column};
 use crate::echo::Snapshot;
 use crate::math::neighbours;
-use crate::prepared_scene::{StaticPath, drift};
+use crate::prepared_scene::{StaticPath, StaticTone, drift};
 use crate::random::{Purpose, generator};
 use crate::scene_file::ShadowFile;
 use crate::synthesis::{Grid, Tone};
@@ -24,41 +24,42 @@ pub(super) struct Clutter {
     /// Weights of the other paths: `[time][changing path]`.
     weights: Vec<Vec<Complex64>>,
     /// Whether the times are the middles of all chirps; otherwise they are the ends of the frame's intervals.
-    pub(super) by_chirp: bool,
+    pub(super) is_per_chirp: bool,
 }
 
 /// Grids of static paths at the times of their weights.
 pub(super) struct StaticGrids {
     /// Grids: `[rx][time]`.
     pub(super) grids: Vec<Vec<Grid>>,
-    pub(super) by_chirp: bool,
+    pub(super) is_per_chirp: bool,
 }
 
-pub(super) const NO_STATIC: StaticGrids = StaticGrids { grids: Vec::new(), by_chirp: false };
+pub(super) const NO_STATIC: StaticGrids = StaticGrids { grids: Vec::new(), is_per_chirp: false };
 
 impl FrameSimulator {
     /// Computes the weights of all static paths in a frame: in every chirp where people diffract them, otherwise at the
     /// ends of intervals.
-    pub(super) fn clutter(&self, index: u64, start_s: f64, traced: &Traced) -> Clutter {
+    pub(super) fn clutter(&self, index: u64, start_s: f64, frame_paths: &FramePaths) -> Clutter {
         let is_strip = self.scene.file().people.shadow == ShadowFile::Strip;
-        let has_people = traced.snapshots.iter().any(|people| !people.is_empty());
+        let has_people = frame_paths.snapshots.iter().any(|people| !people.is_empty());
         if !(is_strip && has_people) {
-            let weights = self.clutter_weights(index, &self.ends_s(start_s, traced.halvings), &traced.snapshots);
+            let ends_s = self.ends_s(start_s, frame_paths.halvings);
+            let weights = self.clutter_weights(index, &ends_s, &frame_paths.snapshots);
             let changing = (0..self.prepared.static_paths.len()).collect();
-            return Clutter { steady: Vec::new(), changing, weights, by_chirp: false };
+            return Clutter { steady: Vec::new(), changing, weights, is_per_chirp: false };
         }
         let without_people = self.clutter_weights(index, &[start_s], &[Vec::new()]);
         let without_people = without_people.first().map(Vec::as_slice).unwrap_or_default();
-        let (at_ends, active_s) = (traced.columns(), self.active_s());
+        let (columns, active_s) = (frame_paths.columns(), self.active_s());
         let paths = self.prepared.static_paths.iter().zip(without_people).enumerate();
         let (changing, steady): (Vec<_>, Vec<_>) =
-            paths.partition(|(_, (path, _))| may_shade(&path.polyline, &at_ends));
+            paths.partition(|(_, (path, _))| may_obstruct(&path.polyline, &columns));
         let weights: Vec<Vec<Complex64>> = (0..self.waveform().shape().chirps)
             .map(|chirp| {
-                let people = columns_between(&at_ends, self.middle_s(chirp) / active_s);
+                let people = columns_between(&columns, self.middle_s(chirp) / active_s);
                 // Amplitudes at the ADC are conjugated.
                 let weight = |(_, (path, weight)): &(usize, (&StaticPath, &Complex64))| {
-                    *weight * diffraction::along_strips(&path.polyline, &people, self.prepared.wavelength_m).conj()
+                    *weight * diffraction::past_strips(&path.polyline, &people, self.prepared.wavelength_m).conj()
                 };
                 changing.iter().map(weight).collect()
             })
@@ -67,7 +68,7 @@ impl FrameSimulator {
             steady: steady.into_iter().map(|(number, (_, weight))| (number, *weight)).collect(),
             changing: changing.into_iter().map(|(number, _)| number).collect(),
             weights,
-            by_chirp: true,
+            is_per_chirp: true,
         }
     }
 
@@ -80,14 +81,14 @@ impl FrameSimulator {
         // Half of the power of jitter and drift is common to all echoes, half is independent.
         let half = constants.phase_jitter_rad * 0.5f64.sqrt();
         let half_drift = constants.phase_drift_rad_per_10s * 0.5f64.sqrt();
-        let common = half * normal();
+        let common_rad = half * normal();
         let jitter: Vec<Complex64> = self
             .prepared
             .static_paths
             .iter()
             .map(|_| {
-                let phase = common + half * normal();
-                Complex64::from_polar((1.0 + constants.amplitude_jitter * normal()).max(0.0), phase)
+                let phase_rad = common_rad + half * normal();
+                Complex64::from_polar((1.0 + constants.amplitude_jitter * normal()).max(0.0), phase_rad)
             })
             .collect();
         ends_s
@@ -95,15 +96,15 @@ impl FrameSimulator {
             .zip(snapshots)
             .map(|(&t, people)| {
                 let columns: Vec<_> = people.iter().map(|p| p.column).collect();
-                let common = drift(t, &self.prepared.common_drift);
+                let common_drift = drift(t, &self.prepared.common_drift);
                 let paths = self.prepared.static_paths.iter().zip(&jitter);
                 paths
                     .enumerate()
                     .map(|(i, (path, jitter))| {
-                        let shade = diffraction::along(&path.polyline, &columns, self.prepared.wavelength_m);
+                        let factor = diffraction::past_columns(&path.polyline, &columns, self.prepared.wavelength_m);
                         let step = steps.get(i).copied().unwrap_or_default();
-                        let turn = half_drift * (common + drift(t, &path.drift)) + step;
-                        jitter * Complex64::from_polar(shade, turn)
+                        let phase_rad = half_drift * (common_drift + drift(t, &path.drift)) + step;
+                        jitter * Complex64::from_polar(factor, phase_rad)
                     })
                     .collect()
             })
@@ -118,10 +119,10 @@ impl FrameSimulator {
         if constants.phase_step_rad == 0.0 {
             return Vec::new();
         }
-        let at = start_s / constants.phase_step_interval_s;
-        let interval = at as u64;
+        let intervals = start_s / constants.phase_step_interval_s;
+        let interval = intervals as u64;
         let step = generator(self.options.seed, Purpose::ClutterStep, [interval, 0]).random::<f64>();
-        let level = interval + u64::from(at - interval as f64 >= step);
+        let level = interval + u64::from(intervals - interval as f64 >= step);
         let mut rng = generator(self.options.seed, Purpose::ClutterStep, [level, 1]);
         let sigma_rad = constants.phase_step_rad * 0.5f64.sqrt();
         let phase = |_| {
@@ -134,18 +135,21 @@ impl FrameSimulator {
     /// Builds grids of static paths at the times of their weights. If `is_by_delay`, every tone is multiplied by `j`
     /// and its delay.
     pub(super) fn static_grids(&self, clutter: &Clutter, is_by_delay: bool) -> StaticGrids {
-        let of = |rx: usize| {
+        let of_receiver = |rx: usize| {
             let mut steady = self.synthesiser.grid();
             self.add_static(rx, clutter.steady.iter().copied(), is_by_delay, &mut steady);
-            let at = |weights: &Vec<Complex64>| {
+            let at_time = |weights: &Vec<Complex64>| {
                 let mut grid = steady.clone();
                 let changing = clutter.changing.iter().copied().zip(weights.iter().copied());
                 self.add_static(rx, changing, is_by_delay, &mut grid);
                 grid
             };
-            clutter.weights.iter().map(at).collect()
+            clutter.weights.iter().map(at_time).collect()
         };
-        StaticGrids { grids: (0..self.waveform().shape().rx).map(of).collect(), by_chirp: clutter.by_chirp }
+        StaticGrids {
+            grids: (0..self.waveform().shape().rx).map(of_receiver).collect(),
+            is_per_chirp: clutter.is_per_chirp,
+        }
     }
 
     /// Adds static paths to a grid, each by its index and with a weight. If `is_by_delay`, every tone is multiplied by
@@ -161,12 +165,12 @@ impl FrameSimulator {
         let delay_s = self.prepared.chirp.sample_rate_hz / self.prepared.chirp.slope_hz_per_s;
         for (number, weight) in paths {
             let tone = self.prepared.static_paths.get(number).and_then(|path| path.tones.get(rx));
-            if let Some(&(phase_cycles, cycles_per_sample, amplitude)) = tone {
-                let mut a = amplitude * weight;
+            if let Some(&StaticTone { phase_cycles, cycles_per_sample, amplitude }) = tone {
+                let mut amplitude = amplitude * weight;
                 if is_by_delay {
-                    a *= Complex64::new(0.0, cycles_per_sample * delay_s);
+                    amplitude *= Complex64::new(0.0, cycles_per_sample * delay_s);
                 }
-                let amplitude = Complex::new(a.re as f32, a.im as f32);
+                let amplitude = Complex::new(amplitude.re as f32, amplitude.im as f32);
                 self.synthesiser.add(&Tone { phase_cycles, cycles_per_sample, amplitude }, grid);
             }
         }
@@ -175,21 +179,22 @@ impl FrameSimulator {
 
 /// Returns whether a person may come near a path between evenly spaced times. The test assumes that a person moves no
 /// farther from both neighbouring times than their distance.
-fn may_shade(polyline: &[DVec3], at_times: &[Vec<Column>]) -> bool {
-    at_times.iter().enumerate().any(|(time, people)| {
+fn may_obstruct(polyline: &[DVec3], columns: &[Vec<Column>]) -> bool {
+    columns.iter().enumerate().any(|(time, people)| {
         people.iter().enumerate().any(|(i, column)| {
-            let next = at_times.get(time + 1).and_then(|people| people.get(i)).unwrap_or(column);
+            let next = columns.get(time + 1).and_then(|people| people.get(i)).unwrap_or(column);
             let moved_m = (next.x - column.x).hypot(next.y - column.y) + (next.radius_m - column.radius_m).abs();
-            diffraction::reaches(polyline, column, moved_m)
+            diffraction::may_affect(polyline, column, moved_m)
         })
     })
 }
 
-/// Interpolates the columns of people at a position, 0 to 1, between evenly spaced times.
-fn columns_between(at_times: &[Vec<Column>], at: f64) -> Vec<Column> {
-    let Some((here, next, part)) = neighbours(at_times, at) else { return Vec::new() };
-    let between = |a: f64, b: f64| a + (b - a) * part;
-    here.iter()
+/// Interpolates the columns of people, given at evenly spaced times, at a fraction of the whole time.
+fn columns_between(columns: &[Vec<Column>], at: f64) -> Vec<Column> {
+    let Some((before, next, fraction)) = neighbours(columns, at) else { return Vec::new() };
+    let between = |a: f64, b: f64| a + (b - a) * fraction;
+    before
+        .iter()
         .zip(next)
         .map(|(a, b)| Column {
             x: between(a.x, b.x),

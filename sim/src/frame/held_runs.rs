@@ -1,4 +1,4 @@
-//! Held echoes of a frame, diffuse echoes and weak paths, added run by run of chirps. Echoes that change too much for a
+//! Held echoes of a frame (diffuse echoes and weak paths), added in runs of chirps. Echoes that change too much for a
 //! run are added block by block.
 
 use std::ops::Range;
@@ -25,7 +25,13 @@ impl FrameSimulator {
 
     /// Replaces the grids of a block of chirps by the held echoes of each interval of a frame. Blocks must be given in
     /// order.
-    pub(super) fn lay_held(&self, block: Range<usize>, held: &[HeldEchoes], run: &mut HeldRun, grids: &mut [Grids]) {
+    pub(super) fn set_held_block(
+        &self,
+        block: Range<usize>,
+        held: &[HeldEchoes],
+        run: &mut HeldRun,
+        grids: &mut [Grids],
+    ) {
         let Some(halvings) = held.len().checked_ilog2() else { return };
         if block.start >= run.chirps.end {
             self.begin_run(&block, halvings, held, run);
@@ -35,14 +41,14 @@ impl FrameSimulator {
         for (grids, blocks) in grids.iter_mut().zip(&mut run.blocks) {
             match blocks.get_mut(number).filter(|_| in_run) {
                 // Each block of a run is needed once.
-                Some(own) => std::mem::swap(grids, own),
+                Some(block) => std::mem::swap(grids, block),
                 None => grids.clear(),
             }
         }
-        for (interval, places) in self.intervals_of(block.clone(), halvings) {
-            let of_interval = if in_run { Some(run.rates.left()) } else { held.get(interval) };
-            if let Some(echoes) = of_interval {
-                self.synthesiser.spread_held(&self.prepared.chirp, echoes, &places, grids);
+        for (interval, positions) in self.intervals_of(block.clone(), halvings) {
+            let echoes = if in_run { Some(run.rates.rejected()) } else { held.get(interval) };
+            if let Some(echoes) = echoes {
+                self.synthesiser.spread_held(&self.prepared.chirp, echoes, &positions, grids);
             }
         }
     }
@@ -51,8 +57,8 @@ impl FrameSimulator {
     /// would not save work.
     fn begin_run(&self, block: &Range<usize>, halvings: u32, held: &[HeldEchoes], run: &mut HeldRun) {
         let chirps = self.waveform().shape().chirps;
-        let (interval, first) = self.place_of(block.start, halvings);
-        let is_inside = |end: usize| self.place_of(end - 1, halvings).0 == interval;
+        let (interval, first) = self.position_of(block.start, halvings);
+        let is_inside = |end: usize| self.position_of(end - 1, halvings).0 == interval;
         let ends = (block.start + CHIRPS..block.start + RUN + CHIRPS).step_by(CHIRPS).map(|end| end.min(chirps));
         let end = ends.take_while(|&end| is_inside(end) && end - block.start <= RUN).last().unwrap_or(block.start);
         run.chirps = block.start..end;
@@ -61,7 +67,7 @@ impl FrameSimulator {
             return;
         }
         let Some(echoes) = held.get(interval) else { return };
-        let (_, last) = self.place_of(end - 1, halvings);
+        let (_, last) = self.position_of(end - 1, halvings);
         let step = (last - first) / (run.chirps.len() - 1) as f64;
         let spread = Run { first, step, chirps: run.chirps.len() };
         run.blocks.iter_mut().flatten().for_each(Grids::clear);

@@ -21,10 +21,10 @@ use crate::scene::Scene;
 use crate::scene::ground::Floor;
 use crate::sway::SwayingReflectors;
 use crate::synthesis::Synthesiser;
-use chirp_turn::ChirpTurns;
-use receiver::{NoisyPhase, OfFrame};
+use chirp_distortion::ChirpDistortions;
+use receiver::{FrameInputs, PhaseNoiseInputs};
 
-mod chirp_turn;
+mod chirp_distortion;
 mod chirps;
 mod clutter;
 mod held_runs;
@@ -76,11 +76,13 @@ pub(crate) struct FrameSimulator {
     thinning: Thinning,
     sway: SwayingReflectors,
     /// Errors common to all echoes of a chirp; `None` where there are none.
-    turns: Option<ChirpTurns>,
+    distortions: Option<ChirpDistortions>,
     /// Spurious tones of each receiver.
     spurs: Vec<Spurs>,
     synthesiser: Synthesiser,
+    /// Noise of each receiver, and a factor on it.
     noise: Vec<(NoiseShaper, f32)>,
+    /// Leakage between the antennas in a chirp, for each receiver, LSB.
     leakage: Vec<Vec<f32>>,
     /// Factor on the jitter of leakage.
     leakage_jitter: f64,
@@ -119,7 +121,7 @@ impl FrameSimulator {
             floor: Floor::of(scene),
             thinning: Thinning::new(prepared.wall_points.len(), options.tolerance_db, prepared.threshold_lsb),
             sway: SwayingReflectors::new(scene, &prepared, options.seed),
-            turns: ChirpTurns::new(scene, options.seed),
+            distortions: ChirpDistortions::new(scene, options.seed),
             spurs: (0..prepared.channels.len()).map(spurs).collect(),
             prepared,
             synthesiser: Synthesiser::new(samples),
@@ -132,6 +134,7 @@ impl FrameSimulator {
         }
     }
 
+    /// Simulates a frame at its own time.
     pub(crate) fn simulate_into(&self, index: u64, frame: &mut Frame) -> FrameReport {
         self.simulate_from(index, self.start_s(index), frame)
     }
@@ -150,19 +153,26 @@ impl FrameSimulator {
 
         let motions = self.motions(start_s);
         let instants = self.instants(&motions, start_s, None);
-        let mut traced = self.traced(&instants, None);
+        let mut paths = self.trace_paths(&instants, None);
         // Tracing has already computed the bodies.
         let body = |person: usize, quarter: usize| instants.body_at_quarter(person, quarter);
         frame.truth = Some(self.truth_of(&motions, start_s, body));
-        self.add_sway(start_s, &mut traced);
-        let phase = self.phase_rates.as_ref().map(|rates| NoisyPhase { traced: traced.by_delay(), rates });
-        let mut report = traced.report;
-        let clutter = self.clutter(index, start_s, &traced);
+        self.add_sway(start_s, &mut paths);
+        let phase = self.phase_rates.as_ref().map(|rates| PhaseNoiseInputs { paths: paths.by_delay(), rates });
+        let mut report = paths.report;
+        let clutter = self.clutter(index, start_s, &paths);
         let middles_s = (0..shape.chirps).map(|chirp| self.middle_s(chirp));
-        let turns = self.turns.as_ref().map(|turns| turns.of_frame(index, start_s, middles_s)).unwrap_or_default();
-        let of_frame =
-            OfFrame { index, start_s, traced: &traced, phase: phase.as_ref(), clutter: &clutter, turns: &turns };
-        report.clipped = self.simulate_channels(&of_frame, frame);
+        let distortions = self.distortions.as_ref().map(|generator| generator.of_frame(index, start_s, middles_s));
+        let distortions = distortions.unwrap_or_default();
+        let inputs = FrameInputs {
+            index,
+            start_s,
+            paths: &paths,
+            phase: phase.as_ref(),
+            clutter: &clutter,
+            distortions: &distortions,
+        };
+        report.clipped = self.simulate_channels(&inputs, frame);
         report
     }
 
@@ -175,6 +185,7 @@ impl FrameSimulator {
         self.scene.waveform()
     }
 
+    /// Returns the time of a frame's first sample, s.
     fn start_s(&self, index: u64) -> f64 {
         index as f64 * self.waveform().frame_interval_s()
     }

@@ -2,10 +2,10 @@
 
 use std::sync::{Arc, PoisonError};
 
-use super::paths::{FIRST_HALVINGS, MOST_SKIN_HALVINGS, Traced};
+use super::paths::{FIRST_HALVINGS, FramePaths, MAX_SKIN_HALVINGS};
 use super::{FrameReport, FrameSimulator};
 use crate::echo::dense;
-use crate::echo::error_budget::{ErrorBudget, Missed};
+use crate::echo::error_budget::{ErrorBudget, ErrorEstimate};
 use crate::echo::skin::SkinnedPerson;
 use crate::echo::{EchoReport, FrameTimes, Snapshot, audible_pairs, loud_pairs};
 use crate::path_sampling::Instants;
@@ -18,9 +18,9 @@ use crate::synthesis::ChirpGrids;
 use crate::tracks::Tracks;
 
 /// Allowed interpolation error between key times of all of a skin's echoes, relative to them, for half a decibel.
-const SKIN_KEY_TOLERANCE: f64 = 0.03;
+const SKIN_TOLERANCE: f64 = 0.03;
 /// Number of skins that are kept: those of people in the room, and of the next ones.
-const MOST_SKINS: usize = 8;
+const MAX_SKINS: usize = 8;
 
 impl FrameSimulator {
     /// Returns a person's skin; `None` where people are ellipsoids.
@@ -29,14 +29,14 @@ impl FrameSimulator {
             return None;
         }
         let mut skins = self.skins.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(at) = skins.iter().position(|(of, _)| Arc::ptr_eq(of, motion)) {
+        if let Some(at) = skins.iter().position(|(owner, _)| Arc::ptr_eq(owner, motion)) {
             let kept = skins.remove(at);
             let skin = Arc::clone(&kept.1);
             skins.push(kept);
             return Some(skin);
         }
         let skin = Arc::new(SkinnedPerson::new(WalkingMesh::new(Arc::clone(motion), EDGE_M)));
-        if skins.len() >= MOST_SKINS {
+        if skins.len() >= MAX_SKINS {
             skins.remove(0);
         }
         skins.push((Arc::clone(motion), Arc::clone(&skin)));
@@ -55,7 +55,7 @@ impl FrameSimulator {
         snapshots: &[Vec<Snapshot>],
         keys_s: Vec<f64>,
         report: &mut EchoReport,
-    ) -> (ChirpGrids, Missed) {
+    ) -> (ChirpGrids, ErrorEstimate) {
         let shape = self.waveform().shape();
         let (start_s, middle) = (keys_s.first().copied().unwrap_or_default(), keys_s.len() / 2);
         let now = snapshots.get(middle).map(Vec::as_slice).unwrap_or_default();
@@ -67,39 +67,40 @@ impl FrameSimulator {
         if self.phase_rates.is_some() {
             grids = grids.with_delays();
         }
-        let mut most = Missed::default();
-        for (me, motion) in motions.iter().enumerate() {
+        let mut max_error = ErrorEstimate::default();
+        for (target, motion) in motions.iter().enumerate() {
             let Some(skin) = self.skin(motion) else { continue };
             let pairs = audible_pairs(prepared, motion, start_s + 0.5 * self.active_s());
-            let loud = loud_pairs(prepared, motion, now, me, &pairs);
-            let missed =
-                skin.add_echoes(prepared, integrator, &budget, &times, snapshots, me, &loud, &mut grids, report);
-            most = most.max(missed);
+            let loud = loud_pairs(prepared, motion, now, target, &pairs);
+            let error =
+                skin.add_echoes(prepared, integrator, &budget, &times, snapshots, target, &loud, &mut grids, report);
+            max_error = max_error.max(error);
         }
-        (grids, most)
+        (grids, max_error)
     }
 
-    /// Traces people who have skins, with key times as close as accuracy requires, or halved `asked` times.
-    pub(super) fn traced_skins(&self, instants: &Instants, asked: Option<u32>) -> Traced {
-        let mut halvings = asked.unwrap_or(FIRST_HALVINGS);
+    /// Traces people who have skins, with key times as close as accuracy requires, or in a frame that is halved
+    /// `fixed_halvings` times.
+    pub(super) fn trace_skins(&self, instants: &Instants, fixed_halvings: Option<u32>) -> FramePaths {
+        let mut halvings = fixed_halvings.unwrap_or(FIRST_HALVINGS);
         loop {
             let mut echo_report = EchoReport::default();
             let ends_s = self.ends_s(instants.start_s(), halvings);
             let snapshots = instants.at_ends(halvings);
-            let (grids, missed) = self.skin_echoes(instants.motions(), &snapshots, ends_s, &mut echo_report);
-            if missed.between_keys > SKIN_KEY_TOLERANCE && halvings < MOST_SKIN_HALVINGS && asked.is_none() {
+            let (grids, error) = self.skin_echoes(instants.motions(), &snapshots, ends_s, &mut echo_report);
+            if error.interpolation > SKIN_TOLERANCE && halvings < MAX_SKIN_HALVINGS && fixed_halvings.is_none() {
                 halvings += 1;
                 continue;
             }
             let report = FrameReport {
                 static_paths: self.prepared.static_paths.len(),
                 moving_paths: echo_report.synthesised,
-                estimate_db: (!instants.motions().is_empty()).then(|| missed.db()),
+                estimate_db: (!instants.motions().is_empty()).then(|| error.db()),
                 clamped: echo_report.clamped,
                 clipped: 0,
             };
             let held = self.held_echoes(instants.motions().len(), halvings);
-            return Traced { snapshots, halvings, tracks: Tracks::default(), held, skins: Some(grids), report };
+            return FramePaths { snapshots, halvings, tracks: Tracks::default(), held, skins: Some(grids), report };
         }
     }
 
@@ -114,14 +115,14 @@ impl FrameSimulator {
         let time_s = start_s + chirp as f64 * self.waveform().chirp_interval_s + prepared.chirp.middle_s;
         let people: Vec<Snapshot> = motions.iter().map(|m| Snapshot::new(m, time_s)).collect();
         let mut sum = vec![vec![0.0; shape.samples]; shape.rx];
-        for (me, motion) in motions.iter().enumerate() {
+        for (target, motion) in motions.iter().enumerate() {
             let Some(skin) = self.skin(motion) else { continue };
             let pairs = audible_pairs(&prepared, motion, middle_s);
-            let pairs = loud_pairs(&prepared, motion, &middle, me, &pairs);
+            let pairs = loud_pairs(&prepared, motion, &middle, target, &pairs);
             let pairs: Vec<_> = pairs.into_iter().map(|(pair, _)| pair).collect();
-            let own = dense::chirp(&prepared, &skin, &people, me, &pairs, time_s, shape.samples);
-            for (sum, own) in sum.iter_mut().flatten().zip(own.iter().flatten()) {
-                *sum += own;
+            let echoes = dense::chirp(&prepared, &skin, &people, target, &pairs, time_s, shape.samples);
+            for (sum, echo) in sum.iter_mut().flatten().zip(echoes.iter().flatten()) {
+                *sum += echo;
             }
         }
         sum

@@ -11,7 +11,7 @@ use std::f64::consts::TAU;
 
 use num_complex::Complex64;
 
-use crate::diffraction::{half_plane, wave};
+use crate::diffraction::{fresnel_phasor, half_plane};
 
 /// Positive abscissae and weights of the Gauss-Legendre rules with 4, 8 and 16 nodes on -1..1.
 const GAUSS_4: [(f64, f64); 2] =
@@ -67,7 +67,7 @@ fn quadrature(p: f64, s: f64) -> Complex64 {
     }
     let at = |t: f64| {
         let square = t * t;
-        wave(square) * (p / (p * p + square))
+        fresnel_phasor(square) * (p / (p * p + square))
     };
     let half = 0.5 * s;
     let symmetric_pair = |&(x, weight): &(f64, f64)| (at(half * (1.0 - x)) + at(half * (1.0 + x))) * weight;
@@ -78,7 +78,7 @@ fn quadrature(p: f64, s: f64) -> Complex64 {
     } else {
         GAUSS_16.iter().map(symmetric_pair).sum()
     };
-    wave(p * p) * sum * (half / TAU)
+    fresnel_phasor(p * p) * sum * (half / TAU)
 }
 
 #[cfg(test)]

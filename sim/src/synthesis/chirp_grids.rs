@@ -1,10 +1,10 @@
 //! Frequency grids of every chirp of a frame, to which moving echoes are added.
 //!
 //! In a block of eight chirps an echo is added around one position of the grid, the nearest for which taps of the
-//! kernel are stored. The offset of a chirp's tone from it, and the offset of the echo's origin from its path, use the
-//! derivative of the kernel: to first order a displaced tone is the tone plus its derivative. For an eighth of a cell
-//! the error is 0.9 % of the amplitude (rms over the chirp). An echo that moves by more than a quarter of a cell in a
-//! block is added in parts.
+//! kernel are stored. A chirp's tone may be offset from this position, and the echo's origin from its path. Both
+//! offsets use the derivative of the kernel: to first order a displaced tone is the tone plus its derivative times the
+//! displacement. For an eighth of a cell the error is 0.9 % of the amplitude (rms over the chirp). An echo that moves
+//! by more than a quarter of a cell in a block is added in runs of fewer chirps.
 //!
 //! Receivers share the phases of the path and the position. Their differences change so slowly that a parabola over the
 //! frame represents them.
@@ -15,16 +15,16 @@
 use num_complex::Complex;
 use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
-use super::held::{PLACES, taps_by_place};
+use super::held::{POSITIONS, taps_by_position};
 use super::spread::{CHIRPS, Cell, Grids, Row, window};
-use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer, on_circle};
+use super::{DEGREE, PADDED_TAPS, Synthesiser, WIDTH, fraction_of_turn, nearest_integer};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 
 /// Largest movement of an echo while its position is held, cells.
 const HELD_CELLS: f64 = 0.25;
 /// Largest offset of an echo's origin from its path, wavelengths.
-const REACH: f32 = 40.0;
+const MAX_ORIGIN: f32 = 40.0;
 
 /// Frequency grids of every chirp of a frame, for each receiver: `[receiver][block of chirps]`.
 #[derive(Debug, Clone)]
@@ -40,8 +40,8 @@ pub struct ChirpGrids {
 /// position, in cells.
 #[derive(Debug, Clone)]
 struct EchoKernel {
-    taps: Vec<[f32; LANES]>,
-    slopes: Vec<[f32; LANES]>,
+    taps: Vec<[f32; PADDED_TAPS]>,
+    slopes: Vec<[f32; PADDED_TAPS]>,
     cells: f64,
 }
 
@@ -60,16 +60,16 @@ pub struct EchoChirps {
     pub moment: [[f32; CHIRPS]; 2],
     /// Field times its phase lag with the actual antennas instead of their midpoints, rad, on the forward path. The
     /// reverse path has the opposite sign.
-    pub detoured: [[f32; CHIRPS]; 2],
+    pub detour: [[f32; CHIRPS]; 2],
 }
 
 /// Factors from an echo's field to LSB at one receiver, as it multiplies `exp(+j ...)`, by powers of the chirp index.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EchoFactors {
     /// Sum over the forward path and its reverse.
-    pub both: [Complex<f32>; 3],
+    pub sum: [Complex<f32>; 3],
     /// Forward path minus its reverse: factor of the detour term.
-    pub apart: [Complex<f32>; 3],
+    pub difference: [Complex<f32>; 3],
 }
 
 /// Moving echo in every chirp of a frame.
@@ -80,7 +80,7 @@ pub struct Echo<'a> {
     /// Wavelength at which the field was computed, m.
     pub wavelength_m: f64,
     /// Echo factors for each receiver.
-    pub ways: &'a [EchoFactors],
+    pub factors: &'a [EchoFactors],
     /// Blocks of chirps.
     pub chirps: &'a [EchoChirps],
 }
@@ -89,14 +89,14 @@ impl ChirpGrids {
     /// Creates empty grids.
     pub fn new(synthesiser: &Synthesiser, receivers: usize, chirps: usize) -> Self {
         let blocks = vec![vec![synthesiser.grids(); chirps.div_ceil(CHIRPS)]; receivers];
-        let mut slopes = [[0f32; LANES]; DEGREE];
+        let mut slopes = [[0f32; PADDED_TAPS]; DEGREE];
         for (power, (slopes, taps)) in slopes.iter_mut().zip(&synthesiser.taps[1..]).enumerate() {
             // The fraction of a cell falls from 1 to -1 while the position advances by a cell.
             *slopes = taps.map(|c| -2.0 * (power + 1) as f32 * c);
         }
         let kernel = EchoKernel {
-            taps: synthesiser.taps_by_place.clone(),
-            slopes: taps_by_place(&slopes),
+            taps: synthesiser.taps_by_position.clone(),
+            slopes: taps_by_position(&slopes),
             cells: synthesiser.cells as f64,
         };
         ChirpGrids { blocks, kernel, level: synthesiser.level, by_delay: None }
@@ -117,9 +117,9 @@ impl ChirpGrids {
     /// the path, because they are close together.
     pub fn add(&mut self, echo: &Echo) {
         if let Some(grids) = &mut self.by_delay {
-            lay_echo(grids.level, &grids.kernel, echo, true, &mut grids.blocks);
+            spread_echo(grids.level, &grids.kernel, echo, true, &mut grids.blocks);
         }
-        lay_echo(self.level, &self.kernel, echo, false, &mut self.blocks);
+        spread_echo(self.level, &self.kernel, echo, false, &mut self.blocks);
     }
 
     /// Adds a receiver's block of chirps to `grids`.
@@ -131,42 +131,43 @@ impl ChirpGrids {
 }
 
 compiled_for_levels! {
-    fn lay_echo(kernel: &EchoKernel, echo: &Echo, by_delay: bool, blocks: &mut [Vec<Grids>]) = echo_body;
+    fn spread_echo(kernel: &EchoKernel, echo: &Echo, by_delay: bool, blocks: &mut [Vec<Grids>]) = spread_echo_body;
 }
 
 #[inline(always)]
-fn echo_body(kernel: &EchoKernel, echo: &Echo, by_delay: bool, blocks: &mut [Vec<Grids>]) {
+fn spread_echo_body(kernel: &EchoKernel, echo: &Echo, by_delay: bool, blocks: &mut [Vec<Grids>]) {
     for (block, chirps) in echo.chirps.iter().enumerate() {
-        let Some(turned) = turned(kernel, echo, chirps, by_delay) else { continue };
-        let (runs, width) = runs(kernel, &turned);
-        for (way, blocks) in echo.ways.iter().zip(blocks.iter_mut()) {
+        let Some(rotated) = rotated(kernel, echo, chirps, by_delay) else { continue };
+        let (runs, width) = runs(kernel, &rotated);
+        for (factors, blocks) in echo.factors.iter().zip(blocks.iter_mut()) {
             let Some(grids) = blocks.get_mut(block) else { continue };
-            let received = received(way, &turned, (block * CHIRPS) as f32);
+            let received = received(factors, &rotated, (block * CHIRPS) as f32);
             if width == CHIRPS {
-                lay(kernel, &runs[0], &turned.apart, &received, &mut grids.cells);
+                spread_run(kernel, &runs[0], &rotated.offsets, &received, &mut grids.cells);
             } else {
-                lay_in_runs(kernel, &runs, width, &turned.apart, &received, &mut grids.cells);
+                spread_in_runs(kernel, &runs, width, &rotated.offsets, &received, &mut grids.cells);
             }
         }
     }
 }
 
 /// Echo in a block of chirps with its phase, before any receiver's factor. Arrays hold real and imaginary parts.
-struct Turned {
+struct RotatedEcho {
     field: [Row; 2],
     /// Detour term of the field, without its factor.
-    detoured: [Row; 2],
+    detour: [Row; 2],
     /// Field times the offset of its origin from the position of its tone, cells.
-    beside: [Row; 2],
+    displacement: [Row; 2],
     /// Position on the grid half-way between the first chirp and the last, cells, and each chirp's offset from it.
     middle: f64,
-    apart: Row,
+    offsets: Row,
 }
 
 /// Computes the phase of an echo in a block; `None` where its power is zero.
 #[inline(always)]
-fn turned(kernel: &EchoKernel, echo: &Echo, chirps: &EchoChirps, by_delay: bool) -> Option<Turned> {
-    let EchoChirps { length_m, rate_m_per_s, field: [re, im], moment: [moment_re, moment_im], detoured } = chirps;
+fn rotated(kernel: &EchoKernel, echo: &Echo, chirps: &EchoChirps, by_delay: bool) -> Option<RotatedEcho> {
+    let EchoChirps { length_m, rate_m_per_s, field: [re, im], moment: [moment_re, moment_im], detour } = chirps;
+    // Power, and product of the moment with the field.
     let (mut power, mut along) = ([0f32; CHIRPS], [0f32; CHIRPS]);
     for i in 0..CHIRPS {
         power[i] = re[i] * re[i] + im[i] * im[i];
@@ -177,43 +178,43 @@ fn turned(kernel: &EchoKernel, echo: &Echo, chirps: &EchoChirps, by_delay: bool)
         return None;
     }
     // Offset of the echo's origin from its path, wavelengths: the stationary point where there is one.
-    let beside = (total(&along) / power).clamp(-REACH, REACH);
+    let origin = (total(&along) / power).clamp(-MAX_ORIGIN, MAX_ORIGIN);
     let (per_m, cells_per_hz) = (1.0 / SPEED_OF_LIGHT_M_PER_S, kernel.cells / echo.chirp.sample_rate_hz);
-    let beside_m = f64::from(beside) * echo.wavelength_m;
-    let (mut cosine, mut sine, mut place) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f64; CHIRPS]);
+    let origin_m = f64::from(origin) * echo.wavelength_m;
+    let (mut cosine, mut sine, mut position) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f64; CHIRPS]);
     for i in 0..CHIRPS {
-        let delay_s = (length_m[i] + beside_m) * per_m;
-        // The field contains the phase from the path to there at one frequency; the chirp's frequency is slightly
+        let delay_s = (length_m[i] + origin_m) * per_m;
+        // The field contains the phase from the path to the origin at one frequency. The chirp's frequency is slightly
         // different.
-        let cycles = echo.chirp.phase_cycles(delay_s) - f64::from(beside);
+        let cycles = echo.chirp.phase_cycles(delay_s) - f64::from(origin);
         let (c, s) = cos_sin_of_turns((cycles - nearest_integer(cycles)) as f32);
         let delayed = delay_s as f32;
         (cosine[i], sine[i]) = if by_delay { (-s * delayed, c * delayed) } else { (c, s) };
-        place[i] = echo.chirp.beat_hz(delay_s, f64::from(rate_m_per_s[i]) * per_m) * cells_per_hz;
+        position[i] = echo.chirp.beat_hz(delay_s, f64::from(rate_m_per_s[i]) * per_m) * cells_per_hz;
     }
     let cells_per_wave = (echo.chirp.slope_hz_per_s * echo.wavelength_m * per_m * cells_per_hz) as f32;
-    let middle = 0.5 * (place[0] + place[CHIRPS - 1]);
+    let middle = 0.5 * (position[0] + position[CHIRPS - 1]);
     let zero = [0f32; CHIRPS];
-    let mut out = Turned { field: [zero; 2], detoured: [zero; 2], beside: [zero; 2], middle, apart: zero };
+    let mut out = RotatedEcho { field: [zero; 2], detour: [zero; 2], displacement: [zero; 2], middle, offsets: zero };
     for i in 0..CHIRPS {
         // Conjugates, rotated by the phase.
         let (c, s) = (cosine[i], sine[i]);
         (out.field[0][i], out.field[1][i]) = (re[i] * c + im[i] * s, re[i] * s - im[i] * c);
         // A phase lag is a factor of minus j times the phase, of which the conjugate is taken.
-        let (x, y) = (detoured[0][i], detoured[1][i]);
-        (out.detoured[0][i], out.detoured[1][i]) = (y * c - x * s, x * c + y * s);
-        let (x, y) = (moment_re[i] - beside * re[i], moment_im[i] - beside * im[i]);
+        let (x, y) = (detour[0][i], detour[1][i]);
+        (out.detour[0][i], out.detour[1][i]) = (y * c - x * s, x * c + y * s);
+        let (x, y) = (moment_re[i] - origin * re[i], moment_im[i] - origin * im[i]);
         let (x, y) = (cells_per_wave * x, cells_per_wave * y);
-        (out.beside[0][i], out.beside[1][i]) = (x * c + y * s, x * s - y * c);
-        out.apart[i] = (place[i] - middle) as f32;
+        (out.displacement[0][i], out.displacement[1][i]) = (x * c + y * s, x * s - y * c);
+        out.offsets[i] = (position[i] - middle) as f32;
     }
     Some(out)
 }
 
 /// Returns the sum over the chirps.
 #[inline(always)]
-fn total(of: &Row) -> f32 {
-    ((of[0] + of[4]) + (of[2] + of[6])) + ((of[1] + of[5]) + (of[3] + of[7]))
+fn total(row: &Row) -> f32 {
+    ((row[0] + row[4]) + (row[2] + row[6])) + ((row[1] + row[5]) + (row[3] + row[7]))
 }
 
 /// Consecutive chirps that are added around one position.
@@ -221,16 +222,16 @@ fn total(of: &Row) -> f32 {
 struct Run {
     /// First cell under the kernel, and index of the quantised position between cells.
     first: u32,
-    place: usize,
+    position: usize,
     /// Offset of that position from the block's middle position, cells.
     from_middle: f32,
 }
 
 /// Returns the runs of a block, and the number of chirps of each.
 #[inline(always)]
-fn runs(kernel: &EchoKernel, turned: &Turned) -> ([Run; CHIRPS], usize) {
-    let apart = &turned.apart;
-    let moved = f64::from((apart[CHIRPS - 1] - apart[0]).abs());
+fn runs(kernel: &EchoKernel, rotated: &RotatedEcho) -> ([Run; CHIRPS], usize) {
+    let offsets = &rotated.offsets;
+    let moved = f64::from((offsets[CHIRPS - 1] - offsets[0]).abs());
     let width = if moved <= HELD_CELLS {
         CHIRPS
     } else if moved <= 2.0 * HELD_CELLS {
@@ -242,13 +243,13 @@ fn runs(kernel: &EchoKernel, turned: &Turned) -> ([Run; CHIRPS], usize) {
     };
     let mut runs = [Run::default(); CHIRPS];
     for (run, begin) in runs.iter_mut().zip((0..CHIRPS).step_by(width)) {
-        let middle = 0.5 * (apart[begin] + apart[begin + width - 1]);
-        let turns = (turned.middle + f64::from(middle)) / kernel.cells;
-        let position = on_circle(turns) * kernel.cells;
-        let place = (position * f64::from(PLACES) + 0.5) as u32;
-        run.first = place.div_ceil(PLACES);
-        run.place = (run.first * PLACES - place) as usize;
-        run.from_middle = middle + (f64::from(place) / f64::from(PLACES) - position) as f32;
+        let middle = 0.5 * (offsets[begin] + offsets[begin + width - 1]);
+        let turns = (rotated.middle + f64::from(middle)) / kernel.cells;
+        let position = fraction_of_turn(turns) * kernel.cells;
+        let quantised = (position * f64::from(POSITIONS) + 0.5) as u32;
+        run.first = quantised.div_ceil(POSITIONS);
+        run.position = (run.first * POSITIONS - quantised) as usize;
+        run.from_middle = middle + (f64::from(quantised) / f64::from(POSITIONS) - position) as f32;
     }
     (runs, width)
 }
@@ -257,14 +258,14 @@ fn runs(kernel: &EchoKernel, turned: &Turned) -> ([Run; CHIRPS], usize) {
 /// position, cells.
 struct Received {
     field: [Row; 2],
-    beside: [Row; 2],
+    displacement: [Row; 2],
 }
 
 /// Applies a receiver's factors. `first` is the index of the block's first chirp.
 #[inline(always)]
-fn received(way: &EchoFactors, turned: &Turned, first: f32) -> Received {
-    let ([a, b, c], [d, e, f]) = (way.both, way.apart);
-    let (field, detoured, beside) = (&turned.field, &turned.detoured, &turned.beside);
+fn received(factors: &EchoFactors, rotated: &RotatedEcho, first: f32) -> Received {
+    let ([a, b, c], [d, e, f]) = (factors.sum, factors.difference);
+    let (field, detour, displacement) = (&rotated.field, &rotated.detour, &rotated.displacement);
     // Separate rows: in-place sums would be computed one lane at a time.
     let (mut re, mut im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
     let (mut beside_re, mut beside_im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
@@ -272,25 +273,25 @@ fn received(way: &EchoFactors, turned: &Turned, first: f32) -> Received {
         let n = first + i as f32;
         let (x, y) = (a.re + n * (b.re + n * c.re), a.im + n * (b.im + n * c.im));
         let (u, v) = (d.re + n * (e.re + n * f.re), d.im + n * (e.im + n * f.im));
-        re[i] = (field[0][i] * x - field[1][i] * y) + (detoured[0][i] * u - detoured[1][i] * v);
-        im[i] = (field[0][i] * y + field[1][i] * x) + (detoured[0][i] * v + detoured[1][i] * u);
-        beside_re[i] = beside[0][i] * x - beside[1][i] * y;
-        beside_im[i] = beside[0][i] * y + beside[1][i] * x;
+        re[i] = (field[0][i] * x - field[1][i] * y) + (detour[0][i] * u - detour[1][i] * v);
+        im[i] = (field[0][i] * y + field[1][i] * x) + (detour[0][i] * v + detour[1][i] * u);
+        beside_re[i] = displacement[0][i] * x - displacement[1][i] * y;
+        beside_im[i] = displacement[0][i] * y + displacement[1][i] * x;
     }
-    Received { field: [re, im], beside: [beside_re, beside_im] }
+    Received { field: [re, im], displacement: [beside_re, beside_im] }
 }
 
 /// Adds an echo around one position of the grid.
 #[inline(always)]
-fn lay(kernel: &EchoKernel, run: &Run, apart: &Row, received: &Received, cells: &mut [Cell]) {
-    let (Some(taps), Some(slopes)) = (kernel.taps.get(run.place), kernel.slopes.get(run.place)) else { return };
+fn spread_run(kernel: &EchoKernel, run: &Run, offsets: &Row, received: &Received, cells: &mut [Cell]) {
+    let (Some(taps), Some(slopes)) = (kernel.taps.get(run.position), kernel.slopes.get(run.position)) else { return };
     let Some([c0, c1, c2, c3, c4, c5]) = window::<WIDTH>(cells, run.first) else { return };
     let [re, im] = &received.field;
     let (mut moved_re, mut moved_im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
     for i in 0..CHIRPS {
-        let aside = apart[i] - run.from_middle;
-        moved_re[i] = received.beside[0][i] + aside * re[i];
-        moved_im[i] = received.beside[1][i] + aside * im[i];
+        let offset = offsets[i] - run.from_middle;
+        moved_re[i] = received.displacement[0][i] + offset * re[i];
+        moved_im[i] = received.displacement[1][i] + offset * im[i];
     }
     // Unrolled, like all loops over taps.
     add(c0, [re, im], taps[0], [&moved_re, &moved_im], slopes[0]);
@@ -312,25 +313,25 @@ fn add(cell: &mut Cell, [re, im]: [&Row; 2], tap: f32, [moved_re, moved_im]: [&R
 
 /// Adds an echo in runs of `width` chirps, each around its position.
 #[inline(always)]
-fn lay_in_runs(
+fn spread_in_runs(
     kernel: &EchoKernel,
     runs: &[Run; CHIRPS],
     width: usize,
-    apart: &Row,
+    offsets: &Row,
     received: &Received,
     cells: &mut [Cell],
 ) {
     let zero = [0f32; CHIRPS];
     for (run, begin) in runs.iter().zip((0..CHIRPS).step_by(width)) {
-        let mut own = Received { field: [zero; 2], beside: [zero; 2] };
+        let mut own = Received { field: [zero; 2], displacement: [zero; 2] };
         for part in 0..2 {
             for i in 0..CHIRPS {
                 let within = if i >= begin && i < begin + width { 1.0 } else { 0.0 };
                 own.field[part][i] = within * received.field[part][i];
-                own.beside[part][i] = within * received.beside[part][i];
+                own.displacement[part][i] = within * received.displacement[part][i];
             }
         }
-        lay(kernel, run, apart, &own, cells);
+        spread_run(kernel, run, offsets, &own, cells);
     }
 }
 
@@ -414,7 +415,7 @@ mod tests {
             (block.length_m[i], block.rate_m_per_s[i]) = (length_m, rate_m_per_s as f32);
             for (beside_m, field, detour_rad) in source.places.into_iter().filter(|_| chirp < COUNT) {
                 let parts = [1.0, beside_m / wavelength_m(), detour_rad].map(|factor| field * factor);
-                for (rows, part) in [&mut block.field, &mut block.moment, &mut block.detoured].into_iter().zip(parts) {
+                for (rows, part) in [&mut block.field, &mut block.moment, &mut block.detour].into_iter().zip(parts) {
                     rows[0][i] += part.re as f32;
                     rows[1][i] += part.im as f32;
                 }
@@ -423,27 +424,27 @@ mod tests {
         blocks
     }
 
-    fn ways(source: &Source) -> Vec<EchoFactors> {
-        let way = |&(factor, later_m): &(f64, [f64; 2])| {
+    fn factors(source: &Source) -> Vec<EchoFactors> {
+        let of_receiver = |&(factor, later_m): &(f64, [f64; 2])| {
             let delay_s = source.length_m[0] / SPEED_OF_LIGHT_M_PER_S;
-            let [there, reverse] = later_m.map(|later_m| {
+            let [forward, reverse] = later_m.map(|later_m| {
                 let later =
                     CHIRP.phase_cycles(delay_s + later_m / SPEED_OF_LIGHT_M_PER_S) - CHIRP.phase_cycles(delay_s);
-                let turned = Complex64::from_polar(factor, std::f64::consts::TAU * later);
-                Complex::new(turned.re as f32, turned.im as f32)
+                let rotated = Complex64::from_polar(factor, std::f64::consts::TAU * later);
+                Complex::new(rotated.re as f32, rotated.im as f32)
             });
             let constant = |value| [value, Complex::default(), Complex::default()];
-            EchoFactors { both: constant(there + reverse), apart: constant(there - reverse) }
+            EchoFactors { sum: constant(forward + reverse), difference: constant(forward - reverse) }
         };
-        source.receivers.iter().map(way).collect()
+        source.receivers.iter().map(of_receiver).collect()
     }
 
     fn grids_at(level: KernelLevel, sources: &[Source]) -> ChirpGrids {
         let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
         let mut grids = ChirpGrids::new(&synthesiser, 2, COUNT).with_delays();
         for source in sources {
-            let (ways, chirps) = (ways(source), chirps(source));
-            grids.add(&Echo { chirp: &CHIRP, wavelength_m: wavelength_m(), ways: &ways, chirps: &chirps });
+            let (factors, chirps) = (factors(source), chirps(source));
+            grids.add(&Echo { chirp: &CHIRP, wavelength_m: wavelength_m(), factors: &factors, chirps: &chirps });
         }
         grids
     }

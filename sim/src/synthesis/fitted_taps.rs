@@ -1,6 +1,6 @@
 //! Least-squares taps: weights of a few cells of a grid whose tones sum to a tone between them.
 
-use super::held::PLACES;
+use super::held::POSITIONS;
 
 /// Regularisation of the normal equations where there are fewer points than taps.
 const LEAST_EIGENVALUE: f64 = 1e-6;
@@ -20,7 +20,7 @@ pub(super) struct Point {
 pub(super) fn fitted_taps<const N: usize>(points: &[Point], wanted: impl Fn(&Point, f64) -> f64) -> Vec<[f32; N]> {
     let sum = |of: &dyn Fn(&Point) -> f64| -> f64 { points.iter().map(of).sum() };
     let products: [f64; N] =
-        std::array::from_fn(|apart| sum(&|p| p.weight * p.weight * (apart as f64 * p.angle).cos()));
+        std::array::from_fn(|distance| sum(&|p| p.weight * p.weight * (distance as f64 * p.angle).cos()));
     let matrix: [[f64; N]; N] = std::array::from_fn(|k| {
         std::array::from_fn(|l| {
             let ridge = if k == l { LEAST_EIGENVALUE * products[0] } else { 0.0 };
@@ -28,12 +28,13 @@ pub(super) fn fitted_taps<const N: usize>(points: &[Point], wanted: impl Fn(&Poi
         })
     });
     let root = cholesky(&matrix);
-    let at = |place: u32| {
-        let aside = |tap: usize| tap as f64 - 0.5 * N as f64 + f64::from(place) / f64::from(PLACES);
-        let right: [f64; N] = std::array::from_fn(|tap| sum(&|p| p.weight * wanted(p, aside(tap) * p.angle)));
+    let taps_at = |position: u32| {
+        // Distance of a tap from the tone, cells.
+        let distance = |tap: usize| tap as f64 - 0.5 * N as f64 + f64::from(position) / f64::from(POSITIONS);
+        let right: [f64; N] = std::array::from_fn(|tap| sum(&|p| p.weight * wanted(p, distance(tap) * p.angle)));
         solved(&root, right).map(|tap| tap as f32)
     };
-    (0..PLACES).map(at).collect()
+    (0..POSITIONS).map(taps_at).collect()
 }
 
 /// Returns the Cholesky factor of a positive definite matrix: the lower triangle whose product with its transpose is

@@ -1,21 +1,21 @@
 //! Synthesis of many weak echoes of random phases, with exact phases and held grid positions.
 //!
-//! For a run of chirps (a block at most) an echo keeps its amplitude and its position on the frequency grid, both those
-//! of the run's middle. Its phase at the middle of the band is quadratic over the chirps. A run is split where the echo
-//! moves by more than 1/8 of a cell of the grid, 1/16 of a range cell. A tone `d` cells aside has an error of `0.9 d`
-//! of its own amplitude (rms over the chirp). This is -30 dB at the worst speed, -48 dB due to the quantised positions
-//! of the taps, and far less where an echo moves slowly. An echo occupies four cells, with least-squares taps: -50 dB,
-//! where the six taps of the kernel, which other paths need, have -104. Receivers differ in amplitude and phase only.
-//! In a field of echoes with random phases these errors are negligible: the power at each delay and
-//! rate is preserved.
+//! Over a run of chirps, at most a block, an echo has constant amplitude and a constant position on the frequency grid,
+//! which are those of the run's middle. Its phase at the middle of the band is quadratic over the chirps. A run is
+//! split where the echo moves by more than 1/8 of a cell of the grid, 1/16 of a range cell. A tone that is `d` cells
+//! off has an error of `0.9 d` of its own amplitude (rms over the chirp). This is -30 dB at the worst speed, -48 dB due
+//! to the quantised positions of the taps, and far less where an echo moves slowly. An echo occupies four cells, with
+//! least-squares taps, whose error is -50 dB. The six taps of the kernel, which other paths need, have -104 dB.
+//! Receivers differ in amplitude and phase only. In a field of echoes with random phases these errors are negligible:
+//! the power at each delay and rate is preserved.
 //!
-//! The anchors of eight echoes are computed in parallel in f64, then each echo's eight chirps in f32. The bodies are
-//! plain Rust, compiled for each instruction set.
+//! The values of eight echoes at the run's middle are computed in parallel in f64, then each echo's eight chirps in
+//! f32. The bodies are plain Rust, compiled for each instruction set.
 
 use num_complex::Complex64;
 
-use super::spread::{CHIRPS, Cell, Grids, Places, Row, window};
-use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer, on_circle};
+use super::spread::{CHIRPS, Cell, ChirpPositions, Grids, Row, window};
+use super::{DEGREE, PADDED_TAPS, Synthesiser, WIDTH, fraction_of_turn, nearest_integer};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 use crate::math::quintic;
@@ -24,7 +24,7 @@ use crate::tracks::RECEIVERS;
 /// Number of echoes in a pack.
 pub(super) const ECHOES: usize = 8;
 /// Number of quantised positions between two cells, each with its taps.
-pub(super) const PLACES: u32 = 64;
+pub(super) const POSITIONS: u32 = 64;
 /// Largest movement of an echo while its position is held, cells.
 const HELD_CELLS: f32 = 1.0 / 8.0;
 
@@ -174,12 +174,12 @@ impl Pack {
 }
 
 /// Returns the taps of the kernel at the quantised positions between cells: `[position][tap]`.
-pub(super) fn taps_by_place(taps: &[[f32; LANES]; DEGREE]) -> Vec<[f32; LANES]> {
-    let at = |place: u32| {
-        let u = 2.0 * place as f32 / PLACES as f32 - 1.0;
-        taps.iter().rev().fold([0f32; LANES], |w, row| std::array::from_fn(|tap| w[tap] * u + row[tap]))
+pub(super) fn taps_by_position(taps: &[[f32; PADDED_TAPS]; DEGREE]) -> Vec<[f32; PADDED_TAPS]> {
+    let taps_at = |position: u32| {
+        let u = 2.0 * position as f32 / POSITIONS as f32 - 1.0;
+        taps.iter().rev().fold([0f32; PADDED_TAPS], |w, row| std::array::from_fn(|tap| w[tap] * u + row[tap]))
     };
-    (0..PLACES).map(at).collect()
+    (0..POSITIONS).map(taps_at).collect()
 }
 
 /// Number of cells of a held echo, and the first of them among those of the kernel.
@@ -187,7 +187,7 @@ pub(super) const TAPS: usize = 4;
 pub(super) const FIRST_TAP: usize = (WIDTH - TAPS) / 2;
 
 /// Inputs of [`held_body`] other than echoes and grids.
-struct Kernel<'a> {
+struct Inputs<'a> {
     taps: &'a [[f32; TAPS]],
     cells: f64,
     chirp: &'a Chirp,
@@ -204,43 +204,43 @@ struct Kernel<'a> {
 
 impl Synthesiser {
     /// Adds echoes to the grids of each receiver, in the chirps that lie in the echoes' interval, with held positions.
-    pub fn spread_held(&self, chirp: &Chirp, echoes: &HeldEchoes, places: &Places, grids: &mut [Grids]) {
-        let lanes = places.lanes();
+    pub fn spread_held(&self, chirp: &Chirp, echoes: &HeldEchoes, positions: &ChirpPositions, grids: &mut [Grids]) {
+        let lanes = positions.lanes();
         let Some(last) = lanes.end.checked_sub(1).filter(|last| *last >= lanes.start) else { return };
-        let (begin, end) = (places.at[lanes.start], places.at[last]);
+        let (begin, end) = (positions.at[lanes.start], positions.at[last]);
         let middle_lane = 0.5 * (lanes.start + last) as f32;
-        let kernel = Kernel {
+        let inputs = Inputs {
             taps: self.rate_taps.by_delay(),
             cells: self.cells as f64,
             chirp,
             middle: 0.5 * (begin + end),
             step: (end - begin) / (last - lanes.start).max(1) as f64,
             numbers: std::array::from_fn(|i| i as f32 - middle_lane),
-            within: &places.within,
+            within: &positions.within,
             chirps: lanes.len() as f32,
         };
-        spread_held(self.level, &kernel, echoes, grids);
+        spread_held(self.level, &inputs, echoes, grids);
     }
 }
 
 compiled_for_levels! {
-    fn spread_held(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut [Grids]) = held_body;
+    fn spread_held(inputs: &Inputs, echoes: &HeldEchoes, grids: &mut [Grids]) = held_body;
 }
 
 #[inline(always)]
-fn held_body(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut [Grids]) {
+fn held_body(inputs: &Inputs, echoes: &HeldEchoes, grids: &mut [Grids]) {
     let mut left = echoes.count;
     for pack in &echoes.packs {
-        let anchors = anchors(kernel, pack, 1.0 / echoes.interval_s, grids.len().min(RECEIVERS));
+        let at_middle = values_at_middle(inputs, pack, 1.0 / echoes.interval_s, grids.len().min(RECEIVERS));
         for e in 0..left.min(ECHOES) {
-            lay_echo(kernel, &anchors, e, grids);
+            spread_echo(inputs, &at_middle, e, grids);
         }
         left = left.saturating_sub(ECHOES);
     }
 }
 
 /// Pack of echoes at the middle of a run.
-struct Anchors {
+struct MiddleValues {
     /// Phase by powers of the chirp index, turns.
     turns: [[f32; ECHOES]; 3],
     /// Position on the grid, cells, and its change from chirp to chirp.
@@ -252,45 +252,45 @@ struct Anchors {
 }
 
 #[inline(always)]
-fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64, receivers: usize) -> Anchors {
-    let Chirp { start_hz, slope_hz_per_s, middle_s, sample_rate_hz } = *kernel.chirp;
-    let (u, cells_per_hz) = (kernel.middle, kernel.cells / sample_rate_hz);
+fn values_at_middle(inputs: &Inputs, pack: &Pack, per_s: f64, receivers: usize) -> MiddleValues {
+    let Chirp { start_hz, slope_hz_per_s, middle_s, sample_rate_hz } = *inputs.chirp;
+    let (u, cells_per_hz) = (inputs.middle, inputs.cells / sample_rate_hz);
     let [value, slope, curve] = pack.delay_at(u);
     let (mut turn, mut rate, mut bend) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
     let (mut position, mut moved) = ([0f32; ECHOES], [0f32; ECHOES]);
     for e in 0..ECHOES {
-        let cycles = kernel.chirp.phase_cycles(value[e]);
+        let cycles = inputs.chirp.phase_cycles(value[e]);
         let carrier = start_hz + slope_hz_per_s * (middle_s - value[e]);
         turn[e] = (cycles - nearest_integer(cycles)) as f32;
-        rate[e] = (carrier * slope[e] * kernel.step) as f32;
-        bend[e] = (carrier * curve[e] * kernel.step * kernel.step) as f32;
-        let turns_a_sample = kernel.chirp.beat_hz(value[e], slope[e] * per_s) / sample_rate_hz;
-        position[e] = (on_circle(turns_a_sample) * kernel.cells) as f32;
-        moved[e] = (slope_hz_per_s * slope[e] * kernel.step * cells_per_hz) as f32;
+        rate[e] = (carrier * slope[e] * inputs.step) as f32;
+        bend[e] = (carrier * curve[e] * inputs.step * inputs.step) as f32;
+        let turns_a_sample = inputs.chirp.beat_hz(value[e], slope[e] * per_s) / sample_rate_hz;
+        position[e] = (fraction_of_turn(turns_a_sample) * inputs.cells) as f32;
+        moved[e] = (slope_hz_per_s * slope[e] * inputs.step * cells_per_hz) as f32;
     }
-    let place = u as f32;
+    let u_f32 = u as f32;
     let (mut re, mut im) = ([[0f32; ECHOES]; RECEIVERS], [[0f32; ECHOES]; RECEIVERS]);
     for receiver in 0..receivers {
         for e in 0..ECHOES {
-            re[receiver][e] = pack.re[receiver][0][e] + place * pack.re[receiver][1][e];
-            im[receiver][e] = pack.im[receiver][0][e] + place * pack.im[receiver][1][e];
+            re[receiver][e] = pack.re[receiver][0][e] + u_f32 * pack.re[receiver][1][e];
+            im[receiver][e] = pack.im[receiver][0][e] + u_f32 * pack.im[receiver][1][e];
         }
     }
-    Anchors { turns: [turn, rate, bend], position, moved, re, im }
+    MiddleValues { turns: [turn, rate, bend], position, moved, re, im }
 }
 
 /// Adds one echo in the chirps of a run.
 #[inline(always)]
-fn lay_echo(kernel: &Kernel, anchors: &Anchors, e: usize, grids: &mut [Grids]) {
-    let [turn, rate, bend] = [anchors.turns[0][e], anchors.turns[1][e], anchors.turns[2][e]];
+fn spread_echo(inputs: &Inputs, at_middle: &MiddleValues, e: usize, grids: &mut [Grids]) {
+    let [turn, rate, bend] = [at_middle.turns[0][e], at_middle.turns[1][e], at_middle.turns[2][e]];
     let (mut cosine, mut sine) = ([0f32; CHIRPS], [0f32; CHIRPS]);
     for i in 0..CHIRPS {
-        let number = kernel.numbers[i];
+        let number = inputs.numbers[i];
         let (c, s) = cos_sin_of_turns(turn + number * (rate + number * bend));
-        (cosine[i], sine[i]) = (c * kernel.within[i], s * kernel.within[i]);
+        (cosine[i], sine[i]) = (c * inputs.within[i], s * inputs.within[i]);
     }
-    let (position, moved) = (anchors.position[e], anchors.moved[e].abs());
-    let width = if moved * kernel.chirps <= HELD_CELLS {
+    let (position, moved) = (at_middle.position[e], at_middle.moved[e].abs());
+    let width = if moved * inputs.chirps <= HELD_CELLS {
         CHIRPS
     } else if moved * 4.0 <= HELD_CELLS {
         4
@@ -300,26 +300,26 @@ fn lay_echo(kernel: &Kernel, anchors: &Anchors, e: usize, grids: &mut [Grids]) {
         1
     };
     for (receiver, grids) in grids.iter_mut().enumerate().take(RECEIVERS) {
-        let (x, y) = (anchors.re[receiver][e], anchors.im[receiver][e]);
+        let (x, y) = (at_middle.re[receiver][e], at_middle.im[receiver][e]);
         let (mut re, mut im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
         for i in 0..CHIRPS {
             re[i] = x * cosine[i] - y * sine[i];
             im[i] = x * sine[i] + y * cosine[i];
         }
         if width == CHIRPS {
-            lay(kernel, position, &re, &im, &mut grids.cells);
+            spread_taps(inputs, position, &re, &im, &mut grids.cells);
         } else {
-            lay_in_runs(kernel, [position, anchors.moved[e]], width, [&re, &im], &mut grids.cells);
+            spread_in_runs(inputs, [position, at_middle.moved[e]], width, [&re, &im], &mut grids.cells);
         }
     }
 }
 
 /// Adds phasors in runs of `width` chirps, each at its position: `position` and its change from chirp to chirp.
 #[inline(always)]
-fn lay_in_runs(kernel: &Kernel, [position, moved]: [f32; 2], width: usize, [re, im]: [&Row; 2], cells: &mut [Cell]) {
-    let circle = kernel.cells as f32;
+fn spread_in_runs(inputs: &Inputs, [position, moved]: [f32; 2], width: usize, [re, im]: [&Row; 2], cells: &mut [Cell]) {
+    let circle = inputs.cells as f32;
     for begin in (0..CHIRPS).step_by(width) {
-        let position = position + moved * (kernel.numbers[begin] + 0.5 * (width - 1) as f32);
+        let position = position + moved * (inputs.numbers[begin] + 0.5 * (width - 1) as f32);
         let position = if position < 0.0 { position + circle } else { position };
         let position = if position > circle { position - circle } else { position };
         let (mut own_re, mut own_im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
@@ -328,23 +328,23 @@ fn lay_in_runs(kernel: &Kernel, [position, moved]: [f32; 2], width: usize, [re, 
             own_re[i] = if is_in_run { re[i] } else { 0.0 };
             own_im[i] = if is_in_run { im[i] } else { 0.0 };
         }
-        lay(kernel, position, &own_re, &own_im, cells);
+        spread_taps(inputs, position, &own_re, &own_im, cells);
     }
 }
 
 /// Returns the first cell under the taps at a grid position, and the index of the quantised position between cells.
 #[inline(always)]
-pub(super) fn under(position: f32) -> (u32, usize) {
-    let place = (position * PLACES as f32 + 0.5) as u32;
-    let first = place.div_ceil(PLACES);
-    (first, (first * PLACES - place) as usize)
+pub(super) fn quantised_position(position: f32) -> (u32, usize) {
+    let quantised = (position * POSITIONS as f32 + 0.5) as u32;
+    let first = quantised.div_ceil(POSITIONS);
+    (first, (first * POSITIONS - quantised) as usize)
 }
 
 /// Adds phasors around one position of the grid, cells.
 #[inline(always)]
-fn lay(kernel: &Kernel, position: f32, re: &Row, im: &Row, cells: &mut [Cell]) {
-    let (first, place) = under(position);
-    let Some(taps) = kernel.taps.get(place) else { return };
+fn spread_taps(inputs: &Inputs, position: f32, re: &Row, im: &Row, cells: &mut [Cell]) {
+    let (first, place) = quantised_position(position);
+    let Some(taps) = inputs.taps.get(place) else { return };
     let Some([c0, c1, c2, c3]) = window::<TAPS>(cells, first + FIRST_TAP as u32) else { return };
     // Unrolled, like all loops over taps.
     c0.add(re, im, &[taps[0]; CHIRPS]);
@@ -388,9 +388,9 @@ pub(super) mod tests {
             let amplitude = Complex64::new(number(1.0), number(1.0));
             // Other receivers differ by some picoseconds and a gain.
             let (beside_s, gain, moved_s) = (number(1.6e-11), 0.9 + number(0.1), number(1e-13));
-            let turned = |delay_s: f64| Complex64::from_polar(1.0, std::f64::consts::TAU * CHIRP.start_hz * delay_s);
-            let second = [amplitude * gain * turned(beside_s); 2];
-            let third = [beside_s, beside_s + moved_s].map(|delay_s| amplitude * 1.1 * turned(delay_s));
+            let rotated = |delay_s: f64| Complex64::from_polar(1.0, std::f64::consts::TAU * CHIRP.start_hz * delay_s);
+            let second = [amplitude * gain * rotated(beside_s); 2];
+            let third = [beside_s, beside_s + moved_s].map(|delay_s| amplitude * 1.1 * rotated(delay_s));
             let grown = 1.0 + number(0.05);
             let amplitudes = [[amplitude; 2], second, third].map(|[begin, end]| [begin, end * grown]);
             echoes.push(HeldEcho { delay: [begin, end], amplitudes });
@@ -429,8 +429,8 @@ pub(super) mod tests {
         let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
         let mut grids = vec![synthesiser.grids(); RECEIVERS];
         for lanes in [0..cut, cut..CHIRPS] {
-            let places = Places::new(lanes, |lane| place(CHIRPS * block + lane));
-            synthesiser.spread_held(&CHIRP, held, &places, &mut grids);
+            let positions = ChirpPositions::new(lanes, |lane| place(CHIRPS * block + lane));
+            synthesiser.spread_held(&CHIRP, held, &positions, &mut grids);
         }
         grids
     }
@@ -470,7 +470,7 @@ pub(super) mod tests {
         for samples in [1, 16, 63, 256] {
             let synthesiser = Synthesiser::new(samples);
             for (place, taps) in synthesiser.rate_taps.by_delay().iter().enumerate() {
-                let position = 7.0 - place as f64 / f64::from(PLACES);
+                let position = 7.0 - place as f64 / f64::from(POSITIONS);
                 let mut grid = synthesiser.grid();
                 for (tap, weight) in taps.iter().enumerate() {
                     grid.cells[7 + FIRST_TAP + tap] = Complex::new(*weight, 0.0);

@@ -1,18 +1,19 @@
 //! Synthesis of many weak echoes of random phases over a run of up to 32 chirps, on grids of delay and rate.
 //!
-//! Over a run an echo is a tone from sample to sample, and another from chirp to chirp, whose frequency is its rate. It
-//! occupies four cells by delay times eight by rate, with least-squares taps. One transform along rates gives all
-//! chirps of a run. With ten thousand echoes this takes about a third of the time of [`super::held`], which adds them
-//! in each block. Three effects deviate from a tone:
+//! Over a run an echo is a tone from sample to sample, with its beat frequency, and a tone from chirp to chirp, with
+//! its Doppler frequency. It occupies four cells by delay times eight by rate, with least-squares taps. One transform
+//! along rates gives all chirps of a run. With ten thousand echoes this takes about a third of the time of
+//! [`super::held`], which adds them in each block. Three effects deviate from a tone:
 //!
 //! - The rate changes. Let a phase of `q` turns grow with the square of the time from the run's middle to its ends. It
 //!   is `exp(j pi q) exp(j pi q T2)`, of which two terms are kept beside the constant (Jacobi and Anger). The error is
 //!   `(pi q)^3 / 24` of the amplitude.
 //! - The delay changes. To first order a tone that moves by `d` cells until the run's ends is itself plus its
 //!   derivative by both frequencies; the error is `(0.9 d)^2 / 2`.
-//! - The amplitude changes, on a straight line. Its products with a quadratic phase and with the movement are neglected.
+//! - The amplitude changes, on a straight line. Its products with a quadratic phase and with the movement are
+//!   neglected.
 //!
-//! Echoes for which one of these effects is too large are left to [`super::held`].
+//! Echoes for which one of these effects is too large are rejected, and added by [`super::held`].
 
 use std::sync::Arc;
 
@@ -21,9 +22,9 @@ use radome_dsp::spectrum::complex_fft_f32;
 use rustfft::Fft;
 
 use super::fitted_taps::{Point, fitted_taps};
-use super::held::{ECHOES, FIRST_TAP, HeldEchoes, PLACES, Pack, TAPS, under};
+use super::held::{ECHOES, FIRST_TAP, HeldEchoes, POSITIONS, Pack, TAPS, quantised_position};
 use super::spread::{CHIRPS, Grids};
-use super::{Synthesiser, nearest_integer, on_circle};
+use super::{Synthesiser, fraction_of_turn, nearest_integer};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 use crate::tracks::RECEIVERS;
@@ -38,23 +39,24 @@ const RATES: usize = 2 * RUN;
 const RATE_TAPS: usize = 8;
 /// Number of functions of time with taps of their own: constant, both terms of a quadratic phase, and a straight line.
 const FUNCTIONS: usize = 4;
-/// Number of factors of an echo: one for each function, and another one of the straight line, the change of its amplitude.
+/// Number of factors of an echo: one for each function, and another one of the straight line, the change of its
+/// amplitude.
 const FACTORS: usize = 5;
 
 /// Largest quadratic phase at the run's ends, turns.
-const MOST_BEND: f32 = 0.2;
+const MAX_BEND: f32 = 0.2;
 /// Largest change of the delay until the run's ends, cells.
-const MOST_MOVED: f32 = 0.3;
+const MAX_MOVED: f32 = 0.3;
 /// Largest product of both: the movement of a tone with quadratic phase is neglected.
-const MOST_BENT_MOVE: f32 = 0.02;
-/// Largest product of the quadratic phase and the change of the first receiver's amplitude until the run's ends, relative
-/// to it.
-const MOST_BENT_CHANGE: f32 = 0.02;
+const MAX_BENT_MOVE: f32 = 0.02;
+/// Largest product of the quadratic phase and the change of the first receiver's amplitude until the run's ends,
+/// relative to it.
+const MAX_BENT_CHANGE: f32 = 0.02;
 /// Largest product of the movement and that change.
-const MOST_MOVED_CHANGE: f32 = 0.1;
+const MAX_MOVED_CHANGE: f32 = 0.1;
 
 /// Interleaved real and imaginary parts of an echo's cells by rate.
-type Wide = [f32; 2 * RATE_TAPS];
+type RateCells = [f32; 2 * RATE_TAPS];
 
 /// Cells by rate at one delay, with margins.
 #[derive(Debug, Clone, Copy)]
@@ -67,7 +69,7 @@ const EMPTY: RateRow = RateRow([0.0; 2 * (RATES + RATE_TAPS)]);
 #[derive(Clone)]
 pub(super) struct RateTaps {
     /// Taps by rate of each function at the quantised positions between cells.
-    by_rate: Vec<[Wide; FUNCTIONS]>,
+    by_rate: Vec<[RateCells; FUNCTIONS]>,
     /// Taps by delay, and those of their derivative by the tone's position, rad.
     by_delay: Vec<[f32; TAPS]>,
     slopes: Vec<[f32; TAPS]>,
@@ -81,7 +83,7 @@ impl RateTaps {
             .map(|n| Point { weight: 1.0, angle: std::f64::consts::TAU * (n as f64 - HALF as f64) / RATES as f64 })
             .collect();
         let time = |point: &Point| point.angle * RATES as f64 / (std::f64::consts::TAU * HALF as f64);
-        let wide = |taps: [f32; RATE_TAPS]| -> Wide { std::array::from_fn(|i| taps[i / 2]) };
+        let wide = |taps: [f32; RATE_TAPS]| -> RateCells { std::array::from_fn(|i| taps[i / 2]) };
         let constant = fitted_taps(&chirps, |_, angle| angle.cos());
         let second = fitted_taps(&chirps, |point, angle| (2.0 * time(point).powi(2) - 1.0) * angle.cos());
         let fourth = fitted_taps(&chirps, |point, angle| {
@@ -89,8 +91,8 @@ impl RateTaps {
             (8.0 * square * (square - 1.0) + 1.0) * angle.cos()
         });
         let line = fitted_taps(&chirps, |point, angle| time(point) * angle.sin());
-        let by_rate = (0..PLACES as usize)
-            .map(|place| [&constant, &second, &fourth, &line].map(|taps: &Vec<_>| wide(taps[place])))
+        let by_rate = (0..POSITIONS as usize)
+            .map(|position| [&constant, &second, &fourth, &line].map(|taps: &Vec<_>| wide(taps[position])))
             .collect();
         RateTaps {
             by_rate,
@@ -122,15 +124,15 @@ pub struct RateGrids {
     /// Cells by rate: `[receiver][cell by delay]`.
     rows: Vec<Vec<RateRow>>,
     /// Whether a cell by delay is occupied.
-    touched: Vec<bool>,
+    is_occupied: Vec<bool>,
     /// Echoes that were rejected.
-    left: HeldEchoes,
-    line: Vec<Complex<f32>>,
+    rejected: HeldEchoes,
+    buffer: Vec<Complex<f32>>,
     scratch: Vec<Complex<f32>>,
 }
 
-/// Inputs of [`rates_body`] other than echoes and grids.
-struct Kernel<'a> {
+/// Inputs of [`spread_rates_body`] other than echoes and grids.
+struct Inputs<'a> {
     taps: &'a RateTaps,
     cells: f64,
     chirp: &'a Chirp,
@@ -147,15 +149,15 @@ impl Synthesiser {
         let cells = self.grids().cells.len();
         RateGrids {
             rows: vec![vec![EMPTY; cells]; receivers],
-            touched: vec![false; cells],
-            left: HeldEchoes::new(0.0),
-            line: vec![Complex::default(); RATES],
+            is_occupied: vec![false; cells],
+            rejected: HeldEchoes::new(0.0),
+            buffer: vec![Complex::default(); RATES],
             scratch: vec![Complex::default(); self.rate_taps.fft.get_inplace_scratch_len()],
         }
     }
 
     /// Adds echoes to the chirps of a run, `[receiver][block of chirps]`, except for those that change too much within
-    /// it ([`RateGrids::left`]).
+    /// it ([`RateGrids::rejected`]).
     pub fn spread_rates(
         &self,
         chirp: &Chirp,
@@ -166,68 +168,68 @@ impl Synthesiser {
     ) {
         let middle = run.first + run.step * (run.chirps / 2) as f64;
         let (cells, per_s) = (self.cells as f64, 1.0 / echoes.interval_s());
-        let kernel = Kernel { taps: &self.rate_taps, cells, chirp, middle, step: run.step, per_s };
-        rates.left.clear(echoes.interval_s());
-        lay_rates(self.level, &kernel, echoes, rates);
+        let inputs = Inputs { taps: &self.rate_taps, cells, chirp, middle, step: run.step, per_s };
+        rates.rejected.clear(echoes.interval_s());
+        spread_rates(self.level, &inputs, echoes, rates);
         rates.transform(&*self.rate_taps.fft, run.chirps, blocks);
     }
 }
 
 impl RateGrids {
     /// Returns the echoes that the last run rejected.
-    pub fn left(&self) -> &HeldEchoes {
-        &self.left
+    pub fn rejected(&self) -> &HeldEchoes {
+        &self.rejected
     }
 
     /// Transforms the grids to the chirps of a run, and clears the grids.
     fn transform(&mut self, fft: &dyn Fft<f32>, chirps: usize, blocks: &mut [Vec<Grids>]) {
         const MARGIN: usize = RATE_TAPS / 2;
-        for (cell, _) in self.touched.iter().enumerate().filter(|(_, touched)| **touched) {
+        for (cell, _) in self.is_occupied.iter().enumerate().filter(|(_, is_occupied)| **is_occupied) {
             for (rows, blocks) in self.rows.iter_mut().zip(blocks.iter_mut()) {
                 let Some(RateRow(row)) = rows.get_mut(cell) else { continue };
                 let (pairs, _) = row.as_chunks::<2>();
                 let at = |i: usize| pairs.get(i).map_or(Complex::default(), |[re, im]| Complex::new(*re, *im));
-                for (rate, value) in self.line.iter_mut().enumerate() {
+                for (rate, value) in self.buffer.iter_mut().enumerate() {
                     *value = at(rate + MARGIN);
                 }
                 for i in 0..MARGIN {
                     // Both ends of a row wrap around the circle.
-                    self.line[RATES - MARGIN + i] += at(i);
-                    self.line[i] += at(RATES + MARGIN + i);
+                    self.buffer[RATES - MARGIN + i] += at(i);
+                    self.buffer[i] += at(RATES + MARGIN + i);
                 }
                 row.fill(0.0);
-                fft.process_with_scratch(&mut self.line, &mut self.scratch);
+                fft.process_with_scratch(&mut self.buffer, &mut self.scratch);
                 for n in 0..chirps {
                     let Some(to) = blocks.get_mut(n / CHIRPS).and_then(|grids| grids.cells.get_mut(cell)) else {
                         break;
                     };
                     // The transform has the opposite sign, so time is reversed in it.
-                    let value = self.line[(RATES + chirps / 2 - n) % RATES];
+                    let value = self.buffer[(RATES + chirps / 2 - n) % RATES];
                     to.re[n % CHIRPS] += value.re;
                     to.im[n % CHIRPS] += value.im;
                 }
             }
         }
-        self.touched.fill(false);
+        self.is_occupied.fill(false);
     }
 }
 
 compiled_for_levels! {
-    fn lay_rates(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut RateGrids) = rates_body;
+    fn spread_rates(inputs: &Inputs, echoes: &HeldEchoes, grids: &mut RateGrids) = spread_rates_body;
 }
 
 #[inline(always)]
-fn rates_body(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut RateGrids) {
-    let RateGrids { rows, touched, left, .. } = grids;
+fn spread_rates_body(inputs: &Inputs, echoes: &HeldEchoes, grids: &mut RateGrids) {
+    let RateGrids { rows, is_occupied, rejected, .. } = grids;
     let (mut count, receivers) = (echoes.len(), rows.len().min(RECEIVERS));
     for pack in echoes.packs() {
-        let middle = middle(kernel, pack, receivers);
-        let factors = factors(&middle, receivers);
+        let at_middle = values_at_middle(inputs, pack, receivers);
+        let factors = factors(&at_middle, receivers);
         for e in 0..count.min(ECHOES) {
-            if middle.changes[e] {
-                left.push_lane(pack, e);
+            if at_middle.is_rejected[e] {
+                rejected.push_lane(pack, e);
             } else {
-                lay_echo(kernel, [middle.position[e], middle.rate[e]], &factors, e, touched, rows);
+                spread_echo(inputs, [at_middle.position[e], at_middle.rate[e]], &factors, e, is_occupied, rows);
             }
         }
         count = count.saturating_sub(ECHOES);
@@ -237,7 +239,7 @@ fn rates_body(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut RateGrids) {
 type Lane = [f32; ECHOES];
 
 /// Pack of echoes at the middle of a run.
-struct Middle {
+struct MiddleValues {
     /// Positions on the grid by delay and by rate, cells.
     position: Lane,
     rate: Lane,
@@ -251,27 +253,27 @@ struct Middle {
     change_re: [Lane; RECEIVERS],
     change_im: [Lane; RECEIVERS],
     /// Whether the echo changes too much within the run.
-    changes: [bool; ECHOES],
+    is_rejected: [bool; ECHOES],
 }
 
 #[inline(always)]
-fn middle(kernel: &Kernel, pack: &Pack, receivers: usize) -> Middle {
-    let Chirp { start_hz, slope_hz_per_s, middle_s, sample_rate_hz } = *kernel.chirp;
-    let ([value, slope, half_curve], cells_per_hz) = (pack.delay_at(kernel.middle), kernel.cells / sample_rate_hz);
-    let half = HALF as f64 * kernel.step;
+fn values_at_middle(inputs: &Inputs, pack: &Pack, receivers: usize) -> MiddleValues {
+    let Chirp { start_hz, slope_hz_per_s, middle_s, sample_rate_hz } = *inputs.chirp;
+    let ([value, slope, half_curve], cells_per_hz) = (pack.delay_at(inputs.middle), inputs.cells / sample_rate_hz);
+    let half = HALF as f64 * inputs.step;
     let (mut turn, mut position, mut rate) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
     let (mut moved, mut bend) = ([0f32; ECHOES], [0f32; ECHOES]);
     for e in 0..ECHOES {
         let carrier = start_hz + slope_hz_per_s * (middle_s - value[e]);
-        let cycles = kernel.chirp.phase_cycles(value[e]);
+        let cycles = inputs.chirp.phase_cycles(value[e]);
         turn[e] = (cycles - nearest_integer(cycles)) as f32;
-        rate[e] = (on_circle(carrier * slope[e] * kernel.step) * RATES as f64) as f32;
+        rate[e] = (fraction_of_turn(carrier * slope[e] * inputs.step) * RATES as f64) as f32;
         bend[e] = (carrier * half_curve[e] * half * half) as f32;
-        let cycles_per_sample = kernel.chirp.beat_hz(value[e], slope[e] * kernel.per_s) / sample_rate_hz;
-        position[e] = (on_circle(cycles_per_sample) * kernel.cells) as f32;
+        let cycles_per_sample = inputs.chirp.beat_hz(value[e], slope[e] * inputs.per_s) / sample_rate_hz;
+        position[e] = (fraction_of_turn(cycles_per_sample) * inputs.cells) as f32;
         moved[e] = (slope_hz_per_s * slope[e] * half * cells_per_hz) as f32;
     }
-    let (place, half) = (kernel.middle as f32, half as f32);
+    let (u_f32, half) = (inputs.middle as f32, half as f32);
     let zero = [[0f32; ECHOES]; RECEIVERS];
     let (mut re, mut im, mut change_re, mut change_im) = (zero, zero, zero, zero);
     let (mut cosine, mut sine) = ([0f32; ECHOES], [0f32; ECHOES]);
@@ -282,7 +284,7 @@ fn middle(kernel: &Kernel, pack: &Pack, receivers: usize) -> Middle {
     for receiver in 0..receivers {
         let ([from_x, step_x], [from_y, step_y]) = (&pack.re[receiver], &pack.im[receiver]);
         for e in 0..ECHOES {
-            let (x, y) = (from_x[e] + place * step_x[e], from_y[e] + place * step_y[e]);
+            let (x, y) = (from_x[e] + u_f32 * step_x[e], from_y[e] + u_f32 * step_y[e]);
             re[receiver][e] = x * cosine[e] - y * sine[e];
             im[receiver][e] = x * sine[e] + y * cosine[e];
             let (x, y) = (half * step_x[e], half * step_y[e]);
@@ -290,18 +292,19 @@ fn middle(kernel: &Kernel, pack: &Pack, receivers: usize) -> Middle {
             change_im[receiver][e] = x * sine[e] + y * cosine[e];
         }
     }
-    let mut changes = [false; ECHOES];
+    let mut is_rejected = [false; ECHOES];
     for e in 0..ECHOES {
-        // The receivers are so close together that the first represents all. An echo is the same whoever else listens.
+        // The receivers are so close together that the first represents all. The result at one receiver then does not
+        // depend on which others are enabled.
         let square = re[0][e] * re[0][e] + im[0][e] * im[0][e];
         let change = change_re[0][e] * change_re[0][e] + change_im[0][e] * change_im[0][e];
-        changes[e] = (bend[e].abs() > MOST_BEND)
-            | (moved[e].abs() > MOST_MOVED)
-            | ((bend[e] * moved[e]).abs() > MOST_BENT_MOVE)
-            | (bend[e] * bend[e] * change > MOST_BENT_CHANGE * MOST_BENT_CHANGE * square)
-            | (moved[e] * moved[e] * change > MOST_MOVED_CHANGE * MOST_MOVED_CHANGE * square);
+        is_rejected[e] = (bend[e].abs() > MAX_BEND)
+            | (moved[e].abs() > MAX_MOVED)
+            | ((bend[e] * moved[e]).abs() > MAX_BENT_MOVE)
+            | (bend[e] * bend[e] * change > MAX_BENT_CHANGE * MAX_BENT_CHANGE * square)
+            | (moved[e] * moved[e] * change > MAX_MOVED_CHANGE * MAX_MOVED_CHANGE * square);
     }
-    Middle { position, rate, moved, bend, re, im, change_re, change_im, changes }
+    MiddleValues { position, rate, moved, bend, re, im, change_re, change_im, is_rejected }
 }
 
 /// Real and imaginary part of each factor at each receiver: `[receiver][factor][echo]`.
@@ -313,10 +316,10 @@ struct Factors {
 /// Expands `exp(j x T2) = J0(x) + 2 j J1(x) T2 - 2 J2(x) T4` and so on (Abramowitz and Stegun 9.1.44 and 45), with the
 /// Bessel functions by series. Derivatives are `j` times their taps.
 #[inline(always)]
-fn factors(middle: &Middle, receivers: usize) -> Factors {
+fn factors(at_middle: &MiddleValues, receivers: usize) -> Factors {
     let (mut by_0, mut by_1, mut by_2) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
     for e in 0..ECHOES {
-        let x = middle.bend[e] * std::f32::consts::PI;
+        let x = at_middle.bend[e] * std::f32::consts::PI;
         let square = x * x;
         by_0[e] = 1.0 - square * (0.25 - square * (1.0 / 64.0));
         by_1[e] = x * (1.0 - square * (0.125 - square * (1.0 / 192.0)));
@@ -325,14 +328,14 @@ fn factors(middle: &Middle, receivers: usize) -> Factors {
     let zero = [[[0f32; ECHOES]; FACTORS]; RECEIVERS];
     let mut out = Factors { re: zero, im: zero };
     for receiver in 0..receivers {
-        let (x, y) = (&middle.re[receiver], &middle.im[receiver]);
-        let (change_x, change_y) = (&middle.change_re[receiver], &middle.change_im[receiver]);
+        let (x, y) = (&at_middle.re[receiver], &at_middle.im[receiver]);
+        let (change_x, change_y) = (&at_middle.change_re[receiver], &at_middle.change_im[receiver]);
         let (re, im) = (&mut out.re[receiver], &mut out.im[receiver]);
         for e in 0..ECHOES {
             (re[0][e], im[0][e]) = (x[e] * by_0[e], y[e] * by_0[e]);
             (re[1][e], im[1][e]) = (-y[e] * by_1[e], x[e] * by_1[e]);
             (re[2][e], im[2][e]) = (-x[e] * by_2[e], -y[e] * by_2[e]);
-            (re[3][e], im[3][e]) = (y[e] * middle.moved[e], -x[e] * middle.moved[e]);
+            (re[3][e], im[3][e]) = (y[e] * at_middle.moved[e], -x[e] * at_middle.moved[e]);
             (re[4][e], im[4][e]) = (change_y[e], -change_x[e]);
         }
     }
@@ -341,20 +344,20 @@ fn factors(middle: &Middle, receivers: usize) -> Factors {
 
 /// Adds one echo at its positions by delay and by rate, cells.
 #[inline(always)]
-fn lay_echo(
-    kernel: &Kernel,
+fn spread_echo(
+    inputs: &Inputs,
     [position, rate]: [f32; 2],
     factors: &Factors,
     e: usize,
-    touched: &mut [bool],
+    is_occupied: &mut [bool],
     rows: &mut [Vec<RateRow>],
 ) {
-    let [(first, place), (first_rate, rate_place)] = [under(position), under(rate)];
-    let (Some(taps), Some(slopes)) = (kernel.taps.by_delay.get(place), kernel.taps.slopes.get(place)) else { return };
-    let Some([constant, second, fourth, line]) = kernel.taps.by_rate.get(rate_place) else { return };
+    let [(first, index), (first_rate, rate_index)] = [quantised_position(position), quantised_position(rate)];
+    let (Some(taps), Some(slopes)) = (inputs.taps.by_delay.get(index), inputs.taps.slopes.get(index)) else { return };
+    let Some([constant, second, fourth, line]) = inputs.taps.by_rate.get(rate_index) else { return };
     let (first, first_rate) = (first as usize + FIRST_TAP, first_rate as usize);
-    let Some(touched) = touched.get_mut(first..first + TAPS) else { return };
-    touched.fill(true);
+    let Some(is_occupied) = is_occupied.get_mut(first..first + TAPS) else { return };
+    is_occupied.fill(true);
     for ((rows, re), im) in rows.iter_mut().zip(&factors.re).zip(&factors.im) {
         let factor = |of: usize| alternating(re[of][e], im[of][e]);
         let (by_constant, by_second, by_fourth, by_moving, by_change) =
@@ -378,13 +381,13 @@ fn lay_echo(
 
 /// Repeats a complex number over all cells.
 #[inline(always)]
-fn alternating(re: f32, im: f32) -> Wide {
+fn alternating(re: f32, im: f32) -> RateCells {
     [re, im, re, im, re, im, re, im, re, im, re, im, re, im, re, im]
 }
 
 /// Adds an echo times a tap, and its movement times the slope, to the cells from `rate` on.
 #[inline(always)]
-fn add(row: &mut RateRow, rate: usize, [field, moved]: [&Wide; 2], [tap, slope]: [f32; 2]) {
+fn add(row: &mut RateRow, rate: usize, [field, moved]: [&RateCells; 2], [tap, slope]: [f32; 2]) {
     let Some(cells) = row.0.get_mut(2 * rate..).and_then(|row| row.first_chunk_mut::<{ 2 * RATE_TAPS }>()) else {
         return;
     };

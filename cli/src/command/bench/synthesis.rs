@@ -6,7 +6,7 @@ use radome_dsp::{Waveform, WaveformRequest};
 use radome_sim::chirp::Chirp;
 use radome_sim::path_segment::{PathDerivatives, PathSample, PathSegment};
 use radome_sim::random::{Purpose, generator};
-use radome_sim::synthesis::{CHIRPS, Places, SynthesisScratch, Synthesiser, Tone, exact_chirp};
+use radome_sim::synthesis::{CHIRPS, ChirpPositions, SynthesisScratch, Synthesiser, Tone, exact_chirp};
 use radome_sim::tracks::Track;
 use rand::Rng;
 use rustfft::num_complex::Complex64;
@@ -107,7 +107,7 @@ fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
             for (block, out) in fast.chunks_mut(CHIRPS * samples).enumerate() {
                 let begin = Instant::now();
                 grids[0].clear();
-                let places = Places::new(0..CHIRPS, |lane| place(block * CHIRPS + lane));
+                let places = ChirpPositions::new(0..CHIRPS, |lane| place(block * CHIRPS + lane));
                 synthesiser.spread_tracks(&chirp, &paths, &places, &mut grids);
                 spreading += begin.elapsed().as_secs_f64() * 1e6;
                 for (lane, out) in out.chunks_mut(samples).enumerate() {

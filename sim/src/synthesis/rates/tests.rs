@@ -3,7 +3,7 @@ use radome_dsp::KernelLevel;
 
 use super::super::held::tests::{CHIRP, INTERVAL_S, SAMPLES, echoes, held, place, tone};
 use super::super::tests::{bits, error_db, samples_of_chirp};
-use super::super::{HeldEcho, Places, Tone, exact_chirp};
+use super::super::{ChirpPositions, HeldEcho, Tone, exact_chirp};
 use super::*;
 use crate::lanes::tests::assert_same_at_every_level;
 
@@ -14,7 +14,7 @@ fn spread(level: KernelLevel, held: &HeldEchoes, begin: usize, chirps: usize) ->
     let mut rates = synthesiser.rate_grids(RECEIVERS);
     let run = Run { first: place(begin), step: place(1) - place(0), chirps };
     synthesiser.spread_rates(&CHIRP, held, &run, &mut rates, &mut blocks);
-    (blocks, rates.left().clone())
+    (blocks, rates.rejected().clone())
 }
 
 /// Returns the error of a run's chirps relative to the sum of tones, over all receivers, dB.
@@ -48,14 +48,14 @@ fn a_field_of_echoes_is_within_minus_26_db_of_the_sum() {
     let echoes = echoes(120);
     let held = held(&echoes);
     let synthesiser = Synthesiser::new(SAMPLES);
-    let mut laid = 0;
+    let mut accepted = 0;
     for (begin, chirps) in [(0, 32), (32, 32), (8, 16), (40, 20), (3, 9)] {
-        let (mut blocks, left) = spread(synthesiser.level, &held, begin, chirps);
-        laid += echoes.len() - left.len();
+        let (mut blocks, rejected) = spread(synthesiser.level, &held, begin, chirps);
+        accepted += echoes.len() - rejected.len();
         for block in 0..chirps.div_ceil(CHIRPS) {
             let mut grids: Vec<Grids> = blocks.iter().map(|blocks| blocks[block].clone()).collect();
-            let places = Places::new(0..CHIRPS, |lane| place(begin + CHIRPS * block + lane));
-            synthesiser.spread_held(&CHIRP, &left, &places, &mut grids);
+            let positions = ChirpPositions::new(0..CHIRPS, |lane| place(begin + CHIRPS * block + lane));
+            synthesiser.spread_held(&CHIRP, &rejected, &positions, &mut grids);
             for (blocks, grids) in blocks.iter_mut().zip(grids) {
                 blocks[block] = grids;
             }
@@ -63,7 +63,7 @@ fn a_field_of_echoes_is_within_minus_26_db_of_the_sum() {
         let error_db = error_of_run_db(&echoes, &blocks, begin, chirps);
         assert!(error_db < -26.0, "{chirps} chirps from {begin}: {error_db} dB");
     }
-    assert!(laid > 3 * echoes.len(), "{laid} of {}", 5 * echoes.len());
+    assert!(accepted > 3 * echoes.len(), "{accepted} of {}", 5 * echoes.len());
 }
 
 /// Echoes that change little are nearly exact. The worst accepted echo is within -26 dB.
@@ -71,8 +71,8 @@ fn a_field_of_echoes_is_within_minus_26_db_of_the_sum() {
 fn echoes_that_change_more_are_less_exact_and_then_left_out() {
     let level = KernelLevel::detect();
     let error_db = |echo: HeldEcho| {
-        let (blocks, left) = spread(level, &held(&[echo]), 0, RUN);
-        left.is_empty().then(|| error_of_run_db(&[echo], &blocks, 0, RUN))
+        let (blocks, rejected) = spread(level, &held(&[echo]), 0, RUN);
+        rejected.is_empty().then(|| error_of_run_db(&[echo], &blocks, 0, RUN))
     };
     for rate in [0.0, 0.01, -0.02] {
         assert!(
@@ -81,23 +81,23 @@ fn echoes_that_change_more_are_less_exact_and_then_left_out() {
             error_db(echo(rate, 0.0))
         );
     }
-    let (mut laid, mut left) = (0, 0);
+    let (mut accepted, mut rejected) = (0, 0);
     for rate in -40..=40 {
         for bend in [-80.0, -40.0, -20.0, -10.0, -3.0, 0.0, 5.0, 15.0, 25.0, 100.0] {
             match error_db(echo(0.25 * f64::from(rate), bend)) {
                 Some(db) => {
-                    laid += 1;
+                    accepted += 1;
                     assert!(db < -26.0, "{} m/s, {bend} m/s^2: {db} dB", 0.25 * f64::from(rate));
                 }
-                None => left += 1,
+                None => rejected += 1,
             }
         }
     }
-    assert!(laid > 200 && left > 200, "{laid} {left}");
+    assert!(accepted > 200 && rejected > 200, "{accepted} {rejected}");
 }
 
-/// Echoes whose amplitudes change, in phase or in magnitude, are as exact as others. One whose phase also bends, or that
-/// moves much, is rejected if the amplitude changes much.
+/// Echoes whose amplitudes change, in phase or in magnitude, are as exact as others. One whose phase also bends, or
+/// that moves much, is rejected if the amplitude changes much.
 #[test]
 fn changing_amplitudes_are_followed() {
     let level = KernelLevel::detect();
@@ -108,18 +108,18 @@ fn changing_amplitudes_are_followed() {
     let factors = [Complex64::ONE, Complex64::from_polar(1.0, 0.35), Complex64::new(0.3, 0.0)];
     for factor in factors {
         let echo = changing(echo(1.0, 2.0), factor);
-        let (blocks, left) = spread(level, &held(&[echo]), 0, RUN);
+        let (blocks, rejected) = spread(level, &held(&[echo]), 0, RUN);
         let error_db = error_of_run_db(&[echo], &blocks, 0, RUN);
-        assert!(left.is_empty() && error_db < -32.0, "{factor}: {error_db} dB");
+        assert!(rejected.is_empty() && error_db < -32.0, "{factor}: {error_db} dB");
     }
     let bent = echo(1.0, 20.0);
-    let left = |echoes: &[HeldEcho]| spread(level, &held(echoes), 0, RUN).1.len();
-    assert_eq!(factors.map(|factor| left(&[changing(bent, factor)])), [0, 0, 1]);
+    let rejected = |echoes: &[HeldEcho]| spread(level, &held(echoes), 0, RUN).1.len();
+    assert_eq!(factors.map(|factor| rejected(&[changing(bent, factor)])), [0, 0, 1]);
     // At 6 m/s an echo moves by 0.28 cells until the run's ends.
     let steps = [1.0, 0.0].map(|end| changing(echo(6.0, 0.0), Complex64::new(end, 0.0)));
-    assert_eq!(steps.map(|echo| left(&[echo])), [0, 0]);
+    assert_eq!(steps.map(|echo| rejected(&[echo])), [0, 0]);
     let fading = changing(echo(6.0, 0.0), Complex64::new(-1.0, 0.0));
-    assert_eq!(left(&[fading]), 1);
+    assert_eq!(rejected(&[fading]), 1);
 }
 
 #[test]

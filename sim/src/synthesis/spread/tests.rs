@@ -13,7 +13,7 @@ use rand::Rng;
 const SAMPLES: usize = 128;
 const CHIRP: Chirp =
     Chirp { start_hz: 60e9, slope_hz_per_s: 40e12, sample_rate_hz: 2e6, middle_s: SAMPLES as f64 / 4e6 };
-const PLACES: [f64; CHIRPS] = [0.0, 0.07, 0.19, 0.31, 0.5, 0.62, 0.83, 1.01];
+const POSITIONS: [f64; CHIRPS] = [0.0, 0.07, 0.19, 0.31, 0.5, 0.62, 0.83, 1.01];
 
 /// Returns paths that rest, that cross into the next cell, that cross many cells, and that lie around frequency zero.
 fn paths() -> Vec<PathSegment> {
@@ -73,7 +73,7 @@ fn every_level_gives_the_bits_of_one_tone_after_another() {
     let paths = paths();
     let synthesiser = Synthesiser::new(SAMPLES);
     for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
-        for (chirp, (spread, place)) in spread_at(level, &paths).iter().zip(PLACES).enumerate() {
+        for (chirp, (spread, place)) in spread_at(level, &paths).iter().zip(POSITIONS).enumerate() {
             let mut grid = synthesiser.grid();
             for tone in tones(&paths, place) {
                 synthesiser.add(&tone, &mut grid);
@@ -91,7 +91,7 @@ fn every_level_gives_the_bits_of_one_tone_after_another() {
 fn chirps_side_by_side_are_within_minus_90_dbc_of_the_sum() {
     let paths = paths();
     let synthesiser = Synthesiser::new(SAMPLES);
-    for (chirp, (grid, place)) in spread_at(synthesiser.level, &paths).iter().zip(PLACES).enumerate() {
+    for (chirp, (grid, place)) in spread_at(synthesiser.level, &paths).iter().zip(POSITIONS).enumerate() {
         let error_db = error_db(&exact_chirp(&tones(&paths, place), SAMPLES), &samples_of(&synthesiser, grid));
         assert!(error_db < -90.0, "chirp {chirp}: {error_db} dBc");
     }
@@ -102,14 +102,14 @@ fn tracks() -> Vec<Track> {
     let mut rng = generator(4, Purpose::Noise, [0, 0]);
     let mut tracks = Vec::new();
     for first in paths() {
-        let mut aside = || {
+        let mut offset = || {
             let mut number = |limit: f32| rng.random_range(-limit..limit);
-            Aside {
+            ReceiverOffset {
                 delay_s: [number(1.6e-11), number(1e-12), number(2e-13), number(1e-13)],
                 ratio: [Complex::new(0.9, number(0.1)), Complex::new(number(0.01), number(0.01))],
             }
         };
-        tracks.push(Track { first, others: [aside(), aside()] });
+        tracks.push(Track { first, others: [offset(), offset()] });
     }
     tracks
 }
@@ -119,8 +119,8 @@ fn spread_tracks_at(level: KernelLevel, tracks: &[Track], receivers: usize, cuts
     let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
     let mut grids = vec![synthesiser.grids(); receivers];
     for ends in cuts.windows(2) {
-        let places = Places::new(ends[0]..ends[1], |chirp| PLACES[chirp]);
-        synthesiser.spread_tracks(&CHIRP, tracks, &places, &mut grids);
+        let positions = ChirpPositions::new(ends[0]..ends[1], |chirp| POSITIONS[chirp]);
+        synthesiser.spread_tracks(&CHIRP, tracks, &positions, &mut grids);
     }
     grids
 }
@@ -149,17 +149,17 @@ fn receivers_hear_their_own_delays_within_minus_50_dbc() {
     let tracks = tracks();
     let synthesiser = Synthesiser::new(SAMPLES);
     let grids = spread_tracks_at(synthesiser.level, &tracks, 3, &[0, CHIRPS]);
-    for (chirp, place) in PLACES.into_iter().enumerate() {
+    for (chirp, place) in POSITIONS.into_iter().enumerate() {
         for (receiver, grids) in grids.iter().enumerate().skip(1) {
             let tone = |track: &Track| {
-                let ((delay_s, rate), aside) = (track.first.delay(place), &track.others[receiver - 1]);
-                let [_, b, c, d] = aside.delay_s.map(f64::from);
-                let delay_s = delay_s + f64::from(aside.delay(place as f32));
+                let ((delay_s, rate), offset) = (track.first.delay(place), &track.others[receiver - 1]);
+                let [_, b, c, d] = offset.delay_s.map(f64::from);
+                let delay_s = delay_s + f64::from(offset.delay(place as f32));
                 let rate = rate + (b + place * (2.0 * c + place * 3.0 * d)) / track.first.interval_s();
                 Tone {
                     phase_cycles: CHIRP.phase_cycles(delay_s),
                     cycles_per_sample: CHIRP.beat_hz(delay_s, rate) / CHIRP.sample_rate_hz,
-                    amplitude: track.first.amplitude(place) * aside.ratio(place as f32),
+                    amplitude: track.first.amplitude(place) * offset.ratio(place as f32),
                 }
             };
             let exact = exact_chirp(&tracks.iter().map(tone).collect::<Vec<Tone>>(), SAMPLES);

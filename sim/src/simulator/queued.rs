@@ -1,4 +1,4 @@
-//! Computations queued ahead of their use, on rayon's threads.
+//! Computations queued on rayon's threads before their results are needed.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
@@ -10,30 +10,30 @@ use rayon::{ThreadPool, Yield};
 
 /// A queued computation. When it is dropped, it does not begin any more, or its result is discarded.
 #[derive(Debug)]
-pub(super) struct Ahead<T> {
-    /// Never locked. The mutex only makes a type with an [`Ahead`] shareable between threads.
+pub(super) struct Queued<T> {
+    /// Never locked. The mutex only makes a type with a [`Queued`] shareable between threads.
     result: Mutex<Receiver<Result<T, Box<dyn Any + Send>>>>,
-    unwanted: Arc<AtomicBool>,
+    is_cancelled: Arc<AtomicBool>,
 }
 
-impl<T: Send + 'static> Ahead<T> {
+impl<T: Send + 'static> Queued<T> {
     /// Queues a computation, first come first served, on the threads of a pool or on the shared ones.
-    pub(super) fn new(pool: Option<&ThreadPool>, make: impl FnOnce() -> T + Send + 'static) -> Self {
+    pub(super) fn new(pool: Option<&ThreadPool>, compute: impl FnOnce() -> T + Send + 'static) -> Self {
         let (send, result) = sync_channel(1);
-        let unwanted = Arc::new(AtomicBool::new(false));
-        let stop = Arc::clone(&unwanted);
+        let is_cancelled = Arc::new(AtomicBool::new(false));
+        let cancelled = Arc::clone(&is_cancelled);
         let job = move || {
-            if !stop.load(Ordering::Relaxed) {
+            if !cancelled.load(Ordering::Relaxed) {
                 // A panic is passed to the waiting thread, since unwinding here would end the process. If nobody waits,
                 // the result is dropped.
-                let _ = send.send(catch_unwind(AssertUnwindSafe(make)));
+                let _ = send.send(catch_unwind(AssertUnwindSafe(compute)));
             }
         };
         match pool {
             Some(pool) => pool.spawn_fifo(job),
             None => rayon::spawn_fifo(job),
         }
-        Ahead { result: Mutex::new(result), unwanted }
+        Queued { result: Mutex::new(result), is_cancelled }
     }
 
     /// Waits for the result. A panic of the computation continues here. Returns `None` if the computation never began.
@@ -52,13 +52,13 @@ impl<T: Send + 'static> Ahead<T> {
                 break receiver.recv().ok();
             }
         };
-        result.map(|made| made.unwrap_or_else(|panic| resume_unwind(panic)))
+        result.map(|result| result.unwrap_or_else(|panic| resume_unwind(panic)))
     }
 }
 
-impl<T> Drop for Ahead<T> {
+impl<T> Drop for Queued<T> {
     fn drop(&mut self) {
-        self.unwanted.store(true, Ordering::Relaxed);
+        self.is_cancelled.store(true, Ordering::Relaxed);
     }
 }
 
@@ -67,36 +67,36 @@ mod tests {
     use super::*;
 
     #[test]
-    fn things_arrive_inside_and_outside_of_a_pool_of_one() {
-        let make = || (0..5).map(|i| Ahead::new(None, move || i)).collect::<Vec<_>>();
-        let wait = |all: Vec<Ahead<i32>>| all.into_iter().map(Ahead::wait).collect::<Vec<_>>();
+    fn results_arrive_inside_and_outside_of_a_pool_of_one() {
+        let queue = || (0..5).map(|i| Queued::new(None, move || i)).collect::<Vec<_>>();
+        let wait = |all: Vec<Queued<i32>>| all.into_iter().map(Queued::wait).collect::<Vec<_>>();
         let expected: Vec<_> = (0..5).map(Some).collect();
-        assert_eq!(wait(make()), expected);
+        assert_eq!(wait(queue()), expected);
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("pool");
-        assert_eq!(pool.install(|| wait(make())), expected);
+        assert_eq!(pool.install(|| wait(queue())), expected);
         // The computation begins in one place, and another place waits for it.
-        let begun = pool.install(make);
+        let begun = pool.install(queue);
         assert_eq!(wait(begun), expected);
-        let begun = make();
+        let begun = queue();
         assert_eq!(pool.install(|| wait(begun)), expected);
     }
 
     #[test]
-    fn a_panic_reaches_who_waits() {
-        let made = Ahead::new(None, || -> i32 { std::panic::resume_unwind(Box::new("no")) });
-        let caught = catch_unwind(AssertUnwindSafe(|| made.wait()));
+    fn a_panic_reaches_the_waiting_thread() {
+        let queued = Queued::new(None, || -> i32 { std::panic::resume_unwind(Box::new("no")) });
+        let caught = catch_unwind(AssertUnwindSafe(|| queued.wait()));
         assert_eq!(caught.expect_err("panics").downcast_ref::<&str>(), Some(&"no"));
     }
 
     #[test]
-    fn what_is_dropped_before_its_turn_is_never_made() {
+    fn a_computation_dropped_before_it_begins_never_runs() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("pool");
         let begun = Arc::new(AtomicBool::new(false));
         pool.install(|| {
             let mark = Arc::clone(&begun);
             // The pool's only thread is busy here, so no other computation has begun.
-            drop(Ahead::new(None, move || mark.store(true, Ordering::Relaxed)));
-            Ahead::new(None, || ()).wait();
+            drop(Queued::new(None, move || mark.store(true, Ordering::Relaxed)));
+            Queued::new(None, || ()).wait();
         });
         assert!(!begun.load(Ordering::Relaxed));
     }
