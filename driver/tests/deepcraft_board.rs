@@ -334,7 +334,7 @@ mod hard_cases {
         let error = open_error(&board(&w, &[Fault::ForeignChip(0x606)])).to_string();
         assert!(error.contains("none of the board's devices is a radar") && error.contains("0x000606"), "{error}");
         let error = open_error(&board(&w, &[Fault::WrongVersion(3)]));
-        assert!(!error.is_passing() && error.to_string().contains("version 3.3"), "{error}");
+        assert!(!error.is_transient() && error.to_string().contains("version 3.3"), "{error}");
     }
 
     #[test]

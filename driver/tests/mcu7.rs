@@ -163,7 +163,7 @@ fn a_wrong_length_does_not_hide_the_packets_behind_it() {
     let stray_error = [0xD8, 0, 0, 0, 0xF0, 0x0F].to_vec();
     for garbage in [flipped, stray_answer, stray_packet, stray_error] {
         let mut parser = BoardParser::default();
-        parser.expect(Some(slice));
+        parser.set_slice_layout(Some(slice));
         parser.push(&garbage);
         parser.push(&packet_bytes(2, &payload));
         let mut found = Vec::new();
@@ -180,7 +180,7 @@ fn a_wrong_length_does_not_hide_the_packets_behind_it() {
     let flags = PacketFlags { first: true, last: true, error: true, ..PacketFlags::default() };
     Packet { flags, channel: 0, counter: 3, payload: b"a text" }.encode(&mut bytes);
     let mut parser = BoardParser::default();
-    parser.expect(Some(slice));
+    parser.set_slice_layout(Some(slice));
     parser.push(&bytes);
     assert!(matches!(parser.next_event(), Some(BoardEvent::Response(_))));
     assert!(matches!(parser.next_event(), Some(BoardEvent::Packet(packet)) if packet.error().is_none()));

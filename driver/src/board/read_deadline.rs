@@ -2,45 +2,47 @@
 
 use std::time::{Duration, Instant};
 
-/// Longest wait for data while those of a paused program are read.
-const LATE_WAIT: Duration = Duration::from_millis(20);
-/// Longest time for which they are read: a board that sends garbage alone does not end.
-const LATEST: Duration = Duration::from_secs(1);
+/// Longest wait of a read after the end.
+const LATE_READ_WAIT: Duration = Duration::from_millis(20);
+/// Longest time of reads after the end. It ends the wait for a board that sends nothing but garbage.
+const LATE_READ_LIMIT: Duration = Duration::from_secs(1);
 
-/// Time limit of a wait. A program that was paused finds its time up and data that came in time: these are read first.
-pub(super) struct Patience {
+/// Time limit of a wait for the next event. Data that arrived in time while the program was paused are read after the end.
+pub(super) struct ReadDeadline {
     timeout: Duration,
     end: Instant,
-    /// Whether the present read began after the end.
-    is_over: bool,
-    is_up: bool,
+    /// Whether the current read began after the end.
+    is_after_end: bool,
+    /// Whether no further read is due.
+    is_expired: bool,
     /// Time at which the first data were read after the end.
-    late: Option<Instant>,
+    first_late_read: Option<Instant>,
 }
 
-impl Patience {
+impl ReadDeadline {
     /// Starts a wait.
     pub fn new(timeout: Duration) -> Self {
         let end = Instant::now() + timeout;
-        Patience { timeout, end, is_over: false, is_up: false, late: None }
+        ReadDeadline { timeout, end, is_after_end: false, is_expired: false, first_late_read: None }
     }
 
-    /// Starts the wait again, since the board has been started anew.
-    pub fn renew(&mut self) {
-        *self = Patience::new(self.timeout);
+    /// Starts the wait again after a restart of the board.
+    pub fn restart(&mut self) {
+        *self = ReadDeadline::new(self.timeout);
     }
 
-    /// Longest duration of the next read; `None` if the time is up.
+    /// Longest duration of the next read; `None` if the wait is over.
     pub fn next_read(&mut self) -> Option<Duration> {
-        let left = self.end.saturating_duration_since(Instant::now());
-        self.is_over = left.is_zero();
-        let wait = if self.late.is_some() { LATE_WAIT } else { left };
-        (!self.is_up).then_some(wait)
+        let remaining = self.end.saturating_duration_since(Instant::now());
+        self.is_after_end = remaining.is_zero();
+        let wait = if self.first_late_read.is_some() { LATE_READ_WAIT } else { remaining };
+        (!self.is_expired).then_some(wait)
     }
 
-    /// Notes whether the read has given any data.
-    pub fn has_read(&mut self, any: bool) {
-        self.is_up = self.is_over && (!any || self.late.get_or_insert_with(Instant::now).elapsed() > LATEST);
+    /// Notes whether the read has given data.
+    pub fn note_read(&mut self, has_data: bool) {
+        self.is_expired = self.is_after_end
+            && (!has_data || self.first_late_read.get_or_insert_with(Instant::now).elapsed() > LATE_READ_LIMIT);
     }
 }
 
@@ -50,28 +52,28 @@ mod tests {
 
     /// Regression test: a read that began after the end was the last one even if it gave data.
     #[test]
-    fn data_that_came_in_time_are_read_before_the_time_is_up() {
-        let mut patience = Patience::new(Duration::ZERO);
-        for wait in [Duration::ZERO, LATE_WAIT, LATE_WAIT] {
-            assert_eq!(patience.next_read(), Some(wait));
-            patience.has_read(true);
+    fn data_that_arrived_in_time_are_read_after_the_end() {
+        let mut deadline = ReadDeadline::new(Duration::ZERO);
+        for wait in [Duration::ZERO, LATE_READ_WAIT, LATE_READ_WAIT] {
+            assert_eq!(deadline.next_read(), Some(wait));
+            deadline.note_read(true);
         }
-        assert_eq!(patience.next_read(), Some(LATE_WAIT));
-        patience.has_read(false);
-        assert_eq!(patience.next_read(), None);
-        patience.renew();
-        assert_eq!(patience.next_read(), Some(Duration::ZERO));
+        assert_eq!(deadline.next_read(), Some(LATE_READ_WAIT));
+        deadline.note_read(false);
+        assert_eq!(deadline.next_read(), None);
+        deadline.restart();
+        assert_eq!(deadline.next_read(), Some(Duration::ZERO));
     }
 
     #[test]
     fn a_wait_without_data_ends_with_the_read_after_its_end() {
-        let mut patience = Patience::new(Duration::from_secs(60));
-        assert!(patience.next_read().is_some_and(|wait| wait > Duration::from_secs(50)));
-        patience.has_read(false);
-        assert!(patience.next_read().is_some());
-        let mut patience = Patience::new(Duration::ZERO);
-        assert!(patience.next_read().is_some());
-        patience.has_read(false);
-        assert_eq!(patience.next_read(), None);
+        let mut deadline = ReadDeadline::new(Duration::from_secs(60));
+        assert!(deadline.next_read().is_some_and(|wait| wait > Duration::from_secs(50)));
+        deadline.note_read(false);
+        assert!(deadline.next_read().is_some());
+        let mut deadline = ReadDeadline::new(Duration::ZERO);
+        assert!(deadline.next_read().is_some());
+        deadline.note_read(false);
+        assert_eq!(deadline.next_read(), None);
     }
 }

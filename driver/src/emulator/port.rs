@@ -106,10 +106,10 @@ impl Port {
     /// Returns whether the last client has closed the port or was killed since this was last true. Its data on the line
     /// are discarded then, in both directions. Bytes of a client that has just taken its place are appended to
     /// `received`.
-    pub fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
+    pub fn has_disconnected(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
         match self {
-            Port::Terminal(terminal) => terminal.was_abandoned(received),
-            Port::Endpoints(sockets) => Ok(sockets.was_abandoned()),
+            Port::Terminal(terminal) => terminal.has_disconnected(received),
+            Port::Endpoints(sockets) => Ok(sockets.has_disconnected()),
             Port::Gone => Ok(false),
         }
     }
@@ -242,12 +242,12 @@ impl Terminal {
         }
     }
 
-    /// Implements [`Port::was_abandoned`]. While the board's own handle of the terminal is closed, and only then, the
+    /// Implements [`Port::has_disconnected`]. While the board's own handle of the terminal is closed, and only then, the
     /// line is hung up if no client has the terminal open.
     ///
     /// The system reports a closing before it takes effect. After a closing, the board's own handle therefore stays
     /// closed until the line is hung up. The number of later reports does not matter.
-    fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
+    fn has_disconnected(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
         let Some(visits) = &self.visits else { return Ok(false) };
         self.may_be_abandoned |= visits.read().any_closing;
         if !self.may_be_abandoned {
@@ -418,7 +418,7 @@ mod tests {
 
     fn abandoned(terminal: &mut Terminal) -> (bool, Vec<u8>) {
         let mut received = Vec::new();
-        let is_abandoned = terminal.was_abandoned(&mut received).expect("asks");
+        let is_abandoned = terminal.has_disconnected(&mut received).expect("asks");
         (is_abandoned, received)
     }
 

@@ -259,7 +259,7 @@ impl Wire {
     /// Checks whether the last client has left, and resets the board for the next one.
     fn check_departure(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut received = Vec::new();
-        if self.port.was_abandoned(&mut received)? {
+        if self.port.has_disconnected(&mut received)? {
             firmware.abandon();
             self.forget();
             self.shared.departures.fetch_add(1, Ordering::Relaxed);
