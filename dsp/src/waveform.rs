@@ -266,7 +266,7 @@ impl Waveform {
         let sampling_s = r.samples_per_chirp as f64 / sample_rate_hz;
         let requested_slope_hz_per_s = (r.end_frequency_hz - r.start_frequency_hz) / (sampling_s + ADC_START_DELAY_S);
         let slope_limits_hz_per_s = (SLOPE_STEP_HZ_PER_S, 400e12);
-        within(
+        check_range(
             "the slope by end_frequency_hz, samples_per_chirp and sample_rate_hz",
             requested_slope_hz_per_s,
             slope_limits_hz_per_s,
