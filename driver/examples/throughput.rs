@@ -13,7 +13,7 @@ use radome_driver::{EmulatedBoard, EmulatorOptions, Mcu7Board, Pace};
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, WaveformRequest, source_from_fn};
 
 /// Source of equal frames, without computing cost.
-fn same(waveform: Waveform) -> impl FrameSource {
+fn equal_frames(waveform: Waveform) -> impl FrameSource {
     let (interval_s, mut next) = (waveform.frame_interval_s(), 0);
     let codes: Vec<u16> = (0..waveform.shape().codes()).map(|i| ((i * 2_654_435_761) >> 7 & 0xFFF) as u16).collect();
     source_from_fn(waveform, move |frame| {
@@ -24,6 +24,7 @@ fn same(waveform: Waveform) -> impl FrameSource {
     })
 }
 
+/// Time that this thread has computed.
 fn thread_time() -> Result<Duration, Box<dyn Error>> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat")?;
     let nanoseconds = text.split_whitespace().next().ok_or("schedstat is empty")?.parse()?;
@@ -38,7 +39,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let frames = (seconds * if times > 0.0 { times } else { 20.0 } / waveform.frame_interval_s()) as u64;
     let pace = if times > 0.0 { Pace::RealTime(times) } else { Pace::AsFastAsRead };
     let options = EmulatorOptions { pace, ..EmulatorOptions::default() };
-    let board = EmulatedBoard::spawn(Box::new(same(waveform.clone())), options)?;
+    let board = EmulatedBoard::spawn(Box::new(equal_frames(waveform.clone())), options)?;
     let mut stream = Mcu7Board::open(board.address())?.start(&waveform)?;
     let mut frame = Frame::zeroed(waveform.shape());
     let (mut received, mut lost) = (0, 0);

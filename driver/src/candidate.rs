@@ -130,14 +130,15 @@ impl Candidate {
         matches!(self.belief, Belief::KitProg3 | Belief::DebugProbe) && self.transport != Transport::Serial
     }
 
-    pub(crate) fn is_of_device(&self, other: &Candidate) -> bool {
+    /// Returns whether both belong to one USB device.
+    pub(crate) fn is_same_device(&self, other: &Candidate) -> bool {
         self.usb.as_ref().zip(other.usb.as_ref()).is_some_and(|(a, b)| a.socket == b.socket)
     }
 
     /// Returns whether both belong to one kit: one USB device, or two devices with one serial number.
-    pub(crate) fn is_beside(&self, other: &Candidate) -> bool {
+    pub(crate) fn is_same_kit(&self, other: &Candidate) -> bool {
         let serial_number = |c: &Candidate| c.usb.as_ref().and_then(|usb| usb.serial_number.clone());
-        self.is_of_device(other) || serial_number(self).is_some_and(|serial| Some(serial) == serial_number(other))
+        self.is_same_device(other) || serial_number(self).is_some_and(|serial| Some(serial) == serial_number(other))
     }
 }
 
@@ -156,14 +157,14 @@ mod tests {
 
     #[test]
     fn the_udev_rules_name_every_known_device() {
-        let named = |vendor: u16, product: u16| {
+        let is_listed = |vendor: u16, product: u16| {
             UDEV_RULES.lines().any(|line| {
                 line.contains(&format!("{{idVendor}}==\"{vendor:04x}\"")) && line.contains(&format!("{product:04x}"))
             })
         };
         for (vendor, product) in [INFINEON, CYPRESS].iter().flat_map(|v| (0..=u16::MAX).map(move |p| (*v, p))) {
             if Belief::by_usb_id(vendor, product).is_some() {
-                assert!(named(vendor, product), "{vendor:04x}:{product:04x}");
+                assert!(is_listed(vendor, product), "{vendor:04x}:{product:04x}");
             }
         }
         assert!(UDEV_RULES.contains(PERMISSION_REMEDY.split(" && ").next().expect("a command")));

@@ -36,7 +36,7 @@ pub struct Player {
     recording: Recording,
     extent: Extent,
     transport: Transport,
-    /// Instant at which this frame time is due. Cleared when the transport changes something.
+    /// Instant at which a frame of this time, ns, is due. Cleared when the transport changes something.
     clock: Option<(Instant, u64)>,
     /// Number of the frame that was sought, while the frames of its preroll come.
     preroll_until: Option<u64>,
@@ -64,12 +64,12 @@ pub struct Playback {
 #[derive(Debug)]
 struct State {
     playback: Playback,
-    sought: Option<SeekTarget>,
+    seek_target: Option<SeekTarget>,
     /// Frames to step forwards, or backwards if negative.
     steps: i64,
     closed: bool,
-    /// Whether the clock has to be read anew.
-    touched: bool,
+    /// Whether the transport has changed something, so that the clock has to be set again.
+    changed: bool,
     preroll_s: f64,
     /// Numbers of the frames that came before the one that was sought last.
     preroll: std::ops::Range<u64>,
@@ -96,10 +96,11 @@ impl Transport {
         self.shared.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn order(&self, order: impl FnOnce(&mut State)) {
+    /// Changes the state and wakes the player.
+    fn update(&self, change: impl FnOnce(&mut State)) {
         let mut state = self.state();
-        order(&mut state);
-        state.touched = true;
+        change(&mut state);
+        state.changed = true;
         self.shared.1.notify_all();
     }
 
@@ -110,9 +111,9 @@ impl Transport {
 
     /// Plays; from the start if the player is at the end.
     pub fn play(&self) {
-        self.order(|state| {
-            if state.playback.at_end && state.sought.is_none() {
-                state.sought = Some(SeekTarget::Frame(0));
+        self.update(|state| {
+            if state.playback.at_end && state.seek_target.is_none() {
+                state.seek_target = Some(SeekTarget::Frame(0));
             }
             state.playback.playing = true;
         });
@@ -120,27 +121,27 @@ impl Transport {
 
     /// Pauses at the current frame.
     pub fn pause(&self) {
-        self.order(|state| state.playback.playing = false);
+        self.update(|state| state.playback.playing = false);
     }
 
     /// Sets the speed as a multiple of real time; any value that is not a number above 0 means as fast as possible.
     pub fn set_speed(&self, speed: f64) {
-        self.order(|state| state.playback.speed = normal(speed));
+        self.update(|state| state.playback.speed = valid_speed(speed));
     }
 
     /// Goes to the first frame at or after this time on the frames' own clock, s, or to the last one.
     pub fn seek_time_s(&self, time_s: f64) {
-        self.order(|state| (state.sought, state.steps) = (Some(SeekTarget::Time(time_s)), 0));
+        self.update(|state| (state.seek_target, state.steps) = (Some(SeekTarget::Time(time_s)), 0));
     }
 
     /// Goes to the first frame with this number or a later one, or to the last one.
     pub fn seek_frame(&self, sequence: u64) {
-        self.order(|state| (state.sought, state.steps) = (Some(SeekTarget::Frame(sequence)), 0));
+        self.update(|state| (state.seek_target, state.steps) = (Some(SeekTarget::Frame(sequence)), 0));
     }
 
     /// Steps `frames` frames forwards, or backwards if negative, and pauses there.
     pub fn step(&self, frames: i64) {
-        self.order(|state| {
+        self.update(|state| {
             state.playback.playing = false;
             // More than a thousand steps at once are not intended.
             state.steps = state.steps.saturating_add(frames).clamp(-1000, 1000);
@@ -152,10 +153,10 @@ impl Transport {
         self.state().preroll_s = preroll_s;
     }
 
-    /// Returns whether the player still has to go to a place that was asked for: its position is that of another one.
+    /// Returns whether a seek is pending: the position is still that of an earlier frame.
     pub fn is_seeking(&self) -> bool {
         let state = self.state();
-        state.sought.is_some() || state.steps < 0
+        state.seek_target.is_some() || state.steps < 0
     }
 
     /// Returns whether a frame is part of the preroll of the frame that was sought.
@@ -165,11 +166,12 @@ impl Transport {
 
     /// Ends the stream of frames.
     pub fn close(&self) {
-        self.order(|state| state.closed = true);
+        self.update(|state| state.closed = true);
     }
 }
 
-fn normal(speed: f64) -> f64 {
+/// Returns the speed, or 0 for a speed that is not a number above 0.
+fn valid_speed(speed: f64) -> f64 {
     if speed.is_finite() && speed > 0.0 { speed } else { 0.0 }
 }
 
@@ -180,9 +182,16 @@ impl Player {
     /// [`RecordingError`] if the extent of the recording cannot be read.
     pub fn new(mut recording: Recording, speed: f64) -> Result<Option<Self>, RecordingError> {
         let Some(extent) = recording.extent()? else { return Ok(None) };
-        let playback = Playback { playing: true, speed: normal(speed), position: None, at_end: false };
-        let state =
-            State { playback, sought: None, steps: 0, closed: false, touched: false, preroll_s: 0.0, preroll: 0..0 };
+        let playback = Playback { playing: true, speed: valid_speed(speed), position: None, at_end: false };
+        let state = State {
+            playback,
+            seek_target: None,
+            steps: 0,
+            closed: false,
+            changed: false,
+            preroll_s: 0.0,
+            preroll: 0..0,
+        };
         let transport = Transport { shared: Arc::new((Mutex::new(state), Condvar::new())) };
         Ok(Some(Player { recording, extent, transport, clock: None, preroll_until: None }))
     }
@@ -198,17 +207,17 @@ impl Player {
     }
 
     /// Waits until there is something to do.
-    fn task(&mut self) -> Task {
+    fn next_task(&mut self) -> Task {
         let mut state = self.transport.state();
         loop {
-            if std::mem::take(&mut state.touched) {
+            if std::mem::take(&mut state.changed) {
                 self.clock = None;
             }
             if state.closed {
                 return Task::Close;
             }
-            if let Some(place) = state.sought.take() {
-                return Task::Seek(place);
+            if let Some(target) = state.seek_target.take() {
+                return Task::Seek(target);
             }
             match state.steps {
                 ..=-1 => {
@@ -227,7 +236,8 @@ impl Player {
         }
     }
 
-    fn next_of_recording(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+    /// Reads the next frame or gap of the recording; pauses at its end.
+    fn next_event(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
         let event = self.recording.next_frame(frame)?;
         if event == SourceEvent::End {
             let playback = &mut self.transport.state().playback;
@@ -236,10 +246,10 @@ impl Player {
         Ok(event)
     }
 
-    /// Reads the next frame, skipping gaps before it; `None` behind the last one.
-    fn frame_alone(&mut self, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
+    /// Reads the next frame and skips gaps before it; `None` behind the last one.
+    fn next_frame_without_gaps(&mut self, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
         loop {
-            match self.next_of_recording(frame)? {
+            match self.next_event(frame)? {
                 SourceEvent::Frame => return Ok(Some(position(frame))),
                 SourceEvent::Gap(_) => {}
                 SourceEvent::End => return Ok(None),
@@ -247,10 +257,10 @@ impl Player {
         }
     }
 
-    /// Reads the frame at a place.
-    fn find(&mut self, place: SeekTarget, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
+    /// Reads the frame at a target.
+    fn read_at(&mut self, target: SeekTarget, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
         let Extent { first, last } = self.extent;
-        match place {
+        match target {
             SeekTarget::Time(time_s) if time_s >= last.time_s() => self.recording.seek_frame(last.sequence)?,
             SeekTarget::Time(time_s) if time_s.is_nan() || time_s <= first.time_s() => {
                 self.recording.seek_frame(first.sequence)?
@@ -259,19 +269,19 @@ impl Player {
             SeekTarget::Frame(sequence) => self.recording.seek_frame(sequence.min(last.sequence))?,
         }
         self.transport.state().playback.at_end = false;
-        self.frame_alone(frame)
+        self.next_frame_without_gaps(frame)
     }
 
-    /// Reads the frame at a place, or the first frame of its preroll.
-    fn seek(&mut self, place: SeekTarget, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
-        let Some(found) = self.find(place, frame)? else { return Ok(None) };
+    /// Reads the frame at a target, or the first frame of its preroll.
+    fn seek(&mut self, target: SeekTarget, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
+        let Some(found) = self.read_at(target, frame)? else { return Ok(None) };
         let preroll_s = self.transport.state().preroll_s;
         if preroll_s > 0.0 {
-            self.find(SeekTarget::Time(found.time_s() - preroll_s), frame)?;
+            self.read_at(SeekTarget::Time(found.time_s() - preroll_s), frame)?;
         }
         // If the recording's clock has restarted, the seek leads to another frame.
         if frame.sequence > found.sequence {
-            self.find(SeekTarget::Frame(found.sequence), frame)?;
+            self.read_at(SeekTarget::Frame(found.sequence), frame)?;
         }
         let mut state = self.transport.state();
         state.preroll = frame.sequence..found.sequence;
@@ -282,32 +292,32 @@ impl Player {
 
     /// Reads the last frame before the one that was handed out last; the first frame if there is none before it.
     fn step_back(&mut self, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
-        let now = self.transport.state().playback.position.map_or(0, |position| position.sequence);
-        let mut back = 1;
+        let current = self.transport.state().playback.position.map_or(0, |position| position.sequence);
+        let mut distance = 1;
         loop {
-            let from = now.saturating_sub(back).max(self.extent.first.sequence);
-            let Some(mut found) = self.find(SeekTarget::Frame(from), frame)? else { return Ok(None) };
-            if found.sequence < now || from <= self.extent.first.sequence {
+            let from = current.saturating_sub(distance).max(self.extent.first.sequence);
+            let Some(mut found) = self.read_at(SeekTarget::Frame(from), frame)? else { return Ok(None) };
+            if found.sequence < current || from <= self.extent.first.sequence {
                 // Numbers may be missing in between: the last frame before the current one is taken.
-                while let Some(next) = self.frame_alone(frame)?.filter(|next| next.sequence < now) {
+                while let Some(next) = self.next_frame_without_gaps(frame)?.filter(|next| next.sequence < current) {
                     found = next;
                 }
                 return self.seek(SeekTarget::Frame(found.sequence), frame);
             }
-            back *= 2;
+            distance *= 2;
         }
     }
 
-    /// Waits until a frame is due. Returns `false` if the transport has asked for something else meanwhile and the
-    /// frame has to be discarded.
-    fn wait_for(&mut self, frame: &Frame) -> bool {
+    /// Waits until a frame is due. Returns `false` if the frame has to be discarded because of a seek, a step
+    /// back or the end.
+    fn wait_until_due(&mut self, frame: &Frame) -> bool {
         let mut state = self.transport.state();
         let last_ns = state.playback.position.map_or(frame.time_ns, |position| position.time_ns);
         loop {
-            if std::mem::take(&mut state.touched) {
+            if std::mem::take(&mut state.changed) {
                 self.clock = None;
             }
-            if state.closed || state.sought.is_some() || state.steps < 0 {
+            if state.closed || state.seek_target.is_some() || state.steps < 0 {
                 return false;
             }
             if state.steps > 0 {
@@ -323,24 +333,24 @@ impl Player {
                 return true;
             }
             let now = Instant::now();
-            let (since, since_ns) = *self.clock.get_or_insert((now, last_ns.min(frame.time_ns)));
-            let Some(elapsed_ns) = frame.time_ns.checked_sub(since_ns) else {
-                // The clock of the recording has started again.
+            let (start, start_ns) = *self.clock.get_or_insert((now, last_ns.min(frame.time_ns)));
+            let Some(elapsed_ns) = frame.time_ns.checked_sub(start_ns) else {
+                // The clock of the recording has restarted.
                 self.clock = Some((now, frame.time_ns));
                 return true;
             };
             let due = Duration::try_from_secs_f64(elapsed_ns as f64 * 1e-9 / state.playback.speed);
             let due = due.unwrap_or(Duration::MAX);
-            let left = due.saturating_sub(now - since);
-            if left.is_zero() {
+            let remaining = due.saturating_sub(now - start);
+            if remaining.is_zero() {
                 // A player that has fallen behind by more than a second does not catch up.
-                if (now - since).saturating_sub(due) > Duration::from_secs(1) {
+                if (now - start).saturating_sub(due) > Duration::from_secs(1) {
                     self.clock = Some((now, frame.time_ns));
                 }
                 return true;
             }
-            let waited = condition.wait_timeout(state, left.min(Duration::from_secs(3600)));
-            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+            let result = condition.wait_timeout(state, remaining.min(Duration::from_secs(3600)));
+            state = result.unwrap_or_else(PoisonError::into_inner).0;
         }
     }
 }
@@ -356,20 +366,20 @@ impl FrameSource for Player {
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
         loop {
-            let found = match self.task() {
+            let found = match self.next_task() {
                 Task::Close => return Ok(SourceEvent::End),
-                Task::Seek(place) => self.seek(place, frame)?,
-                Task::Step => {
-                    self.frame_alone(frame)?.inspect(|found| self.transport.state().playback.position = Some(*found))
-                }
+                Task::Seek(target) => self.seek(target, frame)?,
+                Task::Step => self
+                    .next_frame_without_gaps(frame)?
+                    .inspect(|found| self.transport.state().playback.position = Some(*found)),
                 Task::StepBack => self.step_back(frame)?,
                 Task::Preroll => {
-                    let found = self.frame_alone(frame)?;
+                    let found = self.next_frame_without_gaps(frame)?;
                     self.preroll_until = self.preroll_until.filter(|until| found.is_some_and(|f| f.sequence < *until));
                     found
                 }
-                Task::Play => match self.next_of_recording(frame)? {
-                    SourceEvent::Frame => self.wait_for(frame).then(|| {
+                Task::Play => match self.next_event(frame)? {
+                    SourceEvent::Frame => self.wait_until_due(frame).then(|| {
                         let found = position(frame);
                         self.transport.state().playback.position = Some(found);
                         found

@@ -105,8 +105,8 @@ impl Probe {
         Probe { path: "emulated".into(), packets }
     }
 
-    /// Sends a command and hands its answer to `take`.
-    fn command<T>(&mut self, command: Command, take: impl FnOnce(Answer<'_>) -> T) -> Result<T, ProbeError> {
+    /// Sends a command and converts its answer by `read`.
+    fn command<T>(&mut self, command: Command, read: impl FnOnce(Answer<'_>) -> T) -> Result<T, ProbeError> {
         let path = || self.path.clone();
         let mut buffer = [0; MAX_PACKET];
         let count = self
@@ -116,7 +116,7 @@ impl Probe {
         let answer = buffer.get(..count).filter(|answer| !answer.is_empty());
         let answer = answer.ok_or_else(|| ProbeError::NoAnswer { path: path() })?;
         let answer = command.answer(answer).map_err(|source| ProbeError::Malformed { path: path(), source })?;
-        Ok(take(answer))
+        Ok(read(answer))
     }
 
     fn info(&mut self, info: Info) -> Result<Vec<u8>, ProbeError> {
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_probe_says_who_it_is() {
+    fn a_probe_reports_its_identity() {
         let identity = Probe::with_packets(Box::new(EmulatedProbe::default())).identity().expect("answers");
         assert_eq!((identity.product.as_str(), identity.has_swd), ("Emulated CMSIS-DAP", true));
         assert_eq!(identity.firmware_version, "1.0.0");
@@ -216,9 +216,9 @@ mod tests {
         use crate::candidate::{Access, Belief, UsbIdentity};
 
         /// Probe that answers every packet with these bytes.
-        struct Stubborn(&'static [u8]);
+        struct FixedAnswer(&'static [u8]);
 
-        impl Packets for Stubborn {
+        impl Packets for FixedAnswer {
             fn exchange(&mut self, _: &[u8], answer: &mut [u8]) -> io::Result<usize> {
                 answer.iter_mut().zip(self.0).for_each(|(to, from)| *to = *from);
                 Ok(self.0.len())
@@ -226,22 +226,22 @@ mod tests {
         }
 
         #[test]
-        fn a_probe_that_is_silent_or_talks_nonsense_is_an_error() {
-            for (bytes, words) in [
+        fn silence_and_malformed_answers_of_a_probe_are_errors() {
+            for (bytes, expected) in [
                 (&[][..], "does not answer"),
                 (&[0xFF], "malformed"),
                 (&[0, 200, 1], "malformed"),
                 (&[0x55, 0x55], "malformed"),
             ] {
-                let error = Probe::with_packets(Box::new(Stubborn(bytes))).identity().expect_err(words);
-                assert!(error.to_string().contains(words), "{error}");
+                let error = Probe::with_packets(Box::new(FixedAnswer(bytes))).identity().expect_err(expected);
+                assert!(error.to_string().contains(expected), "{error}");
             }
-            let error = Probe::with_packets(Box::new(Stubborn(&[2, 0]))).reset_target().expect_err("no port");
+            let error = Probe::with_packets(Box::new(FixedAnswer(&[2, 0]))).reset_target().expect_err("no port");
             assert!(error.to_string().contains("connect to its target"), "{error}");
         }
 
         #[test]
-        fn a_line_that_stays_low_is_said() {
+        fn a_reset_line_that_stays_low_is_an_error() {
             let probe = EmulatedProbe { has_sequence: false, is_line_stuck: true, ..EmulatedProbe::default() };
             let error = Probe::with_packets(Box::new(probe)).reset_target().expect_err("stuck");
             assert!(error.to_string().contains("stays low"), "{error}");

@@ -9,7 +9,7 @@ use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 pub struct RealTime<S> {
     source: S,
     speed: f64,
-    /// Instant at which this frame time was due.
+    /// Instant of the first frame, and its time, ns.
     start: Option<(Instant, u64)>,
 }
 

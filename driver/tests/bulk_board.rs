@@ -27,7 +27,7 @@ fn stream(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (Vec<u64>, Vec<
 }
 
 #[test]
-fn the_board_says_that_it_is_the_bulk_variant() {
+fn the_board_identifies_itself_as_the_bulk_variant() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let board = board(&waveform, 1000, Kind::Mcu7Bulk, &[]);
     let client = Mcu7Board::open(board.address()).expect("opens");
@@ -37,8 +37,8 @@ fn the_board_says_that_it_is_the_bulk_variant() {
     drop(start_and_stop(client, &waveform).start(&waveform).expect("starts"));
     // A query of the identity does not change the chip; opening the board resets it.
     assert_eq!(Mcu7Board::identity_at(board.address()).expect("answers"), identity);
-    let (client, left) = Mcu7Board::open_with_waveform(board.address()).expect("opens again");
-    left.expect("programmed").check_compatible(&waveform).expect("the same");
+    let (client, programmed) = Mcu7Board::open_with_waveform(board.address()).expect("opens again");
+    programmed.expect("programmed").check_compatible(&waveform).expect("the same");
     drop(client);
     assert_eq!(Mcu7Board::open_with_waveform(board.address()).expect("opens again").1, None);
 }
@@ -47,7 +47,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn what_can_be_seen_without_a_checksum_costs_its_frame_and_no_other() {
+    fn damage_that_is_detectable_without_a_checksum_loses_only_its_frame() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         use GapReason::{Crc, FifoOverflow, PacketLost};
         for (fault, reason) in [
@@ -72,7 +72,7 @@ mod hard_cases {
     /// Asserts that a bit flipped after the USB transfer is undetected and appears in the frame: USB checks only the
     /// transfer.
     #[test]
-    fn what_cannot_be_seen_without_a_checksum_is_in_the_frame() {
+    fn damage_that_is_undetectable_without_a_checksum_is_in_the_frame() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let (good, bad, gaps) = stream(&waveform, 10, &[Fault::FlipBit { packet: 4, bit: 999 }]);
         assert_eq!((good.len(), bad, gaps), (9, vec![4], vec![]));
@@ -81,7 +81,7 @@ mod hard_cases {
     /// Asserts that a slightly wrong length is detected, since it differs from the slice's, and that the board is
     /// restarted.
     #[test]
-    fn a_wrong_length_is_seen() {
+    fn a_wrong_length_is_detected() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         // Bits 32 and 33 of the header are the lowest of the length.
         for bit in [32, 33, 40] {
@@ -92,7 +92,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_board_that_is_plugged_in_again_or_stalls_goes_on() {
+    fn the_stream_continues_after_replugging_and_stalls() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let unplug = |packet| Fault::Unplug { packet, duration: Duration::from_millis(100) };
         // The board is ahead of its host by the content of the socket, about ninety packets. The first fault must
@@ -106,7 +106,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_board_that_is_not_there_is_said_to_be_absent() {
+    fn an_absent_board_is_an_error() {
         let nowhere = Address::Usb(UsbAddress::Emulated("/no/such/board".into()));
         let Err(error) = Mcu7Board::open(&nowhere) else { panic!("opened") };
         assert!(matches!(error, BoardError::Absent { .. }) && error.to_string().contains("hint:"), "{error}");

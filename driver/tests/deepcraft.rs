@@ -16,6 +16,7 @@ fn codes(layout: ChunkLayout, number: u32) -> Vec<u16> {
     (0..last).map(code).chain([code(last) & !0x80]).collect()
 }
 
+/// Encodes a chunk.
 fn chunk(layout: ChunkLayout, number: u32, frames: u32) -> Vec<u8> {
     let codes: Vec<u16> = (0..frames).flat_map(|i| codes(layout, number.wrapping_add(i))).collect();
     let mut line = Vec::new();
@@ -25,7 +26,7 @@ fn chunk(layout: ChunkLayout, number: u32, frames: u32) -> Vec<u8> {
 
 /// Compares words of the captured blob with values written by hand.
 #[test]
-fn words_are_where_the_firmware_looks_for_them() {
+fn words_are_at_the_positions_of_the_firmware() {
     let blob = Custom::compile(&captured_waveform()).expect("fits").encode();
     let word = |i: usize| u32::from_le_bytes(blob[4 * i..4 * i + 4].try_into().expect("four bytes"));
     assert_eq!([word(0), word(1)], [38, 16]);
@@ -42,7 +43,7 @@ fn words_are_where_the_firmware_looks_for_them() {
 
 /// Events that a parser reported.
 #[derive(Debug, Default, PartialEq)]
-struct Found {
+struct Received {
     frames: Vec<u32>,
     misnumbered: usize,
     errors: Vec<ErrorResponse>,
@@ -50,22 +51,22 @@ struct Found {
 }
 
 /// Collects all events of a parser. Asserts that frames have the codes of their numbers.
-fn take(parser: &mut ChunkParser, layout: ChunkLayout, found: &mut Found) {
+fn collect_events(parser: &mut ChunkParser, layout: ChunkLayout, received: &mut Received) {
     while let Some(event) = parser.next_event() {
         match event {
-            ChunkEvent::Frames { frame_number, frame_count, codes: got } => {
-                assert_eq!(got.len(), frame_count * layout.frame_codes);
-                for (i, got) in (0..).zip(got.chunks(layout.frame_codes)) {
+            ChunkEvent::Frames { frame_number, frame_count, codes: payload } => {
+                assert_eq!(payload.len(), frame_count * layout.frame_codes);
+                for (i, frame) in (0..).zip(payload.chunks(layout.frame_codes)) {
                     let number = frame_number.wrapping_add(i);
-                    let got: Vec<u16> = got.iter().map(|code| u16::from_le_bytes(*code)).collect();
-                    assert_eq!(got, codes(layout, number), "frame {number}");
-                    found.frames.push(number);
+                    let frame: Vec<u16> = frame.iter().map(|code| u16::from_le_bytes(*code)).collect();
+                    assert_eq!(frame, codes(layout, number), "frame {number}");
+                    received.frames.push(number);
                 }
             }
-            ChunkEvent::Misnumbered => found.misnumbered += 1,
-            ChunkEvent::Error(error) => found.errors.push(error),
+            ChunkEvent::Misnumbered => received.misnumbered += 1,
+            ChunkEvent::Error(error) => received.errors.push(error),
             ChunkEvent::Damaged => {
-                found.damaged = true;
+                received.damaged = true;
                 return;
             }
         }
@@ -74,26 +75,26 @@ fn take(parser: &mut ChunkParser, layout: ChunkLayout, found: &mut Found) {
 
 /// Passes bytes to a parser in pieces. Reports silence of the line at the end, and after each piece if `silent` is
 /// true.
-fn receive(layout: ChunkLayout, first: u32, line: &[u8], pieces: &[usize], silent: bool) -> Found {
-    let (mut parser, mut found) = (ChunkParser::new(layout, first), Found::default());
+fn receive(layout: ChunkLayout, first: u32, line: &[u8], pieces: &[usize], silent: bool) -> Received {
+    let (mut parser, mut received) = (ChunkParser::new(layout, first), Received::default());
     let (mut rest, mut pieces) = (line, pieces.iter().cycle());
-    while !rest.is_empty() && !found.damaged {
+    while !rest.is_empty() && !received.damaged {
         let (piece, after) = rest.split_at((*pieces.next().expect("endless")).clamp(1, rest.len()));
         rest = after;
         parser.push(piece);
-        take(&mut parser, layout, &mut found);
-        if silent && !found.damaged {
+        collect_events(&mut parser, layout, &mut received);
+        if silent && !received.damaged {
             parser.on_silence();
-            take(&mut parser, layout, &mut found);
+            collect_events(&mut parser, layout, &mut received);
         }
     }
-    if !found.damaged {
+    if !received.damaged {
         parser.on_silence();
-        take(&mut parser, layout, &mut found);
+        collect_events(&mut parser, layout, &mut received);
         parser.on_long_silence();
-        take(&mut parser, layout, &mut found);
+        collect_events(&mut parser, layout, &mut received);
     }
-    found
+    received
 }
 
 /// Parses hexadecimal digits; text after a bar is a remark.
@@ -229,7 +230,7 @@ fn layouts() -> impl Strategy<Value = ChunkLayout> {
 
 proptest! {
     #[test]
-    fn chunks_are_what_protobuf_makes_of_them(layout in layouts(), number: u32, frames in 1u32..4) {
+    fn chunks_equal_those_of_protobuf(layout in layouts(), number: u32, frames in 1u32..4) {
         let line = chunk(layout, number, frames);
         let ChunkLayout { device, stream, .. } = layout;
         let codes = (0..frames).flat_map(|i| codes(layout, number.wrapping_add(i)));
@@ -249,8 +250,8 @@ proptest! {
     }
 
     #[test]
-    fn fields_that_are_not_known_are_skipped(layout in layouts(), number in 0u32..1_000_000, extra: u32, stamp: i64) {
-        let mut chunk_of = DataChunk {
+    fn unknown_fields_are_skipped(layout in layouts(), number in 0u32..1_000_000, extra: u32, stamp: i64) {
+        let mut data_chunk = DataChunk {
             device: layout.device,
             stream: layout.stream,
             frame_count: 1,
@@ -261,7 +262,7 @@ proptest! {
         // Adds an unknown field 9, a varint, before the others.
         let mut inner = vec![9 << 3];
         prost::encoding::encode_varint(u64::from(extra), &mut inner);
-        chunk_of.encode(&mut inner).expect("room");
+        data_chunk.encode(&mut inner).expect("room");
         let mut message = vec![4 << 3 | 2];
         prost::encoding::encode_varint(inner.len() as u64, &mut message);
         message.extend(inner);
@@ -271,8 +272,8 @@ proptest! {
         let Response { answer: Some(Answer::Data(decoded)) } = Response::decode(&message[..]).expect("decodes") else {
             panic!("data");
         };
-        prop_assert_eq!(&decoded, &chunk_of);
-        chunk_of.timestamps.clear();
+        prop_assert_eq!(&decoded, &data_chunk);
+        data_chunk.timestamps.clear();
         line.extend(chunk(layout, number + 1, 1));
         let found = receive(layout, number, &line, &[line.len()], false);
         prop_assert_eq!(found.frames, vec![number, number + 1]);
@@ -302,11 +303,11 @@ proptest! {
             number += count;
         }
         let found = receive(layout, first, &line, &pieces, silent);
-        prop_assert_eq!(found, Found { frames: (first..number).collect(), ..Found::default() });
+        prop_assert_eq!(found, Received { frames: (first..number).collect(), ..Received::default() });
     }
 
     #[test]
-    fn any_bytes_are_taken_without_panic(layout in layouts(), bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+    fn any_bytes_are_parsed_without_panic(layout in layouts(), bytes in prop::collection::vec(any::<u8>(), 0..400)) {
         let mut parser = ChunkParser::new(layout, 0);
         parser.push(&bytes);
         parser.on_silence();
@@ -332,7 +333,7 @@ mod hard_cases {
     /// Asserts that an inner length of ten bytes that extends past its message is reported as damage (found by
     /// fuzzing).
     #[test]
-    fn a_length_that_goes_on_past_its_message_is_damage() {
+    fn a_length_that_extends_past_its_message_is_damage() {
         for layout in LAYOUTS {
             let length = (2 * layout.frame_codes + 16) as u8 | 1;
             for inner in 0..=20usize {
@@ -346,7 +347,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_message_cut_short_anywhere_falsifies_nothing() {
+    fn a_message_cut_anywhere_changes_no_frame() {
         for layout in LAYOUTS {
             for (first, frames) in [(0, 1), (126, 1), (127, 2)] {
                 let before = chunk(layout, first, frames);
@@ -358,10 +359,10 @@ mod hard_cases {
                     for (pieces, silent) in [(vec![line.len()], false), (vec![1], true)] {
                         let found = receive(layout, first, &line, &pieces, silent);
                         // A message that is lost completely leaves no damage.
-                        let lost = found.damaged || length == 0;
-                        assert!(lost, "{layout:?}, cut to {length}: {found:?}");
+                        let is_damaged = found.damaged || length == 0;
+                        assert!(is_damaged, "{layout:?}, cut to {length}: {found:?}");
                         let later = found.frames.iter().filter(|number| **number >= first + 2 * frames).count();
-                        assert!(length == 0 || later == 0, "cut to {length}: nothing is found in what is damaged");
+                        assert!(length == 0 || later == 0, "cut to {length}: no frame is found behind damage");
                     }
                 }
             }
@@ -392,7 +393,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_flipped_bit_before_the_samples_falsifies_nothing() {
+    fn a_flipped_bit_before_the_samples_changes_no_frame() {
         for layout in LAYOUTS {
             let (first, frames) = (5, 2);
             let before = chunk(layout, first, frames);
@@ -421,12 +422,12 @@ mod hard_cases {
             LAYOUT.encode(0, &codes, &mut line);
             line.extend(chunk(LAYOUT, 1, 1));
             let found = receive(LAYOUT, 0, &line, &[line.len()], false);
-            assert_eq!(found, Found { damaged: true, ..Found::default() });
+            assert_eq!(found, Received { damaged: true, ..Received::default() });
         }
     }
 
     #[test]
-    fn what_comes_twice_or_late_or_not_at_all_keeps_its_number() {
+    fn doubled_late_and_missing_frames_keep_their_numbers() {
         let line = |numbers: &[u32]| -> Vec<u8> { numbers.iter().flat_map(|n| chunk(LAYOUT, *n, 1)).collect() };
         for (sent, expected, misnumbered) in [
             (&[0, 1, 1, 2, 3][..], &[0, 1, 1, 2, 3][..], 0),
@@ -445,7 +446,7 @@ mod hard_cases {
         }
         // A jump in the numbers needs a second frame that confirms it.
         let found = receive(LAYOUT, 0, &line(&[0, 3]), &[1], true);
-        assert_eq!(found, Found { frames: vec![0], ..Found::default() });
+        assert_eq!(found, Received { frames: vec![0], ..Received::default() });
     }
 
     #[test]
@@ -457,14 +458,14 @@ mod hard_cases {
     }
 
     #[test]
-    fn an_error_between_chunks_is_told() {
+    fn an_error_between_chunks_is_reported() {
         let error = ErrorResponse { message: "Device already active.".into(), code: -20 };
         let mut line = chunk(LAYOUT, 0, 1);
         Response::from(Answer::Error(error.clone())).encode_to(&mut line);
         line.extend(chunk(LAYOUT, 1, 1));
         for pieces in [1, 1000] {
             let found = receive(LAYOUT, 0, &line, &[pieces], false);
-            assert_eq!(found, Found { frames: vec![0, 1], errors: vec![error.clone()], ..Found::default() });
+            assert_eq!(found, Received { frames: vec![0, 1], errors: vec![error.clone()], ..Received::default() });
         }
     }
 

@@ -34,7 +34,7 @@ fn read(stream: &mut DeepcraftStream, frames: usize) -> Vec<Gap> {
 /// Asserts that the payload is in FIFO order, although the stream's shape states another order. Three receivers and
 /// axes of different lengths reveal any error.
 #[test]
-fn frames_come_through_sample_for_sample() {
+fn frames_arrive_bit_exact() {
     for (antennas, chirps, samples) in
         [(&[1u8, 2, 3][..], 8, 64), (&[1, 2, 3], 64, 64), (&[2], 3, 34), (&[1, 3], 5, 100), (&[3], 1, 8)]
     {
@@ -45,7 +45,7 @@ fn frames_come_through_sample_for_sample() {
     }
 }
 
-/// Regression test: the times of frames followed the interval that was asked for instead of that of the registers.
+/// Regression test: the times of frames followed the requested interval instead of that of the registers.
 #[test]
 fn frames_have_the_times_of_the_registers() {
     let w = waveform(&[1, 2, 3], 8, 64, 0.1);
@@ -58,7 +58,7 @@ fn frames_have_the_times_of_the_registers() {
 }
 
 #[test]
-fn a_board_says_who_it_is_and_what_it_is_set_to() {
+fn a_board_reports_its_identity_and_its_waveform() {
     let w = waveform(&[1, 2], 8, 64, 0.1);
     let custom = board(&w, &[]);
     let client = DeepcraftBoard::open(custom.path()).expect("opens");
@@ -81,7 +81,7 @@ fn a_board_says_who_it_is_and_what_it_is_set_to() {
     }
 }
 
-/// Regression test: the board said to be set to a waveform that its firmware cannot have, and no client could start it.
+/// Regression test: the board reported a waveform that its firmware cannot have, and no client could start it.
 #[test]
 fn a_source_whose_frames_the_firmware_cannot_hold_is_refused_or_measured_in_a_preset() {
     let large = waveform(&[1, 2, 3], 128, 256, 0.1);
@@ -142,41 +142,41 @@ fn the_emulated_board_answers_as_written_by_hand() {
         &[0x10, 0x81, 0x80, 0x80, 0x08], // the tag
     ];
     let expected = expected.concat();
-    let mut got = vec![0; expected.len()];
-    port.read_exact(&mut got).expect("answers");
-    assert_eq!(got, expected);
+    let mut received = vec![0; expected.len()];
+    port.read_exact(&mut received).expect("answers");
+    assert_eq!(received, expected);
 }
 
 /// Asserts that chunks hold all frames that one read of the FIFO completes, although the stream announces at most one
 /// frame a chunk. The vendor's firmware announces and does the same: its `dev_bgt60trxx.c` adds the stream with 1 and
 /// sends all its frames. A client that relies on the number fails with the real board and must fail with this one.
 #[test]
-fn chunks_hold_all_frames_of_a_read_whatever_the_stream_says() {
+fn chunks_hold_all_frames_of_a_read_whatever_the_stream_announces() {
     let w = small();
     let board = board(&w, &[]);
     let path = board.path().display().to_string();
     let mut port = serialport::new(path, 115_200).timeout(Duration::from_secs(60)).open().expect("opens");
-    let mut asked = Vec::new();
-    Request::from(Command::Capabilities(CapabilitiesRequest { device: 0, tag: 1 })).encode_to(&mut asked);
+    let mut requests = Vec::new();
+    Request::from(Command::Capabilities(CapabilitiesRequest { device: 0, tag: 1 })).encode_to(&mut requests);
     // Starts device 0.
-    asked.extend([2, 0x1A, 0]);
-    port.write_all(&asked).expect("asks");
+    requests.extend([2, 0x1A, 0]);
+    port.write_all(&requests).expect("asks");
     let mut parser = MessageParser::new(MAX_RESPONSE);
-    let (mut some, mut stated, mut held) = (vec![0; 4096], None, None);
-    while held.is_none() {
-        let count = port.read(&mut some).expect("answers");
-        parser.push(&some[..count]);
+    let (mut buffer, mut stated, mut frame_count) = (vec![0; 4096], None, None);
+    while frame_count.is_none() {
+        let count = port.read(&mut buffer).expect("answers");
+        parser.push(&buffer[..count]);
         while let Some(message) = parser.next_message() {
             match Response::decode(message.expect("a length")).expect("a message").answer {
                 Some(Answer::Capabilities(answer)) => {
                     stated = Some(answer.board.expect("a board").devices[0].streams[0].max_frame_count);
                 }
-                Some(Answer::Data(chunk)) => held = held.or(Some(chunk.frame_count)),
+                Some(Answer::Data(chunk)) => frame_count = frame_count.or(Some(chunk.frame_count)),
                 other => panic!("{other:?}"),
             }
         }
     }
-    assert_eq!((stated, held), (Some(1), Some(4)));
+    assert_eq!((stated, frame_count), (Some(1), Some(4)));
 }
 
 /// Waveform of which one read of the emulated firmware completes four frames.
@@ -189,13 +189,14 @@ fn large() -> Waveform {
     waveform(&[1, 2, 3], 32, 128, 0.1)
 }
 
+/// Gaps of a stream with these faults.
 fn gaps_with(waveform: &Waveform, faults: &[Fault], frames: usize) -> Vec<Gap> {
     let board = board(waveform, faults);
     read(&mut start(&board, waveform), frames)
 }
 
 #[test]
-fn a_lost_message_costs_its_frames() {
+fn a_lost_message_loses_its_frames() {
     let gaps = gaps_with(&small(), &[Fault::DropPacket(3)], 40);
     assert_eq!(gaps, [Gap { first_sequence: 12, frames: 4, reason: GapReason::PacketLost }]);
     let gaps = gaps_with(&large(), &[Fault::DropPacket(3), Fault::DropPacket(4)], 10);
@@ -206,14 +207,14 @@ fn a_lost_message_costs_its_frames() {
 }
 
 #[test]
-fn a_doubled_message_costs_nothing() {
+fn a_doubled_message_loses_nothing() {
     for w in [small(), large()] {
         assert_eq!(gaps_with(&w, &[Fault::DoublePacket(0), Fault::DoublePacket(3)], 40), []);
     }
 }
 
 #[test]
-fn messages_in_the_wrong_order_cost_one() {
+fn messages_in_the_wrong_order_lose_one_frame() {
     let gaps = gaps_with(&large(), &[Fault::ReorderPacket(3)], 10);
     assert_eq!(gaps, [Gap { first_sequence: 4, frames: 1, reason: GapReason::PacketLost }]);
 }
@@ -227,7 +228,7 @@ fn a_counter_that_jumps_is_a_gap_of_that_length() {
 /// Asserts that the reason of a gap is right: the board reports the frames that it dropped itself. The client asks when
 /// frames are missing, so that faults must be further apart than the board can be ahead of the line.
 #[test]
-fn frames_that_the_board_dropped_are_told_from_those_that_the_line_lost() {
+fn frames_dropped_by_the_board_are_distinguished_from_those_lost_on_the_line() {
     let faults = [Fault::Overflow(20), Fault::DropPacket(60), Fault::Overflow(100), Fault::DropPacket(101)];
     for (w, frames) in [(small(), 4), (large(), 1)] {
         let board = board(&w, &faults);
@@ -241,7 +242,7 @@ fn frames_that_the_board_dropped_are_told_from_those_that_the_line_lost() {
 }
 
 #[test]
-fn damage_costs_what_was_under_way_and_the_stream_goes_on() {
+fn damage_loses_the_frames_in_transit_and_the_stream_continues() {
     let mut faults = Vec::new();
     for bytes in [1, 2, 3, 5, 9, 11, 12, 13, 100, 4095, 6000, 24_575, 24_580] {
         faults.push(Fault::TruncatePacket { packet: 3, bytes });
@@ -262,7 +263,7 @@ fn damage_costs_what_was_under_way_and_the_stream_goes_on() {
 /// Asserts that frames of a slow stream arrive as they are measured: silence after a chunk confirms it without a
 /// successor.
 #[test]
-fn frames_of_a_slow_stream_come_as_they_are_measured() {
+fn frames_of_a_slow_stream_arrive_as_they_are_measured() {
     const FRAMES: u64 = 24;
     let w = small();
     let faults = [Fault::TruncatePacket { packet: 2, bytes: 999 }];
@@ -271,15 +272,15 @@ fn frames_of_a_slow_stream_come_as_they_are_measured() {
     let mut stream = start(&board, &w);
     let (mut frame, mut expected) = (Frame::zeroed(w.shape()), Frame::zeroed(w.shape()));
     let pattern = Pattern::new(w.clone(), 0);
-    let (mut next_of_source, mut damaged) = (0, 0);
-    while next_of_source < FRAMES {
+    let (mut next_source, mut damaged) = (0, 0);
+    while next_source < FRAMES {
         match stream.next_frame(&mut frame).expect("no error") {
             SourceEvent::Frame => {
-                let found = (next_of_source..FRAMES).find(|sequence| {
+                let found = (next_source..FRAMES).find(|sequence| {
                     pattern.fill(*sequence, &mut expected);
                     expected.codes == frame.codes
                 });
-                next_of_source = found.expect("a frame of the source") + 1;
+                next_source = found.expect("a frame of the source") + 1;
             }
             SourceEvent::Gap(gap) => damaged += u32::from(gap.reason == GapReason::Crc),
             SourceEvent::End => panic!("a board does not end"),
@@ -295,13 +296,14 @@ mod hard_cases {
         DeepcraftBoard::open(board.path()).err().expect("an error")
     }
 
-    fn raw(board: &EmulatedBoard) -> Box<dyn serialport::SerialPort> {
+    /// Opens the port of a board without a client.
+    fn raw_port(board: &EmulatedBoard) -> Box<dyn serialport::SerialPort> {
         let path = board.path().display().to_string();
         serialport::new(path, 115_200).timeout(Duration::from_millis(200)).open().expect("opens")
     }
 
     #[test]
-    fn every_fault_at_once_is_survived() {
+    fn the_stream_survives_all_faults_together() {
         let folder = tempfile::tempdir().expect("folder");
         let w = large();
         let faults = [
@@ -334,15 +336,15 @@ mod hard_cases {
         let error = open_error(&board(&w, &[Fault::ForeignChip(0x606)])).to_string();
         assert!(error.contains("none of the board's devices is a radar") && error.contains("0x000606"), "{error}");
         let error = open_error(&board(&w, &[Fault::WrongVersion(3)]));
-        assert!(!error.is_passing() && error.to_string().contains("version 3.3"), "{error}");
+        assert!(!error.is_transient() && error.to_string().contains("version 3.3"), "{error}");
     }
 
     #[test]
-    fn a_waveform_that_the_source_does_not_have_is_refused_with_both() {
+    fn another_waveform_than_that_of_the_source_is_refused_with_both() {
         let w = small();
         let board = board(&w, &[]);
-        let wanted = waveform(&[1, 2, 3], 16, 64, 0.1);
-        let error = DeepcraftBoard::open(board.path()).expect("opens").start(&wanted).err().expect("refused");
+        let requested = waveform(&[1, 2, 3], 16, 64, 0.1);
+        let error = DeepcraftBoard::open(board.path()).expect("opens").start(&requested).err().expect("refused");
         assert!(matches!(&error, BoardError::Deepcraft { source: DeepcraftError::Device { .. }, .. }), "{error}");
         assert!(error.to_string().contains("16 chirps") && error.to_string().contains("8 chirps"), "{error}");
         assert!(board.refusal().is_some_and(|reason| reason.contains("map size")));
@@ -352,12 +354,12 @@ mod hard_cases {
     }
 
     #[test]
-    fn fewer_receivers_than_the_source_has_are_sent_as_asked_for() {
+    fn fewer_receivers_than_those_of_the_source_are_sent_on_request() {
         let source = waveform(&[1, 2, 3], 8, 64, 0.1);
-        let wanted = waveform(&[3], 8, 64, 0.1);
+        let requested = waveform(&[3], 8, 64, 0.1);
         let board = board(&source, &[]);
-        let mut stream = start(&board, &wanted);
-        let (mut frame, mut whole) = (Frame::zeroed(wanted.shape()), Frame::zeroed(source.shape()));
+        let mut stream = start(&board, &requested);
+        let (mut frame, mut whole) = (Frame::zeroed(requested.shape()), Frame::zeroed(source.shape()));
         for sequence in 0..30 {
             assert_eq!(stream.next_frame(&mut frame).expect("stream"), SourceEvent::Frame);
             Pattern::new(source.clone(), 0).fill(sequence, &mut whole);
@@ -381,15 +383,15 @@ mod hard_cases {
     fn a_board_in_any_state_is_opened() {
         let w = small();
         let board = board(&w, &[]);
-        let mut port = raw(&board);
+        let mut port = raw_port(&board);
         port.write_all(b"AT+GCAP\r").expect("writes");
         drop(port);
         DeepcraftBoard::open(board.path()).expect("opens after a modem manager");
         // Another program keeps the port open, so that the board does not stop: it stops when the last client leaves.
         let mut port = std::fs::File::options().read(true).write(true).open(board.path()).expect("opens");
         port.write_all(&[2, 0x1A, 0]).expect("starts");
-        let mut some = [0; 100];
-        port.read_exact(&mut some).expect("measures");
+        let mut buffer = [0; 100];
+        port.read_exact(&mut buffer).expect("measures");
         assert!(read(&mut start(&board, &w), 20).is_empty(), "opens while it measures");
         drop(port);
         // Opens the board again after a dropped stream.
@@ -400,7 +402,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_board_that_speaks_something_else_is_given_up_and_not_disturbed() {
+    fn a_board_of_another_protocol_is_refused_and_not_disturbed() {
         let w = small();
         for kind in [Kind::Mcu7V4, Kind::Mcu7V3, Kind::Esp32] {
             let board = common::board(&w, u64::MAX, kind, &[]);
@@ -418,22 +420,22 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_board_whose_host_is_silent_stops_and_one_that_is_told_goes_on() {
+    fn the_watchdog_stops_a_board_whose_host_is_silent() {
         let w = small();
         let options = EmulatorOptions { pace: Pace::RealTime(1.0), ..options(Kind::Deepcraft, &[]) };
         let board = spawn(&w, u64::MAX, options);
-        let mut port = raw(&board);
+        let mut port = raw_port(&board);
         port.write_all(&[2, 0x1A, 0]).expect("starts");
         // The status between chunks is first active and later ready again.
         let mut parser = MessageParser::new(MAX_RESPONSE);
-        let mut some = vec![0; 4096];
+        let mut buffer = vec![0; 4096];
         let (mut chunks, mut states) = (0, Vec::new());
         while states.last() != Some(&device_status::READY) {
-            let mut ask = Vec::new();
-            Request::from(Command::Capabilities(CapabilitiesRequest { device: 0, tag: 1 })).encode_to(&mut ask);
-            port.write_all(&ask).expect("asks");
-            let count = port.read(&mut some).unwrap_or(0);
-            parser.push(&some[..count]);
+            let mut request = Vec::new();
+            Request::from(Command::Capabilities(CapabilitiesRequest { device: 0, tag: 1 })).encode_to(&mut request);
+            port.write_all(&request).expect("asks");
+            let count = port.read(&mut buffer).unwrap_or(0);
+            parser.push(&buffer[..count]);
             while let Some(message) = parser.next_message() {
                 match Response::decode(message.expect("a length")).expect("a message").answer {
                     Some(Answer::Data(_)) => chunks += 1,
@@ -458,6 +460,7 @@ mod hard_cases {
         assert!(matches!(gaps[..], [Gap { reason: GapReason::Disconnected, .. }]), "{gaps:?}");
     }
 
+    /// Reads for some time; returns the gaps.
     fn read_for(stream: &mut DeepcraftStream, duration: Duration) -> Vec<Gap> {
         let mut frame = Frame::zeroed(stream.waveform().shape());
         let end = std::time::Instant::now() + duration;
@@ -471,7 +474,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn without_leave_to_reconnect_the_error_comes_at_once() {
+    fn without_reconnection_the_error_is_returned_at_once() {
         let folder = tempfile::tempdir().expect("folder");
         let w = large();
         let fault = Fault::Unplug { packet: 10, duration: Duration::from_millis(20) };

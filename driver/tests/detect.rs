@@ -6,35 +6,35 @@ use radome_dsp::{Frame, FrameSource, SourceEvent};
 use crate::common::{Pattern, board, waveform};
 
 #[test]
-fn an_mcu7_of_either_protocol_tells_what_its_chip_was_left_with() {
+fn an_mcu7_of_either_protocol_reports_the_programmed_waveform() {
     let w = waveform(&[1, 3], 16, 32, 0.05);
     for kind in [Kind::Mcu7V4, Kind::Mcu7V3] {
         let board = board(&w, 20, kind, &[]);
-        let Detected::Mcu7(_, left) = Detected::open(board.address(), None).expect("answers") else {
+        let Detected::Mcu7(_, programmed) = Detected::open(board.address(), None).expect("answers") else {
             panic!("another kind of board");
         };
-        let left = left.expect("programmed");
-        left.check_compatible(&w).expect("the same");
-        assert_eq!(left.request.rx_antennas, w.request.rx_antennas);
+        let programmed = programmed.expect("programmed");
+        programmed.check_compatible(&w).expect("the same");
+        assert_eq!(programmed.request.rx_antennas, w.request.rx_antennas);
     }
 }
 
 #[test]
-fn a_psoc_kit_tells_what_it_is_set_to() {
+fn a_psoc_kit_reports_its_configured_waveform() {
     let w = waveform(&[1, 3], 16, 32, 0.05);
     let board = board(&w, 20, Kind::Deepcraft, &[]);
     let Detected::Deepcraft(client) = Detected::open(board.address(), None).expect("answers") else {
         panic!("another kind of board");
     };
-    let left = client.configured_waveform().expect("a waveform");
-    left.check_compatible(&w).expect("the same");
-    assert_eq!(left.request.rx_antennas, w.request.rx_antennas);
-    let mut stream = client.start(&left).expect("starts");
+    let programmed = client.configured_waveform().expect("a waveform");
+    programmed.check_compatible(&w).expect("the same");
+    assert_eq!(programmed.request.rx_antennas, w.request.rx_antennas);
+    let mut stream = client.start(&programmed).expect("starts");
     assert_eq!(stream.next_frame(&mut Frame::zeroed(w.shape())).expect("frame"), SourceEvent::Frame);
 }
 
 #[test]
-fn a_board_that_prints_is_heard_from_its_first_frame_on() {
+fn a_printing_board_is_read_from_its_first_frame_on() {
     let w = waveform(&[1, 2, 3], 16, 32, 0.05);
     let board = board(&w, 20, Kind::Esp32, &[]);
     let Detected::Esp32(mut stream) = Detected::open(board.address(), None).expect("speaks") else {
@@ -63,9 +63,9 @@ mod hard_cases {
 
     use super::*;
 
-    /// The system's own words for it were "Not a typewriter".
+    /// Regression test: the error was the system's "Not a typewriter".
     #[test]
-    fn a_device_that_is_no_serial_port_is_said_to_be_none() {
+    fn a_device_that_is_no_serial_port_is_an_error() {
         let error = Detected::open(&Address::Serial(Path::new("/dev/null").into()), None).err().expect("refused");
         assert!(error.source().is_some_and(|source| source.to_string() == "it is not a serial port"), "{error:?}");
     }
@@ -73,7 +73,7 @@ mod hard_cases {
     /// Asserts that a printing board can be opened again: opening the port resets it, and the client reads from its
     /// start.
     #[test]
-    fn a_board_that_prints_can_be_opened_again() {
+    fn a_printing_board_can_be_opened_again() {
         let w = waveform(&[1], 16, 32, 0.05);
         let board = board(&w, 20, Kind::Esp32, &[]);
         drop(Detected::open(board.address(), None).expect("speaks"));
@@ -85,7 +85,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_port_that_keeps_silent_is_told_so_in_the_end() {
+    fn a_silent_port_counts_as_stalled() {
         let w = waveform(&[1], 16, 32, 0.05);
         let board = board(&w, 20, Kind::Esp32, &[Fault::Stall(0)]);
         // The board prints its banner and waveform but no frame.
@@ -97,18 +97,18 @@ mod hard_cases {
     }
 
     /// Regression test: a board that was printing already, with frames further apart than the first listening lasts,
-    /// was not found. Unlike the emulated one it does not start anew when its port is opened.
+    /// was not found. Unlike the emulated board, such a board does not restart when its port is opened.
     #[test]
-    fn a_board_that_prints_rarely_is_found() {
+    fn a_rarely_printing_board_is_found() {
         let w = waveform(&[1], 4, 32, 0.8);
         let (mut board, port) = TTYPort::pair().expect("a pty");
         let path = port.name().expect("a path");
         drop(port);
-        let is_over = Arc::new(AtomicBool::new(false));
-        let (ends, codes) = (is_over.clone(), vec![2048; w.shape().codes()]);
+        let is_done = Arc::new(AtomicBool::new(false));
+        let (printer_done, codes) = (is_done.clone(), vec![2048; w.shape().codes()]);
         let printer = std::thread::spawn(move || {
             let mut number = 0;
-            while !ends.load(Ordering::Relaxed) {
+            while !printer_done.load(Ordering::Relaxed) {
                 std::thread::sleep(Duration::from_millis(800));
                 let mut line = Vec::new();
                 ascii::encode(number, &codes, &mut line);
@@ -122,13 +122,13 @@ mod hard_cases {
             let Detected::Esp32(mut stream) = found else { panic!("another kind of board") };
             stream.next_frame(&mut Frame::zeroed(w.shape())).map_err(|error| error.to_string())
         });
-        is_over.store(true, Ordering::Relaxed);
+        is_done.store(true, Ordering::Relaxed);
         printer.join().expect("prints");
         assert_eq!(read.expect("found"), Ok(SourceEvent::Frame));
     }
 
     #[test]
-    fn a_foreign_chip_is_named_whoever_asks() {
+    fn a_foreign_chip_is_named() {
         let board = board(&waveform(&[1], 16, 32, 0.05), 20, Kind::Mcu7V4, &[Fault::ForeignChip(0x504)]);
         let error = Detected::open(board.address(), None).err().expect("refused");
         assert!(matches!(error, BoardError::OtherChip { chip: "BGT60ATR24C", .. }), "{error}");

@@ -24,7 +24,7 @@ impl Machine {
     fn with_board() -> Self {
         let machine = Machine::new();
         machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
-        machine.give("1-1", "tty", "ttyACM0", "");
+        machine.add_node("1-1", "tty", "ttyACM0", "");
         machine
     }
 
@@ -63,7 +63,7 @@ impl Machine {
     }
 
     /// Adds a node of this class to a plugged device, below its first interface.
-    fn give(&self, socket: &str, class: &str, name: &str, below: &str) {
+    fn add_node(&self, socket: &str, class: &str, name: &str, below: &str) {
         let Roots { sys, dev } = self.roots();
         let device = sys.join("devices/usb1").join(socket).join(format!("{socket}:1.0")).join(below);
         fs::create_dir_all(&device).expect("made");
@@ -110,22 +110,22 @@ fn a_bulk_board_is_found_by_its_usb_node() {
 
 /// Asserts that a port finds its kit's debug probe by their common USB device, or by their common serial number.
 #[test]
-fn a_port_knows_the_debug_probe_of_its_kit() {
+fn a_port_is_paired_with_the_debug_probe_of_its_kit() {
     let machine = Machine::new();
     machine.plug("1-2", (0x04B4, 0xF152), 3, "KitProg3 CMSIS-DAP HID", "K1");
-    machine.give("1-2", "hidraw", "hidraw0", "0003:04B4:F152.0001");
-    machine.give("1-2", "tty", "ttyACM3", "");
+    machine.add_node("1-2", "hidraw", "hidraw0", "0003:04B4:F152.0001");
+    machine.add_node("1-2", "tty", "ttyACM3", "");
     machine.plug("1-3", (0x058B, 0x027D), 4, "DEEPCRAFT Streaming Device", "K1");
-    machine.give("1-3", "tty", "ttyACM1", "");
+    machine.add_node("1-3", "tty", "ttyACM1", "");
     machine.plug("1-4", (0x058B, 0x0251), 9, "IFX CDC", "other");
-    machine.give("1-4", "tty", "ttyACM2", "");
+    machine.add_node("1-4", "tty", "ttyACM2", "");
     let found = machine.found();
     let probe = machine.roots().dev.join("hidraw0");
-    let of = |name: &str| {
+    let probe_of = |name: &str| {
         found.iter().find(|c| c.path.ends_with(name)).unwrap_or_else(|| panic!("{name}")).debug_probe.clone()
     };
     assert_eq!(
-        (of("ttyACM3"), of("ttyACM1"), of("ttyACM2"), of("hidraw0")),
+        (probe_of("ttyACM3"), probe_of("ttyACM1"), probe_of("ttyACM2"), probe_of("hidraw0")),
         (Some(probe.clone()), Some(probe), None, None)
     );
     assert_eq!(found.len(), 4);
@@ -134,10 +134,10 @@ fn a_port_knows_the_debug_probe_of_its_kit() {
 /// Asserts that a probe with bulk transfers is found at its USB device, whatever other interfaces it has; HID takes
 /// precedence.
 #[test]
-fn a_probe_by_bulk_transfers_is_found_by_its_interface() {
+fn a_probe_with_bulk_transfers_is_found_by_its_interface() {
     let machine = Machine::new();
     machine.plug("1-2", (0x04B4, 0xF155), 3, "KitProg3 CMSIS-DAP BULK", "K1");
-    machine.give("1-2", "tty", "ttyACM3", "");
+    machine.add_node("1-2", "tty", "ttyACM3", "");
     let interface = |name: &str| machine.roots().sys.join("devices/usb1/1-2/1-2:1.1").join(name);
     Machine::write(&interface("bInterfaceClass"), "ff\n");
     Machine::write(&interface("interface"), "KitProg3 CMSIS-DAP v2\n");
@@ -145,21 +145,21 @@ fn a_probe_by_bulk_transfers_is_found_by_its_interface() {
     let node = machine.roots().dev.join("bus/usb/001/003");
     assert_eq!(found.iter().map(|c| c.is_probe()).collect::<Vec<_>>(), [true, false]);
     assert_eq!((&found[0].path, &found[1].debug_probe), (&node, &Some(node.clone())));
-    machine.give("1-2", "hidraw", "hidraw0", "0003:04B4:F155.0001");
+    machine.add_node("1-2", "hidraw", "hidraw0", "0003:04B4:F155.0001");
     let found = machine.found();
     assert_eq!(found.iter().filter(|c| c.is_probe()).map(|c| c.transport).collect::<Vec<_>>(), [Transport::Hid]);
 }
 
 #[test]
-fn other_probes_are_known_by_their_name_and_other_hid_devices_are_passed_over() {
+fn other_probes_are_recognised_by_their_name_and_other_hid_devices_are_skipped() {
     let machine = Machine::new();
     machine.plug("1-1", (0x0D28, 0x0204), 3, "Arm DAPLink CMSIS-DAP", "1");
-    machine.give("1-1", "hidraw", "hidraw0", "0003:0D28:0204.0001");
+    machine.add_node("1-1", "hidraw", "hidraw0", "0003:0D28:0204.0001");
     machine.plug("1-2", (0x046D, 0xC31C), 4, "Keyboard", "2");
-    machine.give("1-2", "hidraw", "hidraw1", "0003:046D:C31C.0002");
+    machine.add_node("1-2", "hidraw", "hidraw1", "0003:046D:C31C.0002");
     // Only the name of the interface identifies this probe.
     machine.plug("1-3", (0x1366, 0x0101), 5, "Something", "3");
-    machine.give("1-3", "hidraw", "hidraw2", "0003:1366:0101.0003");
+    machine.add_node("1-3", "hidraw", "hidraw2", "0003:1366:0101.0003");
     Machine::write(&machine.roots().sys.join("devices/usb1/1-3/1-3:1.0/interface"), "CMSIS-DAP v1\n");
     let found: Vec<_> = machine.found().into_iter().map(|c| (c.path, c.belief)).collect();
     let dev = machine.roots().dev;
@@ -167,12 +167,12 @@ fn other_probes_are_known_by_their_name_and_other_hid_devices_are_passed_over() 
 }
 
 #[test]
-fn a_watch_tells_what_comes_and_goes() {
+fn a_watch_reports_added_and_removed_devices() {
     let machine = Machine::new();
     let mut watch = Watch::new(machine.roots());
     assert_eq!(watch.look(), []);
     machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
-    machine.give("1-1", "tty", "ttyACM0", "");
+    machine.add_node("1-1", "tty", "ttyACM0", "");
     let changes = watch.look();
     assert!(matches!(changes.as_slice(), [Change::Added(c)] if c.path.ends_with("ttyACM0")), "{changes:?}");
     assert_eq!(watch.look(), []);
@@ -192,7 +192,7 @@ fn candidate_at(machine: &Machine, board: &EmulatedBoard) -> Candidate {
 }
 
 #[test]
-fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
+fn a_board_that_is_asked_gives_its_identity_or_an_error() {
     let machine = Machine::with_board();
     let waveform = common::waveform(&[1, 2, 3], 8, 64, 0.1);
     let state = |faults: &[Fault]| {
@@ -200,8 +200,8 @@ fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
         let candidate = candidate_at(&machine, &board);
         let state = ask(&candidate, false);
         // The port is busy while another client holds it.
-        let held = radome_driver::Mcu7Board::open(board.address());
-        assert!(held.is_err() || ask(&candidate, false) == State::Busy, "{:?}", ask(&candidate, false));
+        let opened = radome_driver::Mcu7Board::open(board.address());
+        assert!(opened.is_err() || ask(&candidate, false) == State::Busy, "{:?}", ask(&candidate, false));
         state
     };
     let State::Ready { identity: Identity::Board(identity) } = state(&[]) else { panic!("not ready") };
@@ -215,10 +215,10 @@ fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
 }
 
 #[test]
-fn ports_of_unknown_devices_are_asked_in_every_protocol_if_that_is_wanted() {
+fn ports_of_unknown_devices_are_asked_in_every_protocol_on_request() {
     let machine = Machine::new();
     machine.plug("1-1", (0x1A86, 0x7523), 5, "USB Serial", "9");
-    machine.give("1-1", "tty", "ttyUSB0", "");
+    machine.add_node("1-1", "tty", "ttyUSB0", "");
     let waveform = common::waveform(&[1], 8, 64, 0.1);
     for kind in [Kind::Mcu7V4, Kind::Deepcraft, Kind::Esp32] {
         let board = common::board(&waveform, 1000, kind, &[]);
@@ -235,17 +235,17 @@ fn ports_of_unknown_devices_are_asked_in_every_protocol_if_that_is_wanted() {
 }
 
 /// Waveform that the chip holds for the next client.
-fn left(board: &EmulatedBoard) -> Option<Waveform> {
-    let Detected::Mcu7(_, left) = Detected::open(board.address(), None).expect("answers") else {
+fn programmed_waveform(board: &EmulatedBoard) -> Option<Waveform> {
+    let Detected::Mcu7(_, programmed) = Detected::open(board.address(), None).expect("answers") else {
         panic!("another kind of board")
     };
-    left
+    programmed
 }
 
-/// Asserts that a query keeps the programmed waveform. Found by hand: after `radome board list`, recordings had to name
-/// it again.
+/// Asserts that a query keeps the programmed waveform. Regression test: after `radome board list`, recordings had to
+/// name it again.
 #[test]
-fn whoever_was_asked_keeps_what_it_was_programmed_with() {
+fn a_query_keeps_the_programmed_waveform() {
     let machine = Machine::with_board();
     let waveform = common::waveform(&[1, 3], 8, 64, 0.1);
     for kind in [Kind::Mcu7V4, Kind::Mcu7V3] {
@@ -254,7 +254,7 @@ fn whoever_was_asked_keeps_what_it_was_programmed_with() {
         let opened = Mcu7Board::open(board.address()).expect("opens");
         let identity = opened.identity().clone();
         drop(opened);
-        assert_eq!(left(&board), None);
+        assert_eq!(programmed_waveform(&board), None);
         let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&waveform).expect("starts");
         let mut frame = Frame::zeroed(waveform.shape());
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
@@ -264,9 +264,9 @@ fn whoever_was_asked_keeps_what_it_was_programmed_with() {
             let state = ask(&candidate_at(&machine, &board), false);
             assert_eq!(state, State::Ready { identity: Identity::Board(identity.clone()) });
         }
-        let left = left(&board).expect("still programmed");
-        left.check_compatible(&waveform).expect("the same");
-        assert_eq!(left.request.rx_antennas, waveform.request.rx_antennas);
+        let programmed = programmed_waveform(&board).expect("still programmed");
+        programmed.check_compatible(&waveform).expect("the same");
+        assert_eq!(programmed.request.rx_antennas, waveform.request.rx_antennas);
     }
 }
 
@@ -275,7 +275,7 @@ mod hard_cases {
 
     /// Asserts that an incomplete entry of a device, which may disappear during a look, counts as no device.
     #[test]
-    fn half_a_device_is_no_device_and_nonsense_is_none() {
+    fn incomplete_and_malformed_devices_are_no_usb_devices() {
         let machine = Machine::with_board();
         let device = machine.roots().sys.join("devices/usb1/1-1");
         fs::write(device.join("idProduct"), "zz\n").expect("written");
@@ -288,7 +288,7 @@ mod hard_cases {
 
     /// Asserts that a board without port, because cdc_acm is absent, is still listed.
     #[test]
-    fn a_board_without_driver_is_shown() {
+    fn a_board_without_driver_is_listed() {
         let machine = Machine::new();
         machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
         let found = machine.found();
@@ -299,10 +299,10 @@ mod hard_cases {
     }
 
     #[test]
-    fn unknown_ports_are_left_alone_unless_asked_for() {
+    fn unknown_ports_are_asked_only_on_request() {
         let machine = Machine::new();
         machine.plug("1-1", (0x2341, 0x0043), 5, "Arduino Uno", "1");
-        machine.give("1-1", "tty", "ttyACM0", "");
+        machine.add_node("1-1", "tty", "ttyACM0", "");
         let found = machine.found();
         let [port] = found.as_slice() else { panic!("{found:?}") };
         assert_eq!((port.belief, port.address(), ask(port, false)), (Belief::SerialPort, None, State::NotAsked));

@@ -50,6 +50,7 @@ fn read_all(source: &mut EmulatedSource, pattern: &Pattern) -> (Vec<u64>, Vec<Ga
     }
 }
 
+/// Sequence numbers and gaps of a source with these faults, and the counts of its board.
 fn stream(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (Vec<u64>, Vec<Gap>, EmulatorCounts) {
     let pattern = || Pattern::new(waveform.clone(), frames);
     let mut source = EmulatedSource::start(Box::new(pattern()), options(faults)).expect("starts");
@@ -93,7 +94,7 @@ fn the_identity_is_read_as_from_the_real_board() {
 
 /// Asserts that the client uses version 3 with a board that refuses the codes of version 4.
 #[test]
-fn boards_of_protocol_3_measure_as_well() {
+fn boards_of_protocol_3_measure() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let options = EmulatorOptions { kind: Kind::Mcu7V3, ..options(&[Fault::DropPacket(4), Fault::Overflow(9)]) };
     let pattern = || Pattern::new(waveform.clone(), 20);
@@ -130,7 +131,7 @@ fn real_time_follows_the_time_stamps() {
 
 /// Asserts that the truth of a frame stays with it, also across gaps.
 #[test]
-fn truth_goes_past_the_board() {
+fn truth_passes_the_board() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let truth = Some(Truth { occupancy: Occupancy::One, transition: true });
     let pattern = Pattern { truth, ..Pattern::new(waveform.clone(), 6) };
@@ -158,7 +159,7 @@ fn gaps_of_the_source_reach_the_client() {
 }
 
 #[test]
-fn a_source_of_any_waveform_is_made_for_the_one_that_is_programmed() {
+fn a_source_is_made_for_the_programmed_waveform() {
     let own = waveform(&[1, 2, 3], 8, 64, 0.1);
     let source = Box::new(Pattern::new(own.clone(), u64::MAX));
     let feed = Feed::of_any_waveform(source, |waveform, _| Ok(Box::new(Pattern::new(waveform.clone(), u64::MAX))));
@@ -167,14 +168,14 @@ fn a_source_of_any_waveform_is_made_for_the_one_that_is_programmed() {
     for (antennas, chirps, samples, interval_s) in
         [(&[1u8, 2, 3][..], 8, 64, 0.1), (&[1, 2, 3], 16, 32, 0.1), (&[2], 8, 64, 0.05), (&[1, 3], 4, 128, 0.05)]
     {
-        let wanted = waveform(antennas, chirps, samples, interval_s);
-        let mut stream = client.start(&wanted).expect("starts");
-        let mut frame = Frame::zeroed(wanted.shape());
+        let requested = waveform(antennas, chirps, samples, interval_s);
+        let mut stream = client.start(&requested).expect("starts");
+        let mut frame = Frame::zeroed(requested.shape());
         let mut expected = frame.clone();
         for sequence in 0..20 {
             assert_eq!(stream.next_frame(&mut frame).expect("stream"), SourceEvent::Frame);
-            Pattern::new(wanted.clone(), 0).fill(sequence, &mut expected);
-            assert!(frame.codes == expected.codes, "frame {sequence} of {}", wanted.shape());
+            Pattern::new(requested.clone(), 0).fill(sequence, &mut expected);
+            assert!(frame.codes == expected.codes, "frame {sequence} of {}", requested.shape());
         }
         client = stream.stop().expect("stops");
     }
@@ -183,11 +184,11 @@ fn a_source_of_any_waveform_is_made_for_the_one_that_is_programmed() {
 
 /// Asserts that counters and times continue when a source is repeated, as between any two frames.
 #[test]
-fn a_source_that_is_repeated_begins_again() {
+fn a_repeated_source_starts_again() {
     let w = waveform(&[1, 2, 3], 8, 64, 0.1);
     let pattern = Pattern::new(w.clone(), 7);
-    let (source, again) = (Box::new(Pattern::new(w.clone(), 7)), w.clone());
-    let feed = Feed::reopenable(source, move || Ok(Box::new(Pattern::new(again.clone(), 7))));
+    let (source, reopened_waveform) = (Box::new(Pattern::new(w.clone(), 7)), w.clone());
+    let feed = Feed::reopenable(source, move || Ok(Box::new(Pattern::new(reopened_waveform.clone(), 7))));
     let board = EmulatedBoard::spawn(feed, EmulatorOptions { repeat: true, ..options(&[]) }).expect("spawns");
     let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&w).expect("starts");
     let mut frame = Frame::zeroed(w.shape());
@@ -203,7 +204,7 @@ fn a_source_that_is_repeated_begins_again() {
 }
 
 #[test]
-fn a_source_that_ends_is_known_to_have_ended_and_its_frames_are_counted() {
+fn the_end_of_a_source_and_its_frames_are_reported() {
     let w = waveform(&[1, 2, 3], 128, 256, 0.1);
     let pattern = || Pattern::new(w.clone(), 7);
     let mut source = EmulatedSource::start(Box::new(pattern()), options(&[])).expect("starts");
@@ -215,11 +216,12 @@ fn a_source_that_ends_is_known_to_have_ended_and_its_frames_are_counted() {
 mod hard_cases {
     use super::*;
 
+    /// Numbers of the frames that are not lost.
     fn without(frames: u64, lost: Range<u64>) -> Vec<u64> {
         (0..frames).filter(|f| !lost.contains(f)).collect()
     }
 
-    /// Asserts that faults cost the frames `lost` and no others.
+    /// Asserts that faults lose the frames `lost` and no others.
     fn check(waveform: &Waveform, frames: u64, faults: &[Fault], lost: Range<u64>, reason: GapReason) {
         let (sequences, gaps, _) = stream(waveform, frames, faults);
         let gap = Gap { first_sequence: lost.start, frames: lost.end - lost.start, reason };
@@ -229,7 +231,7 @@ mod hard_cases {
     /// Asserts that a lost packet loses only its frame. 3 x 8 x 64 codes are one packet a frame; 3 x 128 x 256 are 12
     /// slices of 4 packets.
     #[test]
-    fn a_lost_packet_costs_its_frame_only() {
+    fn a_lost_packet_loses_its_frame_only() {
         let [small, large] =
             [(8, 64), (128, 256)].map(|(chirps, samples)| realised(&waveform(&[1, 2, 3], chirps, samples, 0.1)));
         for (waveform, frames, packets, lost) in [
@@ -247,7 +249,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_packet_lost_between_frames_that_share_slices_costs_both_neighbours() {
+    fn a_packet_lost_between_frames_that_share_slices_loses_both() {
         let odd = realised(&waveform(&[3], 3, 33, 0.1));
         let (sequences, gaps, _) = stream(&odd, 400, &[Fault::DropPacket(1)]);
         let missing: u64 = gaps.iter().map(|g| g.frames).sum();
@@ -269,7 +271,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_flipped_bit_anywhere_costs_its_frame_only() {
+    fn a_flipped_bit_anywhere_loses_its_frame_only() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         // Bits of type, channel, counter, both bytes of the length, payload and CRC.
         for bit in [0, 7, 9, 17, 32, 44, 47, 100, 12_000, 18_560, 18_570] {
@@ -281,7 +283,7 @@ mod hard_cases {
     /// looks valid, and only the board's clock reveals them. No frame is cut from the wrong codes or gets another's
     /// number.
     #[test]
-    fn a_counter_that_jumps_by_whole_slices_is_seen_through() {
+    fn a_counter_that_jumps_by_whole_slices_is_detected() {
         // A restart of the board loses the bytes on the line: 64 KiB in the kernel, and as many that were just
         // received.
         const LINE_BYTES: u64 = 2 * 65_536;
@@ -291,8 +293,8 @@ mod hard_cases {
         {
             let waveform = realised(&waveform(antennas, chirps, samples, 0.1));
             let frame_bytes = (waveform.shape().codes() * 3 / 2) as u64;
-            let most_lost = 25 + LINE_BYTES / frame_bytes;
-            let frames = 2 * most_lost;
+            let max_lost = 25 + LINE_BYTES / frame_bytes;
+            let frames = 2 * max_lost;
             for by in [4, 12, 48, 480, 0x7FFC, 0x8000, 0xFFFF] {
                 // A request arrives at once: what the board sends meanwhile depends on the speed of the machine.
                 let options =
@@ -305,13 +307,13 @@ mod hard_cases {
                 let last = sequences.last().copied().unwrap_or(0);
                 assert!(last + 3 >= frames, "{} by {by}: {gaps:?}", waveform.shape());
                 assert_eq!(sequences.len() as u64 + lost, last + 1, "{} by {by}: {gaps:?}", waveform.shape());
-                assert!(lost <= most_lost, "{} by {by}: {gaps:?}", waveform.shape());
+                assert!(lost <= max_lost, "{} by {by}: {gaps:?}", waveform.shape());
             }
         }
     }
 
     #[test]
-    fn a_packet_cut_short_costs_its_frame_only() {
+    fn a_packet_cut_short_loses_its_frame_only() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         for bytes in [1, 5, 6, 100, 2000] {
             check(&waveform, 8, &[Fault::TruncatePacket { packet: 2, bytes }], 2..3, GapReason::Crc);
@@ -320,7 +322,7 @@ mod hard_cases {
 
     /// Asserts that the board stops at an overflow, is restarted, and that its clock gives the number of lost frames.
     #[test]
-    fn an_overflow_is_a_gap_and_the_stream_goes_on() {
+    fn an_overflow_is_a_gap_and_the_stream_continues() {
         for (chirps, samples, packet) in [(8, 64, 3), (128, 256, 48 + 17)] {
             let waveform = waveform(&[1, 2, 3], chirps, samples, 0.1);
             let (sequences, gaps, counts) = stream(&waveform, 12, &[Fault::Overflow(packet)]);
@@ -332,7 +334,7 @@ mod hard_cases {
         }
     }
 
-    /// Regression test: lost frames were counted by the interval that was asked for. The registers hold another one,
+    /// Regression test: lost frames were counted by the requested interval. The registers hold another one,
     /// here 0.06 % longer: after two thousand frames the count was one too high.
     #[test]
     fn lost_frames_are_counted_by_the_interval_of_the_registers() {
@@ -386,10 +388,10 @@ mod hard_cases {
         assert_eq!(sequences.len() as u64 + missing, last + 1, "{sequences:?} {gaps:?}");
     }
 
-    /// A board from whose source two thousand frames a second were due discarded one at each poll, and its next client
-    /// took it for silent.
+    /// Regression test: a board whose source makes two thousand frames a second discarded one at each poll, and its next
+    /// client found it silent.
     #[test]
-    fn a_board_that_nobody_has_read_sends_to_its_next_client_at_once() {
+    fn a_board_without_a_client_sends_to_its_next_client_at_once() {
         let waveform = waveform(&[1], 8, 64, 0.05);
         let options = EmulatorOptions { pace: Pace::RealTime(100.0), ..EmulatorOptions::default() };
         let board = spawn(&waveform, u64::MAX, options);
@@ -408,7 +410,7 @@ mod hard_cases {
     /// vendor's library gives a board up for good after an error answer or an error frame. From a silent board it
     /// requests another waveform.
     #[test]
-    fn of_another_waveform_no_frame_comes_and_the_same_client_goes_on() {
+    fn another_waveform_gives_no_frames_and_does_not_end_the_client() {
         let own = waveform(&[1, 2, 3], 8, 64, 0.1);
         let board = board(&own, u64::MAX, Kind::default(), &[]);
         let other = waveform(&[1, 2, 3], 16, 64, 0.1);
@@ -427,7 +429,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_waveform_that_cannot_be_made_is_refused_and_others_are_made() {
+    fn a_waveform_that_cannot_be_made_is_refused_and_others_are_not() {
         let own = waveform(&[1, 2, 3], 8, 64, 0.1);
         let feed = Feed::of_any_waveform(Box::new(Pattern::new(own.clone(), u64::MAX)), |waveform, _| {
             match waveform.request.chirps_per_frame {
@@ -439,12 +441,12 @@ mod hard_cases {
         let board = EmulatedBoard::spawn(feed, options(&[])).expect("spawns");
         let mut client = Mcu7Board::open(board.address()).expect("opens");
         for (chirps, frames) in [(16, false), (8, true), (16, false), (4, true), (8, true)] {
-            let wanted = waveform(&[1, 2, 3], chirps, 64, 0.1);
-            let mut frame = Frame::zeroed(wanted.shape());
-            let mut stream = client.start(&wanted).expect("starts");
+            let requested = waveform(&[1, 2, 3], chirps, 64, 0.1);
+            let mut frame = Frame::zeroed(requested.shape());
+            let mut stream = client.start(&requested).expect("starts");
             assert_eq!(stream.next_frame(&mut frame).is_ok(), frames, "{chirps} chirps");
-            let said = board.refusal();
-            assert_eq!(said.as_deref(), (!frames).then_some("sixteen is too many"), "{chirps} chirps");
+            let refusal = board.refusal();
+            assert_eq!(refusal.as_deref(), (!frames).then_some("sixteen is too many"), "{chirps} chirps");
             client = stream.stop().expect("stops");
         }
         let mut stream = client.start(&waveform(&[1, 2, 3], 32, 64, 0.1)).expect("starts");
@@ -453,7 +455,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn one_link_is_one_boards() {
+    fn a_link_belongs_to_one_board() {
         let (_folder, link) = in_folder("board");
         let own = waveform(&[1], 8, 64, 0.1);
         let spawn = || {
@@ -471,22 +473,22 @@ mod hard_cases {
             drop(boards);
             assert!(std::fs::read_link(&link).is_err(), "it goes with its board");
         }
-        let said = {
+        let message = {
             let _first = spawn().expect("free");
-            let said = spawn().err().expect("taken").to_string();
+            let message = spawn().err().expect("taken").to_string();
             // A file that has replaced the link does not belong to the board.
             std::fs::remove_file(&link).expect("removes");
             std::fs::write(&link, "mine").expect("writes");
-            said
+            message
         };
-        assert!(said.contains("board") && said.contains("hint:"), "{said}");
+        assert!(message.contains("board") && message.contains("hint:"), "{message}");
         assert_eq!(std::fs::read_to_string(&link).expect("still there"), "mine");
         let error = spawn().err().expect("a file is in the way");
         assert!(matches!(error, EmulatorError::LinkExists { .. }) && error.to_string().contains("hint:"), "{error}");
     }
 
     #[test]
-    fn what_is_no_such_board_is_named() {
+    fn boards_of_another_kind_are_named() {
         for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
             let open = |fault| {
                 let board = board(&waveform(&[1], 8, 64, 0.1), 1, kind, &[fault]);
@@ -520,7 +522,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn garbage_from_the_host_is_survived() {
+    fn the_board_survives_garbage_from_the_host() {
         let waveform = waveform(&[1], 8, 64, 0.1);
         let board = board(&waveform, 1, Kind::default(), &[]);
         let mut port = std::fs::OpenOptions::new().read(true).write(true).open(board.path()).expect("opens");

@@ -8,7 +8,7 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason};
 use crate::common::{POLICY, Pattern, board, linked, options, read_frames, spawn, waveform};
 
 #[test]
-fn frames_come_through_lines_sample_for_sample_and_a_gap_in_its_place() {
+fn frames_and_gaps_pass_unchanged_through_lines() {
     let w = waveform(&[1, 2, 3], 16, 32, 0.05);
     let mut source = Pattern::new(w.clone(), 30);
     source.gap = Some(Gap { first_sequence: 10, frames: 3, reason: GapReason::Recorded });
@@ -25,7 +25,7 @@ fn frames_come_through_lines_sample_for_sample_and_a_gap_in_its_place() {
 
 /// Asserts that a board that is unplugged is found again, and that its restarted numbers continue those of the stream.
 #[test]
-fn a_printing_board_that_is_plugged_in_again_goes_on() {
+fn the_stream_of_a_printing_board_continues_after_replugging() {
     let folder = tempfile::tempdir().expect("folder");
     let w = waveform(&[1, 2, 3], 16, 32, 0.05);
     let fault = Fault::Unplug { packet: 60, duration: Duration::from_millis(50) };
@@ -38,9 +38,9 @@ fn a_printing_board_that_is_plugged_in_again_goes_on() {
 mod hard_cases {
     use super::*;
 
-    /// Regression test: of lines longer than any of the named waveform it was not said that the waveform is the cause.
+    /// Regression test: the error did not name the waveform as the cause if lines were longer than any of that waveform.
     #[test]
-    fn lines_of_another_waveform_are_refused_and_name_it_as_the_cause() {
+    fn lines_of_another_waveform_are_an_error_that_names_the_cause() {
         for (built_for, named, words) in [
             (waveform(&[1], 16, 32, 0.02), waveform(&[1, 2], 16, 32, 0.02), "512 codes, expected 1024"),
             (waveform(&[1, 2, 3], 16, 64, 0.02), waveform(&[1], 4, 32, 0.02), "longer than any frame"),

@@ -15,7 +15,7 @@ const POLICY: Reconnect = Reconnect {
 };
 
 /// Error of a stream whose board of this kind disappears after three frames.
-fn lost(kind: Kind) -> SourceError {
+fn error_of_lost_board(kind: Kind) -> SourceError {
     let folder = tempfile::tempdir().expect("a folder");
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let board = spawn(&waveform, u64::MAX, linked(kind, &[], folder.path()));
@@ -41,9 +41,9 @@ fn lost(kind: Kind) -> SourceError {
 }
 
 #[test]
-fn a_board_of_any_kind_ends_its_stream_with_the_broken_connection() {
+fn the_stream_of_a_lost_board_ends_with_the_broken_connection() {
     for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk, Kind::Deepcraft, Kind::Esp32] {
-        let error = lost(kind);
+        let error = error_of_lost_board(kind);
         assert!(matches!(error.downcast_ref(), Some(BoardError::Disconnected { .. })), "{kind:?}: {error:?}");
         assert!(error.to_string().contains("board: the connection broke"), "{kind:?}: {error}");
     }
@@ -60,7 +60,7 @@ fn failing(panics: bool) -> Box<dyn FrameSource> {
 }
 
 #[test]
-fn the_failure_of_a_source_goes_past_its_emulated_board_to_the_client() {
+fn the_failure_of_a_source_reaches_the_client_of_its_emulated_board() {
     for panics in [false, true] {
         for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
             let folder = tempfile::tempdir().expect("a folder");

@@ -46,9 +46,10 @@ fn requests_of_the_session_are_those_of_the_vendor_client() {
 
 #[test]
 fn commands_round_trip_in_both_versions() {
-    let both = session().into_iter().filter(|c| !matches!(c, Command::ComponentCount { .. }));
-    let both = both.chain([Command::DataIndex, Command::DataStatus, Command::SetBits { address: 5, mask: 0xC0_0001 }]);
-    for command in both {
+    let commands = session().into_iter().filter(|c| !matches!(c, Command::ComponentCount { .. }));
+    let commands =
+        commands.chain([Command::DataIndex, Command::DataStatus, Command::SetBits { address: 5, mask: 0xC0_0001 }]);
+    for command in commands {
         for protocol in Protocol::ALL {
             let request = Request::decode(&command.to_request(protocol).encode()).expect("decodes");
             assert_eq!(request.protocol, protocol);
@@ -121,6 +122,7 @@ fn answers_and_data_of_the_session_decode_to_an_unbroken_ramp() {
     assert_eq!((responses, packets, codes), (15, 60, 20 * 6144));
 }
 
+/// Encodes a packet.
 fn packet_bytes(counter: u16, payload: &[u8]) -> Vec<u8> {
     let flags = PacketFlags { first: true, last: true, ..PacketFlags::default() };
     let mut out = Vec::new();
@@ -128,13 +130,14 @@ fn packet_bytes(counter: u16, payload: &[u8]) -> Vec<u8> {
     out
 }
 
+/// Counters of the packets in these bytes, which arrive in pieces.
 fn counters(bytes: &[u8], piece: usize) -> Vec<u16> {
     let mut parser = BoardParser::default();
-    let mut found = Vec::new();
+    let mut counters = Vec::new();
     let mut drain = |parser: &mut BoardParser| {
         while let Some(event) = parser.next_event() {
             if let BoardEvent::Packet(packet) = event {
-                found.push(packet.counter);
+                counters.push(packet.counter);
             }
         }
     };
@@ -146,11 +149,11 @@ fn counters(bytes: &[u8], piece: usize) -> Vec<u16> {
         parser.on_silence();
         drain(&mut parser);
     }
-    found
+    counters
 }
 
-/// Regression test: a header with a wrong length hid the packets behind it until so many bytes had come. Small frames
-/// came too slowly for that, and the board counted as stalled.
+/// Regression test: a header with a wrong length hid the packets behind it until that many bytes had arrived. Small frames
+/// arrived too slowly for that, and the board counted as stalled.
 #[test]
 fn a_wrong_length_does_not_hide_the_packets_behind_it() {
     let slice = SliceLayout::for_frame(32);
@@ -163,7 +166,7 @@ fn a_wrong_length_does_not_hide_the_packets_behind_it() {
     let stray_error = [0xD8, 0, 0, 0, 0xF0, 0x0F].to_vec();
     for garbage in [flipped, stray_answer, stray_packet, stray_error] {
         let mut parser = BoardParser::default();
-        parser.expect(Some(slice));
+        parser.set_slice_layout(Some(slice));
         parser.push(&garbage);
         parser.push(&packet_bytes(2, &payload));
         let mut found = Vec::new();
@@ -180,7 +183,7 @@ fn a_wrong_length_does_not_hide_the_packets_behind_it() {
     let flags = PacketFlags { first: true, last: true, error: true, ..PacketFlags::default() };
     Packet { flags, channel: 0, counter: 3, payload: b"a text" }.encode(&mut bytes);
     let mut parser = BoardParser::default();
-    parser.expect(Some(slice));
+    parser.set_slice_layout(Some(slice));
     parser.push(&bytes);
     assert!(matches!(parser.next_event(), Some(BoardEvent::Response(_))));
     assert!(matches!(parser.next_event(), Some(BoardEvent::Packet(packet)) if packet.error().is_none()));
@@ -225,7 +228,7 @@ proptest! {
     }
 
     #[test]
-    fn one_flipped_bit_costs_one_packet(at in 0usize..3 * 108, bit in 0u32..8) {
+    fn one_flipped_bit_loses_one_packet(at in 0usize..3 * 108, bit in 0u32..8) {
         let payload: Vec<u8> = (0..100).collect();
         let mut bytes: Vec<u8> = (0..3).flat_map(|n| packet_bytes(n, &payload)).collect();
         bytes[at] ^= 1 << bit;

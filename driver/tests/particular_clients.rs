@@ -17,7 +17,7 @@ use serialport::TTYPort;
 use crate::common::{options, spawn, waveform};
 
 /// Time limit for any answer, far above the need of any machine.
-const PATIENCE: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 /// Time in which answers are missed: the vendor's library marks a command as sent only after sending it, and drops an
 /// earlier answer.
 const TOO_SOON: Duration = Duration::from_micros(200);
@@ -91,11 +91,12 @@ impl Client {
                 assert!(after >= self.deaf_for, "the answer to {command:?} came after {after:?} and was missed");
                 return answer;
             }
-            assert!(sent.elapsed() < PATIENCE && self.receive(), "no answer to {command:?}");
+            assert!(sent.elapsed() < TIMEOUT && self.receive(), "no answer to {command:?}");
         }
     }
 
-    fn demand(&mut self, command: &Command) -> Vec<u8> {
+    /// Sends a request, which must succeed; returns the payload of its answer.
+    fn request_ok(&mut self, command: &Command) -> Vec<u8> {
         let (status, payload) = self.request(command);
         assert_eq!(status, Status::Ok, "{command:?}");
         payload
@@ -103,45 +104,45 @@ impl Client {
 
     fn write(&mut self, registers: &[(u8, u32)]) {
         let words = registers.iter().map(|(address, value)| SpiWord::write(*address, *value)).collect();
-        self.demand(&Command::Execute { words, answer: false });
+        self.request_ok(&Command::Execute { words, answer: false });
     }
 
     fn read(&mut self, address: u8) -> u32 {
-        let answer = self.demand(&Command::Execute { words: vec![SpiWord::read(address)], answer: true });
+        let answer = self.request_ok(&Command::Execute { words: vec![SpiWord::read(address)], answer: true });
         u32::from_le_bytes(answer.try_into().expect("one word")) & 0xFF_FFFF
     }
 
     /// Requests of the vendor's library when it opens a board.
     fn identify(&mut self) {
-        self.demand(&Command::BoardInfo);
-        self.demand(&Command::FirmwareVersion);
-        self.demand(&Command::ComponentCount { component: COMPONENT_AVIAN });
+        self.request_ok(&Command::BoardInfo);
+        self.request_ok(&Command::FirmwareVersion);
+        self.request_ok(&Command::ComponentCount { component: COMPONENT_AVIAN });
         self.request(&Command::WriteRegisters { address: address::SFCTL, values: vec![0x10_0000] });
-        self.demand(&Command::ReadRegisters { address: address::CHIP_ID, count: 1 });
-        self.demand(&Command::Uuid);
-        self.demand(&Command::ExtendedVersion);
-        self.demand(&Command::HardwareReset);
+        self.request_ok(&Command::ReadRegisters { address: address::CHIP_ID, count: 1 });
+        self.request_ok(&Command::Uuid);
+        self.request_ok(&Command::ExtendedVersion);
+        self.request_ok(&Command::HardwareReset);
     }
 
     fn start(&mut self, waveform: &Waveform) {
         let [configure, start, list] = start_commands(waveform);
-        self.demand(&configure);
+        self.request_ok(&configure);
         self.packets.clear();
-        self.demand(&start);
-        self.demand(&list);
+        self.request_ok(&start);
+        self.request_ok(&list);
     }
 
     fn stop(&mut self) {
-        self.demand(&Command::StopData);
+        self.request_ok(&Command::StopData);
         self.write(&[(address::MAIN, STOP)]);
     }
 
     /// Waits for this number of further packets. Asserts that none has been missing since the start.
     fn stream(&mut self, more: usize) {
-        let (began, wanted) = (Instant::now(), self.packets.len() + more);
-        while self.packets.len() < wanted {
+        let (start_time, target) = (Instant::now(), self.packets.len() + more);
+        while self.packets.len() < target {
             assert_eq!(self.next_answer(), None, "nothing was asked");
-            assert!(began.elapsed() < PATIENCE && self.receive(), "packets do not come");
+            assert!(start_time.elapsed() < TIMEOUT && self.receive(), "packets do not come");
         }
         let missing = self.packets.iter().enumerate().find(|(index, (counter, _))| *counter != *index as u16);
         assert_eq!((missing, self.damaged), (None, 0));
@@ -166,19 +167,19 @@ impl Client {
         self.write(&[(address::SADC_CTRL, 0x01_0F10)]);
         let result = self
             .wait_for("the conversion", address::SADC_RESULT, |result| field::SADC_RESULT::SADC_BUSY.of(result) == 0);
-        self.demand(&Command::HardwareReset);
+        self.request_ok(&Command::HardwareReset);
         celsius(result)
     }
 
     /// Reads a register until it has the wanted value, at most as often as the vendor's library does.
-    fn wait_for(&mut self, what: &str, address: u8, is_there: impl Fn(u32) -> bool) -> u32 {
+    fn wait_for(&mut self, what: &str, address: u8, is_wanted: impl Fn(u32) -> bool) -> u32 {
         for _ in 0..1000 {
             let content = self.read(address);
-            if is_there(content) {
+            if is_wanted(content) {
                 return content;
             }
         }
-        panic!("waited in vain for {what}");
+        panic!("{what} does not come");
     }
 }
 
@@ -211,15 +212,15 @@ fn board(waveform: &Waveform, latency: Duration) -> EmulatedBoard {
 
 /// Waits until the board has noticed more departures of clients than `before`.
 fn wait_for_departure(board: &EmulatedBoard, before: u64) {
-    let began = Instant::now();
+    let start_time = Instant::now();
     while board.counts().departures <= before {
-        assert!(began.elapsed() < PATIENCE, "the board does not notice");
+        assert!(start_time.elapsed() < TIMEOUT, "the board does not notice");
         std::thread::sleep(Duration::from_millis(1));
     }
 }
 
 #[test]
-fn two_hundred_starts_without_an_answer_that_comes_too_soon() {
+fn no_answer_comes_too_soon_in_two_hundred_starts() {
     let w = small();
     let board = board(&w, EmulatorOptions::default().latency);
     for _ in 0..200 {
@@ -239,15 +240,15 @@ fn a_long_latency_delays_answers_and_not_frames() {
     let board = board(&w, latency);
     let mut client = Client::open(&board, latency);
     client.start(&w);
-    let began = client.packets.len();
+    let packets_before = client.packets.len();
     // These packets arrive while the answer is delayed.
-    client.demand(&Command::DataStatus);
-    assert!(client.packets.len() > began + 100, "{} packets in 300 ms", client.packets.len() - began);
+    client.request_ok(&Command::DataStatus);
+    assert!(client.packets.len() > packets_before + 100, "{} packets in 300 ms", client.packets.len() - packets_before);
     client.stream(1);
 }
 
 #[test]
-fn the_temperature_is_read_a_thousand_times_and_streaming_goes_on() {
+fn the_temperature_is_read_a_thousand_times_while_streaming_continues() {
     let w = small();
     let board = board(&w, Duration::ZERO);
     let mut client = Client::open(&board, Duration::ZERO);
@@ -274,13 +275,13 @@ fn the_temperature_is_read_a_thousand_times_and_streaming_goes_on() {
 }
 
 #[test]
-fn in_continuous_wave_mode_no_frame_comes_and_afterwards_they_do() {
+fn frames_come_after_continuous_wave_mode_and_not_during_it() {
     let w = small();
     let board = board(&w, Duration::ZERO);
     let mut client = Client::open(&board, Duration::ZERO);
     let [configure, start, _] = start_commands(&w);
-    client.demand(&configure);
-    client.demand(&start);
+    client.request_ok(&configure);
+    client.request_ok(&start);
     // The chip has the registers of the source, as an earlier client would have left them.
     client.wait_for("active mode", address::STAT0, |status| field::STAT0::PM.of(status) == 5);
     for mode in [3, 1, 1] {
@@ -288,9 +289,9 @@ fn in_continuous_wave_mode_no_frame_comes_and_afterwards_they_do() {
         assert_eq!(field::STAT0::PM.of(client.read(address::STAT0)), mode);
     }
     std::thread::sleep(Duration::from_millis(100));
-    client.demand(&Command::DataStatus);
+    client.request_ok(&Command::DataStatus);
     assert_eq!((client.packets.len(), board.refusal()), (0, None));
-    client.demand(&Command::HardwareReset);
+    client.request_ok(&Command::HardwareReset);
     client.start(&w);
     client.stream(10);
 }
@@ -298,7 +299,7 @@ fn in_continuous_wave_mode_no_frame_comes_and_afterwards_they_do() {
 /// Asserts that a killed client leaves no trace. Each one is killed while it streams and half a request is sent. The
 /// next one sends the first request of the vendor's client and gets the answer of an unused board.
 #[test]
-fn clients_that_are_killed_leave_a_board_that_the_next_one_finds() {
+fn killed_clients_leave_a_usable_board() {
     let w = small();
     let board = board(&w, EmulatorOptions::default().latency);
     let mut requests = Vec::new();
@@ -317,16 +318,16 @@ fn clients_that_are_killed_leave_a_board_that_the_next_one_finds() {
             .spawn()
             .expect("there is a shell");
         killed.stdin.take().expect("piped").write_all(&requests).expect("writes");
-        let mut some = vec![0; 20_000];
-        killed.stdout.as_mut().expect("piped").read_exact(&mut some).expect("it streams");
+        let mut buffer = vec![0; 20_000];
+        killed.stdout.as_mut().expect("piped").read_exact(&mut buffer).expect("it streams");
         killed.kill().expect("kills");
         killed.wait().expect("is gone");
         wait_for_departure(&board, before);
 
         let before = board.counts().departures;
         let mut client = Client::open(&board, TOO_SOON);
-        client.demand(&Command::BoardInfo);
-        assert_eq!((client.packets.len(), client.damaged), (0, 0), "nothing of what was before comes");
+        client.request_ok(&Command::BoardInfo);
+        assert_eq!((client.packets.len(), client.damaged), (0, 0), "earlier data do not come");
         client.identify();
         client.start(&w);
         client.stream(5);
@@ -341,7 +342,7 @@ fn clients_that_are_killed_leave_a_board_that_the_next_one_finds() {
 #[test]
 fn a_board_that_is_stopped_ends_with_a_whole_slice() {
     let w = waveform(&[1, 2, 3], 128, 256, 0.1);
-    let (mut whole, boards) = (0, 10);
+    let (mut complete, boards) = (0, 10);
     for _ in 0..boards {
         let mut board = board(&w, Duration::ZERO);
         let mut client = Client::open(&board, Duration::ZERO);
@@ -355,9 +356,9 @@ fn a_board_that_is_stopped_ends_with_a_whole_slice() {
         });
         board.stop();
         let client = reader.join().expect("reads");
-        let ends = client.packets.last().is_some_and(|(_, last)| *last);
-        whole += u32::from(ends && client.damaged == 0 && !client.parser.is_waiting());
+        let ends_slice = client.packets.last().is_some_and(|(_, last)| *last);
+        complete += u32::from(ends_slice && client.damaged == 0 && !client.parser.is_waiting());
     }
     // A busy machine that stops the client for half a second may cut one slice short.
-    assert!(whole + 1 >= boards, "{whole} of {boards}");
+    assert!(complete + 1 >= boards, "{complete} of {boards}");
 }

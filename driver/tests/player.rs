@@ -15,20 +15,21 @@ fn record(path: &Path) {
     crate::common::record(source, &LabelSpan::new(0.0, 0.5, "empty"), path);
 }
 
-struct Tape {
+/// Player of a recording, with its controls.
+struct Playback {
     player: Player,
-    keys: Transport,
+    controls: Transport,
     frame: Frame,
     _folder: tempfile::TempDir,
 }
 
-impl Tape {
-    fn new(speed: f64) -> Tape {
+impl Playback {
+    fn new(speed: f64) -> Playback {
         let (folder, path) = in_folder("a.mcap");
         record(&path);
         let player = Player::new(Recording::open(&path).expect("opens"), speed).expect("reads").expect("frames");
         let frame = Frame::zeroed(player.waveform().shape());
-        Tape { keys: player.transport(), player, frame, _folder: folder }
+        Playback { controls: player.transport(), player, frame, _folder: folder }
     }
 
     fn next(&mut self) -> u64 {
@@ -38,94 +39,98 @@ impl Tape {
 }
 
 #[test]
-fn keys_lead_to_the_frame_that_is_meant() {
-    let mut tape = Tape::new(0.0);
-    let extent = tape.player.extent();
+fn controls_lead_to_the_requested_frame() {
+    let mut playback = Playback::new(0.0);
+    let extent = playback.player.extent();
     assert_eq!((extent.first.sequence, extent.last.sequence), (0, 39));
     assert!((extent.last.time_s() - 3.9).abs() < 1e-9);
-    assert_eq!([tape.next(), tape.next()], [0, 1]);
-    tape.keys.pause();
-    tape.keys.seek_frame(30);
-    assert_eq!(tape.next(), 30);
-    tape.keys.step(2);
-    assert_eq!([tape.next(), tape.next()], [31, 32]);
-    tape.keys.step(-1);
-    assert_eq!(tape.next(), 31);
-    tape.keys.seek_time_s(2.01);
-    assert_eq!(tape.next(), 21, "the first frame at or after it");
+    assert_eq!([playback.next(), playback.next()], [0, 1]);
+    playback.controls.pause();
+    playback.controls.seek_frame(30);
+    assert_eq!(playback.next(), 30);
+    playback.controls.step(2);
+    assert_eq!([playback.next(), playback.next()], [31, 32]);
+    playback.controls.step(-1);
+    assert_eq!(playback.next(), 31);
+    playback.controls.seek_time_s(2.01);
+    assert_eq!(playback.next(), 21, "the first frame at or after it");
     // Steps back across the missing frames.
-    tape.keys.step(-2);
-    assert_eq!([tape.next(), tape.next()], [20, 9]);
-    tape.keys.seek_frame(15);
-    assert_eq!(tape.next(), 20);
+    playback.controls.step(-2);
+    assert_eq!([playback.next(), playback.next()], [20, 9]);
+    playback.controls.seek_frame(15);
+    assert_eq!(playback.next(), 20);
     for beyond in [f64::MAX, f64::INFINITY] {
-        tape.keys.seek_time_s(beyond);
-        assert_eq!(tape.next(), 39);
+        playback.controls.seek_time_s(beyond);
+        assert_eq!(playback.next(), 39);
     }
     for before in [-1.0, f64::NAN, f64::NEG_INFINITY] {
-        tape.keys.seek_time_s(before);
-        assert_eq!(tape.next(), 0);
+        playback.controls.seek_time_s(before);
+        assert_eq!(playback.next(), 0);
     }
-    tape.keys.step(-1);
-    assert_eq!(tape.next(), 0, "before the first there is none");
+    playback.controls.step(-1);
+    assert_eq!(playback.next(), 0, "before the first there is none");
     // Playback waits at the end and starts again when resumed.
-    tape.keys.seek_frame(39);
-    assert_eq!(tape.next(), 39);
-    tape.keys.play();
-    let keys = tape.keys.clone();
+    playback.controls.seek_frame(39);
+    assert_eq!(playback.next(), 39);
+    playback.controls.play();
+    let controls = playback.controls.clone();
     let press = std::thread::spawn(move || {
-        while !keys.playback().at_end {
+        while !controls.playback().at_end {
             std::thread::yield_now();
         }
-        keys.play();
+        controls.play();
     });
-    assert_eq!(tape.next(), 0);
+    assert_eq!(playback.next(), 0);
     press.join().expect("presses");
-    tape.keys.close();
-    assert_eq!(tape.player.next_frame(&mut tape.frame).expect("no fault"), SourceEvent::End);
+    playback.controls.close();
+    assert_eq!(playback.player.next_frame(&mut playback.frame).expect("no fault"), SourceEvent::End);
 }
 
 #[test]
-fn what_came_before_comes_before_a_frame_that_is_sought() {
-    let mut tape = Tape::new(0.0);
-    tape.keys.set_preroll_s(0.35);
-    assert_eq!(tape.next(), 0);
-    tape.keys.pause();
-    tape.keys.seek_frame(33);
-    assert_eq!([tape.next(), tape.next(), tape.next(), tape.next()], [30, 31, 32, 33]);
-    assert!((30..33).all(|n| tape.keys.is_preroll(n)) && !tape.keys.is_preroll(33) && !tape.keys.is_preroll(29));
-    assert_eq!(tape.keys.playback().position.map(|p| p.sequence), Some(33));
-    tape.keys.step(1);
-    assert_eq!(tape.next(), 34);
+fn the_preroll_precedes_a_sought_frame() {
+    let mut playback = Playback::new(0.0);
+    playback.controls.set_preroll_s(0.35);
+    assert_eq!(playback.next(), 0);
+    playback.controls.pause();
+    playback.controls.seek_frame(33);
+    assert_eq!([playback.next(), playback.next(), playback.next(), playback.next()], [30, 31, 32, 33]);
+    assert!(
+        (30..33).all(|n| playback.controls.is_preroll(n))
+            && !playback.controls.is_preroll(33)
+            && !playback.controls.is_preroll(29)
+    );
+    assert_eq!(playback.controls.playback().position.map(|p| p.sequence), Some(33));
+    playback.controls.step(1);
+    assert_eq!(playback.next(), 34);
     // A second seek during the pre-roll of the first.
-    tape.keys.seek_frame(33);
-    assert_eq!(tape.next(), 30);
-    tape.keys.seek_frame(2);
-    assert_eq!([tape.next(), tape.next(), tape.next()], [0, 1, 2]);
+    playback.controls.seek_frame(33);
+    assert_eq!(playback.next(), 30);
+    playback.controls.seek_frame(2);
+    assert_eq!([playback.next(), playback.next(), playback.next()], [0, 1, 2]);
 }
 
 #[test]
-fn it_keeps_time_and_changes_speed() {
-    let mut tape = Tape::new(10.0);
+fn playback_follows_time_stamps_and_speed() {
+    let mut playback = Playback::new(10.0);
     let start = std::time::Instant::now();
     for _ in 0..10 {
-        tape.next();
+        playback.next();
     }
     assert!(start.elapsed().as_secs_f64() >= 0.09);
-    tape.keys.set_speed(1e-6);
-    let keys = tape.keys.clone();
+    playback.controls.set_speed(1e-6);
+    let controls = playback.controls.clone();
     let press = std::thread::spawn(move || {
         std::thread::sleep(std::time::Duration::from_millis(50));
-        keys.set_speed(f64::NAN);
+        controls.set_speed(f64::NAN);
     });
     // At this speed the frame is due in days; a change of speed releases it.
-    tape.next();
+    playback.next();
     press.join().expect("presses");
-    assert_eq!(tape.keys.playback().speed, 0.0);
+    assert_eq!(playback.controls.playback().speed, 0.0);
 }
 
 #[test]
-fn labels_set_in_place_leave_all_else_alone_and_every_reader_finds_them() {
+fn labels_set_in_place_change_nothing_else() {
     let (folder, path) = in_folder("a.mcap");
     record(&path);
     let before = std::fs::read(&path).expect("reads");
@@ -170,7 +175,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn an_unfinished_recording_takes_no_labels_and_says_so() {
+    fn an_unfinished_recording_refuses_labels() {
         let (_folder, path) = in_folder("a.mcap");
         record(&path);
         let whole = std::fs::read(&path).expect("reads");
@@ -184,7 +189,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_summary_that_lies_is_an_error_and_nothing_is_written() {
+    fn a_damaged_summary_is_an_error_and_nothing_is_written() {
         let (_folder, path) = in_folder("a.mcap");
         record(&path);
         let whole = std::fs::read(&path).expect("reads");
@@ -207,7 +212,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_recording_without_frames_is_no_tape() {
+    fn a_recording_without_frames_has_no_player() {
         let (_folder, path) = in_folder("a.mcap");
         let header = RecordingHeader::new(waveform(&[1], 8, 64, 0.1));
         Recorder::create(&path, &header).expect("creates").finish().expect("finishes");

@@ -57,7 +57,7 @@ proptest! {
     #![proptest_config(cases(48))]
 
     #[test]
-    fn the_folder_gives_everything_back(
+    fn the_folder_preserves_all_content(
         waveform in waveforms(),
         seed in any::<u64>(),
         steps in prop::collection::vec((1..3_000_000_000u64, prop::option::of(-40_000..125_000i32)), 0..12),
@@ -80,7 +80,7 @@ proptest! {
     }
 
     #[test]
-    fn the_native_file_gives_everything_back(
+    fn the_native_file_preserves_all_content(
         waveform in waveforms(),
         seed in any::<u64>(),
         finish in any::<bool>(),
@@ -136,20 +136,20 @@ proptest! {
     }
 
     #[test]
-    fn the_text_file_gives_samples_and_waveform_back(waveform in waveforms(), seed in any::<u64>(), count in 0..6u64) {
+    fn the_text_file_preserves_samples_and_waveform(waveform in waveforms(), seed in any::<u64>(), count in 0..6u64) {
         let (_folder, path) = in_folder("session.txt");
         let frames = simulated(&waveform, count, seed);
         let report = write(&path, Format::Text, &waveform, &frames);
         prop_assert_eq!((report.frames, report.omitted), (count, vec![]));
-        let dos = std::fs::read_to_string(&path).expect("text").replace('\n', "\r\n");
+        let with_crlf = std::fs::read_to_string(&path).expect("text").replace('\n', "\r\n");
         prop_assert_eq!(read(&path), (waveform.clone(), frames.clone()));
-        std::fs::write(&path, dos).expect("writes");
+        std::fs::write(&path, with_crlf).expect("writes");
         prop_assert_eq!(read(&path), (waveform, frames));
     }
 }
 
 #[test]
-fn text_is_laid_out_as_the_vendor_lays_it_out() {
+fn text_has_the_layout_of_the_vendor() {
     let (folder, path) = in_folder("session.txt");
     let waveform = waveform(&[1, 3], 2, 8, 0.1);
     let mut frame = Frame::zeroed(waveform.shape());
@@ -189,7 +189,8 @@ fn the_folder_has_the_vendors_files_and_keys() {
     assert!(path.join("meta.json").exists());
 }
 
-/// The host's intervals were written: an emulated board that sends faster than in real time made 3 s of 0.1 s.
+/// Regression test: the host's intervals were written, so that 3 s of an emulated board that sends faster than in real time became
+/// 0.1 s.
 #[test]
 fn the_host_dates_the_first_frame_and_the_board_gives_the_intervals() {
     let (_folder, path) = in_folder("session");
@@ -211,9 +212,9 @@ fn the_host_dates_the_first_frame_and_the_board_gives_the_intervals() {
     assert!(meta.contains("\"date_captured\": \"2026-01-06T07:16:15+0000\""), "{meta}");
 }
 
-/// Regression test: a host's clock that was set forwards made a recording of a second one of a day.
+/// Regression test: when the host's clock was set forwards, a recording of a second became one of a day.
 #[test]
-fn times_of_a_host_whose_clock_was_set_are_the_boards() {
+fn if_the_clock_of_the_host_was_set_the_times_are_the_boards() {
     let folder = tempfile::tempdir().expect("folder");
     let waveform = waveform(&[1], 2, 8, 0.1);
     let day_ns: i64 = 86_400_000_000_000;
@@ -233,9 +234,9 @@ fn times_of_a_host_whose_clock_was_set_are_the_boards() {
     }
 }
 
-/// The clock of a recording that begins later was set to 0 without a word, as after a repair without the first chunk.
+/// Regression test: the first time of a recording became 0 without a report, for example after a repair without the first chunk.
 #[test]
-fn a_first_frame_that_loses_its_time_is_told() {
+fn a_changed_time_of_the_first_frame_is_reported() {
     let (_folder, path) = in_folder("session");
     let waveform = waveform(&[1], 2, 8, 0.1);
     let mut frames = simulated(&waveform, 4, 1);
@@ -248,10 +249,10 @@ fn a_first_frame_that_loses_its_time_is_told() {
     assert_eq!((report.time_shift_ns, read(&path).1[0].time_ns), (1_200_000_000, 0));
 }
 
-/// Asserts that the report says by how much frames move in time. A text recording closes gaps, which moves all frames
+/// Asserts that the report has the largest change of a time. A text recording closes gaps, which moves all frames
 /// behind them.
 #[test]
-fn the_report_says_how_far_frames_move_in_time() {
+fn the_report_has_the_largest_change_of_times() {
     let folder = tempfile::tempdir().expect("folder");
     let waveform = waveform(&[1], 2, 8, 0.1);
     let mut frames = simulated(&waveform, 4, 1);
@@ -262,14 +263,14 @@ fn the_report_says_how_far_frames_move_in_time() {
         let report = write(&path, format, &waveform, &frames);
         let moved = frames.iter().zip(read(&path).1).map(|(frame, back)| frame.time_ns.abs_diff(back.time_ns)).max();
         assert_eq!((report.time_shift_ns, moved), (shift_ns, Some(shift_ns)), "{name}");
-        let is_told = report.omitted.iter().any(|what| what == "the times of the frames");
-        assert_eq!(is_told, shift_ns > 0, "{:?}", report.omitted);
+        let is_reported = report.omitted.iter().any(|what| what == "the times of the frames");
+        assert_eq!(is_reported, shift_ns > 0, "{:?}", report.omitted);
     }
 }
 
-/// Frames without a temperature had the last one before them, without a word.
+/// Regression test: frames without a temperature got the last one before them without a report.
 #[test]
-fn frames_that_lose_their_lack_of_a_temperature_are_counted() {
+fn frames_without_a_temperature_are_counted() {
     let (_folder, path) = in_folder("session");
     let waveform = waveform(&[1], 2, 8, 0.1);
     let mut frames = simulated(&waveform, 4, 1);
@@ -280,23 +281,24 @@ fn frames_that_lose_their_lack_of_a_temperature_are_counted() {
     assert_eq!(temperatures, [None, Some(25_000), Some(25_000), Some(25_000)]);
 }
 
-/// The interval that a board's registers realise became the requested one, which changes all speeds, without a word.
+/// Regression test: the interval that a board's registers realise became the requested one without a report, which changes all
+/// speeds.
 #[test]
-fn a_chirp_interval_that_the_configuration_does_not_state_is_told() {
+fn a_changed_chirp_interval_is_reported() {
     let folder = tempfile::tempdir().expect("folder");
     let mut waveform = waveform(&[1], 2, 8, 0.1);
     waveform.chirp_interval_s = 501e-6;
     for (name, format) in [("session", Format::Infineon), ("session.txt", Format::Text)] {
         let path = folder.path().join(name);
         let report = write(&path, format, &waveform, &simulated(&waveform, 2, 1));
-        let told = ["the chirp interval of 501.0000 us (readers take 500.0000 us)"];
-        assert_eq!(report.omitted, told, "{name}");
+        let omitted = ["the chirp interval of 501.0000 us (readers take 500.0000 us)"];
+        assert_eq!(report.omitted, omitted, "{name}");
         assert!((read(&path).0.chirp_interval_s - 500e-6).abs() < 1e-12, "{name}");
     }
 }
 
 #[test]
-fn what_a_format_cannot_hold_is_named() {
+fn unsupported_content_is_named() {
     let folder = tempfile::tempdir().expect("folder");
     let waveform = waveform(&[1], 2, 8, 0.1);
     let label = LabelSpan::new(0.0, 1.0, Occupancy::One.name());
@@ -315,9 +317,9 @@ fn what_a_format_cannot_hold_is_named() {
         writer.frame(&frame).expect("writes");
         let report = writer.finish().expect("finishes");
         assert_eq!((report.frames, report.gaps, report.frames_lost), (2, 1, 4));
-        let said = report.omitted.join("; ");
+        let omitted = report.omitted.join("; ");
         for part in ["1 gap, lost frames: 4", "numbers of the frames", "truth of 2 frames", "1 label"] {
-            assert!(said.contains(part), "'{part}' is not in: {said}");
+            assert!(omitted.contains(part), "'{part}' is not in: {omitted}");
         }
     }
 }
@@ -325,8 +327,8 @@ fn what_a_format_cannot_hold_is_named() {
 mod hard_cases {
     use super::*;
 
-    /// Regression test: a recording that is a pipe was waited for without end, and one that a shell substitutes was said to be
-    /// no MCAP file, because its first bytes had been read before.
+    /// Regression test: opening a recording that is a pipe waited without end. One that a shell substitutes was reported as no MCAP
+    /// file, because its first bytes had been read before.
     #[test]
     fn a_pipe_is_refused_at_once() {
         let folder = tempfile::tempdir().expect("folder");
@@ -335,19 +337,19 @@ mod hard_cases {
         let repaired = mcap::repair(&path, &folder.path().join("out.mcap"), Existing::Refuse);
         for error in [Recording::open(&path).expect_err("a pipe"), repaired.expect_err("a pipe")] {
             assert!(matches!(error, RecordingError::NotRegular { .. }), "{error}");
-            let said = error.to_string();
-            assert!(said.contains("pipe.mcap: not a regular file") && said.contains("hint: "), "{said}");
+            let message = error.to_string();
+            assert!(message.contains("pipe.mcap: not a regular file") && message.contains("hint: "), "{message}");
         }
     }
 
-    /// Regression test: a pipe in the place of a folder's file was waited for without end, and a file of any length was
-    /// read into memory.
+    /// Regression test: reading waited without end if a file of a folder was a pipe, and a file of any length was read into
+    /// memory.
     #[test]
     fn files_of_a_folder_that_are_pipes_or_too_long_are_refused_at_once() {
         let waveform = waveform(&[1], 2, 8, 0.1);
         let mut frames = simulated(&waveform, 3, 1);
         frames[1].temperature_millicelsius = Some(25_000);
-        // Nothing is read of meta.json.
+        // meta.json is not read.
         for name in infineon::FILES.into_iter().filter(|name| *name != "meta.json") {
             for is_pipe in [true, false] {
                 let (_folder, path) = in_folder("session");
@@ -356,18 +358,18 @@ mod hard_cases {
                 std::fs::remove_file(&file).expect("was written");
                 match is_pipe {
                     true => make_pipe(&file),
-                    // No data, and no room on the disk.
+                    // The file has no data and takes no space on the disk.
                     false => {
                         std::fs::File::create(&file).and_then(|file| file.set_len((1 << 30) + 1)).expect("creates")
                     }
                 }
-                let said = Recording::open(&path).expect_err(name).to_string();
-                assert!(said.contains(name), "{name}, {is_pipe}: {said}");
+                let message = Recording::open(&path).expect_err(name).to_string();
+                assert!(message.contains(name), "{name}, {is_pipe}: {message}");
             }
         }
     }
 
-    /// Regression test: a pipe in the place of the labels beside a recording was waited for without end.
+    /// Regression test: reading waited without end if the labels beside a recording were a pipe.
     #[test]
     fn labels_beside_a_recording_that_are_a_pipe_are_refused_at_once() {
         let (folder, path) = in_folder("a.mcap");
@@ -379,9 +381,9 @@ mod hard_cases {
         assert!(matches!(error, RecordingError::NotRegular { .. }), "{error}");
     }
 
-    /// Regression test: a recorder waited for the reader of a pipe, and heard no signal meanwhile.
+    /// Regression test: a recorder waited for the reader of a pipe and ignored signals meanwhile.
     #[test]
-    fn a_pipe_is_recorded_to_if_somebody_reads_it_and_else_refused_at_once() {
+    fn a_pipe_without_a_reader_is_refused_at_once() {
         let folder = tempfile::tempdir().expect("folder");
         let (path, copy) = (folder.path().join("pipe.mcap"), folder.path().join("copy.mcap"));
         make_pipe(&path);
@@ -397,7 +399,7 @@ mod hard_cases {
         };
         let mut recorder = loop {
             match Recorder::create(&path, &header) {
-                // The reader has not opened it yet.
+                // The reader has not opened the pipe yet.
                 Err(RecordingError::NoReader { .. }) => std::thread::yield_now(),
                 created => break created.expect("creates"),
             }
@@ -409,7 +411,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn an_interrupted_writer_leaves_nothing_that_looks_whole() {
+    fn an_interrupted_writer_leaves_no_complete_recording() {
         let folder = tempfile::tempdir().expect("folder");
         let waveform = waveform(&[1], 2, 8, 0.1);
         let header = RecordingHeader::new(waveform.clone());
@@ -430,7 +432,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_folder_that_holds_something_is_not_touched() {
+    fn a_folder_with_content_is_not_changed() {
         let (_folder, path) = in_folder("mine");
         std::fs::create_dir(&path).expect("creates");
         let header = RecordingHeader::new(waveform(&[1], 2, 8, 0.1));
@@ -441,7 +443,7 @@ mod hard_cases {
         assert!(path.join("thesis.tex").exists());
     }
 
-    /// Regression test: it was refused by the words "Not a directory", when all frames had been converted.
+    /// Regression test: the error was "Not a directory", and came only after all frames had been converted.
     #[test]
     fn a_file_in_the_place_of_a_folder_is_refused_before_any_frame() {
         let folder = tempfile::tempdir().expect("folder");
@@ -455,7 +457,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_text_file_cut_or_damaged_names_the_place() {
+    fn the_error_of_a_cut_or_damaged_text_file_names_the_position() {
         let (folder, path) = in_folder("a.txt");
         let waveform = waveform(&[1], 2, 8, 0.1);
         write(&path, Format::Text, &waveform, &simulated(&waveform, 3, 1));
@@ -512,8 +514,8 @@ mod hard_cases {
             let file = folder.path().join(file);
             let whole = std::fs::read(&file).expect("reads");
             let start = at.index(whole.len());
-            let grafted = [&whole[..start], &bytes, &whole[(start + bytes.len()).min(whole.len())..]].concat();
-            for content in [bytes, grafted] {
+            let changed = [&whole[..start], &bytes, &whole[(start + bytes.len()).min(whole.len())..]].concat();
+            for content in [bytes, changed] {
                 std::fs::write(&file, content).expect("writes");
                 let Ok(mut source) = Recording::open(&path) else { continue };
                 let mut frame = Frame::zeroed(source.waveform().shape());
@@ -524,7 +526,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn stamps_with_an_exponent_are_read_and_nonsense_leaves_the_times_of_the_frame_interval() {
+    fn time_stamps_may_have_exponents_and_malformed_ones_are_left_out() {
         let (_folder, path) = in_folder("a");
         let waveform = waveform(&[1], 2, 8, 0.1);
         let mut frames = simulated(&waveform, 2, 1);
@@ -546,9 +548,9 @@ mod hard_cases {
         }
     }
 
-    /// A damaged file of temperatures made all frames unreadable.
+    /// Regression test: a damaged file of temperatures made all frames unreadable.
     #[test]
-    fn temperatures_that_cannot_be_read_are_left_out_and_the_frames_are_not() {
+    fn unreadable_temperatures_are_left_out_and_frames_are_not() {
         let (_folder, path) = in_folder("a");
         let waveform = waveform(&[1], 2, 8, 0.1);
         let mut frames = simulated(&waveform, 3, 1);
@@ -558,26 +560,26 @@ mod hard_cases {
         let file = path.join("RadarIfxAvian_00/temperature.npy");
         let whole = std::fs::read(&file).expect("reads");
         let kind = whole.windows(3).position(|bytes| bytes == b"<f8").expect("a type");
-        let with = |at: usize, bytes: &[u8]| [&whole[..at], bytes, &whole[at + bytes.len()..]].concat();
-        for (damaged, said) in [
+        let replace = |at: usize, bytes: &[u8]| [&whole[..at], bytes, &whole[at + bytes.len()..]].concat();
+        for (damaged, expected_reason) in [
             (b"NUMPY".to_vec(), "shorter than an NPY header"),
-            (with(1, b"n"), "not an NPY file"),
-            (with(kind, b"<i8"), "temperatures are of type '<i8'"),
+            (replace(1, b"n"), "not an NPY file"),
+            (replace(kind, b"<i8"), "temperatures are of type '<i8'"),
         ] {
             std::fs::write(&file, damaged).expect("writes");
             let reader = InfineonReader::open(&path).expect("opens");
-            let [reason] = reader.left_out() else { panic!("{said}: {:?}", reader.left_out()) };
-            assert!(reason.contains("temperature.npy") && reason.contains(said), "{reason}");
+            let [reason] = reader.left_out() else { panic!("{expected_reason}: {:?}", reader.left_out()) };
+            assert!(reason.contains("temperature.npy") && reason.contains(expected_reason), "{reason}");
             for (back, frame) in read(&path).1.iter().zip(&frames) {
-                assert_eq!((&back.codes, back.time_ns), (&frame.codes, frame.time_ns), "{said}");
-                assert_eq!(back.temperature_millicelsius, None, "{said}");
+                assert_eq!((&back.codes, back.time_ns), (&frame.codes, frame.time_ns), "{expected_reason}");
+                assert_eq!(back.temperature_millicelsius, None, "{expected_reason}");
             }
         }
     }
 
-    /// A wrong time stamp cost all temperatures without a word.
+    /// Regression test: a wrong time stamp removed all temperatures without a report.
     #[test]
-    fn temperatures_without_times_of_the_frames_are_said_to_be_left_out() {
+    fn temperatures_without_times_of_the_frames_are_reported_as_left_out() {
         let (_folder, path) = in_folder("a");
         let waveform = waveform(&[1], 2, 8, 0.1);
         let mut frames = simulated(&waveform, 2, 1);

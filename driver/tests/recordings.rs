@@ -16,6 +16,7 @@ fn breathing() -> Option<PathBuf> {
     radome_skip::shared("data/recordings/breathing-person-20260106")
 }
 
+/// Frames of a source without gaps.
 fn frames(source: &mut dyn FrameSource) -> Vec<Frame> {
     let (frames, gaps, error) = read(source);
     assert!(gaps.is_empty() && error.is_none(), "{gaps:?}, {error:?}");
@@ -36,13 +37,14 @@ const CONFIG: &str = r#"{"device_config": {"fmcw_single_shape": {
 const FRAME_BYTES: usize = 2 * 4 * 16 * 2;
 
 /// Writes a small recording in the old format: 5 frames of 2 x 4 x 16; each code equals its index.
-fn old_recording(folder: &Path) {
+fn write_old_recording(folder: &Path) {
     std::fs::write(folder.join("config.json"), CONFIG).expect("writes");
     std::fs::write(folder.join("format.version"), "1.0.0\r\n").expect("writes");
     let codes = (0..5 * FRAME_BYTES as u16 / 2).flat_map(u16::to_le_bytes);
     std::fs::write(folder.join("radar.npy"), npy("<u2", "(5, 2, 4, 16)", codes)).expect("writes");
 }
 
+/// Encodes an NPY file.
 fn npy(kind: &str, shape: &str, data: impl IntoIterator<Item = u8>) -> Vec<u8> {
     let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
     while (header.len() + 11) % 64 != 0 {
@@ -63,7 +65,7 @@ const SCENE: &str = r#"{"device_config": {"fmcw_scene": {
     "sample_rate_Hz": 1000000, "center_frequency_Hz": 60750000000, "frame_repetition_time_s": 0.2}}}"#;
 
 /// Writes a recording of two frames that is configured by metrics.
-fn scene_recording(folder: &Path, config: &str, chirps: usize, samples: usize) {
+fn write_scene_recording(folder: &Path, config: &str, chirps: usize, samples: usize) {
     std::fs::write(folder.join("config.json"), config).expect("writes");
     std::fs::write(folder.join("format.version"), "1.0.0\n").expect("writes");
     let codes = (0..2 * 3 * chirps * samples).flat_map(|i| (i as u16 % 4096).to_le_bytes());
@@ -77,11 +79,11 @@ fn a_folder_configured_by_metrics_is_read() {
     let folder = tempfile::tempdir().expect("a folder");
     // The metrics give 24.5 chirps, which the SDK rounds up, or up to a power of two.
     for chirps in [25, 32] {
-        scene_recording(folder.path(), SCENE, chirps, 64);
+        write_scene_recording(folder.path(), SCENE, chirps, 64);
         let mut reader = Recording::open(folder.path()).expect("opens");
-        let w = reader.waveform().clone();
-        let request = &w.request;
-        assert_eq!((request.samples_per_chirp, request.chirps_per_frame, w.shape().rx), (64, chirps, 3));
+        let waveform = reader.waveform().clone();
+        let request = &waveform.request;
+        assert_eq!((request.samples_per_chirp, request.chirps_per_frame, waveform.shape().rx), (64, chirps, 3));
         let bandwidth = request.end_frequency_hz - request.start_frequency_hz;
         assert!((299_792_458.0 / (2.0 * bandwidth) - 0.15).abs() < 1e-9, "{bandwidth}");
         assert!((0.5 * (request.start_frequency_hz + request.end_frequency_hz) - 60.75e9).abs() < 1.0);
@@ -91,11 +93,11 @@ fn a_folder_configured_by_metrics_is_read() {
         assert_eq!(frames(&mut reader).len(), 2);
     }
     // Optional keys, for which the SDK has defaults.
-    let left = SCENE.replace("\"sample_rate_Hz\": 1000000, \"center_frequency_Hz\": 60750000000, ", "");
-    scene_recording(folder.path(), &left, 32, 64);
+    let without_options = SCENE.replace("\"sample_rate_Hz\": 1000000, \"center_frequency_Hz\": 60750000000, ", "");
+    write_scene_recording(folder.path(), &without_options, 32, 64);
     let same = Recording::open(folder.path()).expect("opens").waveform().clone();
     assert_eq!((same.request.sample_rate_hz, same.request.start_frequency_hz.round()), (1e6, 60_250_345_903.0));
-    scene_recording(folder.path(), &SCENE.replace("60750000000", "0"), 32, 64);
+    write_scene_recording(folder.path(), &SCENE.replace("60750000000", "0"), 32, 64);
     assert_eq!(Recording::open(folder.path()).expect("opens").waveform(), &same);
 }
 
@@ -103,33 +105,33 @@ fn a_folder_configured_by_metrics_is_read() {
 fn metrics_and_data_that_contradict_each_other_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let refused = |config: &str, chirps: usize, samples: usize| {
-        scene_recording(folder.path(), config, chirps, samples);
+        write_scene_recording(folder.path(), config, chirps, samples);
         Recording::open(folder.path()).expect_err("refused").to_string()
     };
     for (chirps, samples) in [(16, 64), (32, 128), (64, 64)] {
-        let said = refused(SCENE, chirps, samples);
-        assert!(said.contains(&format!("{chirps} chirps x {samples} samples")), "{said}");
-        assert!(said.contains("config.json says"), "{said}");
+        let message = refused(SCENE, chirps, samples);
+        assert!(message.contains(&format!("{chirps} chirps x {samples} samples")), "{message}");
+        assert!(message.contains("config.json says"), "{message}");
     }
-    let said = refused(&SCENE.replace("\"max_speed_m_s\": 2.45, ", ""), 32, 64);
-    assert!(said.contains("max_speed_m_s") && said.contains("absent"), "{said}");
+    let message = refused(&SCENE.replace("\"max_speed_m_s\": 2.45, ", ""), 32, 64);
+    assert!(message.contains("max_speed_m_s") && message.contains("absent"), "{message}");
     for wrong in ["0", "-1", "1e999"] {
-        let said = refused(
+        let message = refused(
             &SCENE.replace("\"range_resolution_m\": 0.15", &format!("\"range_resolution_m\": {wrong}")),
             32,
             64,
         );
-        assert!(said.contains("range_resolution_m") || said.contains("not JSON"), "{said}");
+        assert!(message.contains("range_resolution_m") || message.contains("not JSON"), "{message}");
     }
     // This resolution needs more bandwidth than the chip has.
-    let said = refused(&SCENE.replace("0.15", "0.01"), 32, 1024);
-    assert!(said.contains("waveform is impossible"), "{said}");
-    let said = refused(&SCENE.replace("fmcw_scene", "doppler_ltr11"), 32, 64);
-    assert!(said.contains("fmcw_scene"), "{said}");
+    let message = refused(&SCENE.replace("0.15", "0.01"), 32, 1024);
+    assert!(message.contains("waveform is impossible"), "{message}");
+    let message = refused(&SCENE.replace("fmcw_scene", "doppler_ltr11"), 32, 64);
+    assert!(message.contains("fmcw_scene"), "{message}");
 }
 
 #[test]
-fn the_real_recording_opens_and_is_what_it_is_known_to_be() {
+fn the_real_recording_has_its_known_content() {
     let Some(path) = breathing() else { return };
     for path in [path.clone(), path.join("RadarIfxAvian_00")] {
         let mut source = Recording::open(&path).expect("opens");
@@ -165,7 +167,7 @@ fn the_real_recording_passes_an_emulated_board_unchanged() {
 #[test]
 fn old_keys_timestamps_and_temperatures_are_read() {
     let folder = tempfile::tempdir().expect("folder");
-    old_recording(folder.path());
+    write_old_recording(folder.path());
     let write = |name: &str, bytes: &[u8]| std::fs::write(folder.path().join(name), bytes).expect("writes");
     write("radar_timestamp.csv", b"1650000000.0\n1650000000.09\n1650000000.2\n1650000000.3\n1650000000.41\n");
     write("temperature_timestamp.csv", b"1650000000.05\n1650000000.25\n");
@@ -183,6 +185,7 @@ fn old_keys_timestamps_and_temperatures_are_read() {
     assert_eq!(temperatures, [None, Some(31_500), Some(31_500), Some(32_250), Some(32_250)]);
 }
 
+/// Source of this number of frames.
 fn pattern(count: u64) -> Pattern {
     Pattern::new(waveform(&[1, 2, 3], 8, 64, 0.1), count)
 }
@@ -203,6 +206,7 @@ fn record(path: &Path) -> WriteReport {
     recorder.finish().expect("finishes")
 }
 
+/// Label of one second.
 fn label(name: &str, start_s: f64) -> LabelSpan {
     LabelSpan {
         who: Some("test".into()),
@@ -226,7 +230,7 @@ fn a_recorder_reports_what_it_has_written() {
 /// Asserts that readers find all labels as soon as they are set during a recording, whatever follows. The finished
 /// recording has the last ones.
 #[test]
-fn labels_given_while_recording_are_found_when_the_call_returns() {
+fn labels_set_while_recording_are_found_when_the_call_returns() {
     let (folder, path) = in_folder("a.mcap");
     let mut source = pattern(7);
     let mut recorder = Recorder::create(&path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
@@ -258,14 +262,15 @@ fn replay_follows_the_time_stamps() {
 mod hard_cases {
     use super::*;
 
+    /// Number of readable frames and error of the old recording after an edit.
     fn edited(edit: impl FnOnce(&Path)) -> Result<(u64, Option<SourceError>), RecordingError> {
         let folder = tempfile::tempdir().expect("folder");
-        old_recording(folder.path());
+        write_old_recording(folder.path());
         edit(folder.path());
         Recording::open(folder.path()).map(|mut source| readable(&mut source))
     }
 
-    /// The same, where only the samples' file changes.
+    /// The same after an edit of the samples' file.
     fn edited_samples(edit: impl FnOnce(&mut Vec<u8>)) -> Result<(u64, Option<SourceError>), RecordingError> {
         edited(|folder| {
             let path = folder.join("radar.npy");
@@ -275,6 +280,7 @@ mod hard_cases {
         })
     }
 
+    /// Error of a recording.
     fn message(result: Result<(u64, Option<SourceError>), RecordingError>) -> String {
         match result {
             Err(error) => error.to_string(),
@@ -290,7 +296,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_recording_cut_short_gives_its_whole_frames_and_says_so() {
+    fn a_recording_cut_short_gives_its_whole_frames_and_an_error() {
         let (count, error) = edited_samples(|bytes| bytes.truncate(bytes.len() - FRAME_BYTES - 1)).expect("opens");
         assert_eq!(count, 3);
         assert_contains(&error.expect("error").to_string(), &["radar.npy", "byte 1151", "3 whole frames", "5 were"]);
@@ -338,7 +344,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn codes_beyond_twelve_bits_are_refused_with_their_place() {
+    fn codes_beyond_twelve_bits_are_refused_with_their_position() {
         let text = message(edited_samples(|bytes| bytes[128 + FRAME_BYTES + 5] = 0x10));
         assert_contains(&text, &["at byte 388", "frame 1", "4095"]);
     }
@@ -364,7 +370,7 @@ mod hard_cases {
 
     /// Asserts that a wrong length in the middle of a finished file is not taken for its end (found by fuzzing).
     #[test]
-    fn a_length_gone_wrong_is_no_end() {
+    fn a_wrong_length_is_no_end() {
         let (_folder, path) = in_folder("a.mcap");
         record(&path);
         let mut bytes = std::fs::read(&path).expect("reads");
@@ -377,7 +383,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_damaged_chunk_is_an_error_with_its_place() {
+    fn a_damaged_chunk_is_an_error_with_its_position() {
         let (_folder, path) = in_folder("a.mcap");
         record(&path);
         let mut bytes = std::fs::read(&path).expect("reads");

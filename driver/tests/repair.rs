@@ -37,7 +37,7 @@ fn content(path: &Path) -> (Vec<u64>, Vec<Gap>) {
     (frames.iter().map(|frame| frame.sequence).collect(), gaps)
 }
 
-/// Repairs these bytes; asserts that the input file does not change. A reader of the input must survive it too.
+/// Repairs these bytes; asserts that the input file does not change. Also checks that a reader of the input does not panic.
 fn repaired(bytes: &[u8]) -> Result<(RepairReport, Vec<u64>, Vec<Gap>), RecordingError> {
     let folder = tempfile::tempdir().expect("folder");
     let (broken, fixed) = (folder.path().join("broken.mcap"), folder.path().join("fixed.mcap"));
@@ -54,6 +54,7 @@ fn repaired(bytes: &[u8]) -> Result<(RepairReport, Vec<u64>, Vec<Gap>), Recordin
     Ok((report, numbers, gaps))
 }
 
+/// Bytes of a whole recording.
 fn whole() -> Vec<u8> {
     let folder = tempfile::tempdir().expect("folder");
     record(&folder.path().join("a.mcap"))
@@ -90,7 +91,7 @@ fn a_damaged_chunk_becomes_a_gap() {
 }
 
 #[test]
-fn the_last_chunk_is_told_by_its_index() {
+fn the_frames_of_the_last_chunk_are_counted_by_its_index() {
     let mut bytes = whole();
     let (start, end) = *chunks(&bytes).last().expect("chunks");
     bytes[(start + end) / 2] ^= 0x40;
@@ -101,7 +102,7 @@ fn the_last_chunk_is_told_by_its_index() {
 }
 
 #[test]
-fn a_length_gone_wrong_costs_no_more_than_its_chunk() {
+fn a_wrong_length_loses_only_its_chunk() {
     let bytes = whole();
     let (start, end) = chunks(&bytes)[2];
     let opcodes = [0x81, 0x00, 0x07, 0x0a].map(|opcode| (start, opcode));
@@ -117,7 +118,7 @@ fn a_length_gone_wrong_costs_no_more_than_its_chunk() {
     }
 }
 
-/// A record whose opcode says that the data ends there costs no more than itself, and is reported.
+/// Asserts that a record whose opcode marks the end of the data loses only itself, and is reported.
 #[test]
 fn one_wrong_byte_does_not_end_a_recording() {
     let bytes = whole();
@@ -129,12 +130,12 @@ fn one_wrong_byte_does_not_end_a_recording() {
             let mut bytes = bytes.clone();
             bytes[at] = opcode;
             let repaired = repaired(&bytes);
-            // Of the header nothing else has a copy.
+            // The header has no copy.
             if let Ok((report, numbers, _)) = repaired {
                 assert!(!report.damage.is_empty(), "{at}: {report:?}");
-                let most_lost = if is_chunk(at) { 10 } else { 0 };
-                assert!(numbers.len() + most_lost >= 47, "{at}: {report:?}");
-                // The last chunk holds the label, and nothing behind it is sought.
+                let max_lost = if is_chunk(at) { 10 } else { 0 };
+                assert!(numbers.len() + max_lost >= 47, "{at}: {report:?}");
+                // The last chunk holds the label, and the repair does not search behind it.
                 assert!(report.labels == 1 && report.was_finished || at >= last, "{at}: {report:?}");
                 records += 1;
             }
@@ -180,16 +181,16 @@ mod hard_cases {
         std::fs::read(&path).expect("reads")
     }
 
-    /// Damage between the last frames and their answers was reported as lost frames of unknown number.
+    /// Regression test: damage between the last frames and their answers was reported as lost frames of unknown number.
     #[test]
-    fn a_length_between_frames_and_answers_is_no_gap() {
+    fn a_wrong_length_between_frames_and_answers_is_no_gap() {
         let whole = with_answers();
         let chunks = chunks(&whole);
         let at = chunks[chunks.len() - 2].1;
         assert_eq!(whole[at], MESSAGE_INDEX);
-        let own = u64::from_le_bytes(*whole[at + 1..].first_chunk().expect("a length"));
+        let correct_length = u64::from_le_bytes(*whole[at + 1..].first_chunk().expect("a length"));
         // One more and one less than right, and beyond the end of the file.
-        for length in [own + 1, own - 1, 1 << 40] {
+        for length in [correct_length + 1, correct_length - 1, 1 << 40] {
             let mut bytes = whole.clone();
             bytes[at + 1..at + 9].copy_from_slice(&length.to_le_bytes());
             let (report, numbers, gaps) = repaired(&bytes).expect("repairs");
@@ -200,9 +201,9 @@ mod hard_cases {
         }
     }
 
-    /// MCAP lets a later version add to a record; two bytes more were taken for a damaged length.
+    /// Regression test: two bytes more in a record, which a later version of MCAP may add, counted as a damaged length.
     #[test]
-    fn longer_records_are_whole() {
+    fn longer_records_are_valid() {
         const DATA_END: u8 = 0x0f;
         for whole in [with_answers(), whole()] {
             let (mut longer, mut rest) = (whole[..8].to_vec(), &whole[8..]);
@@ -222,7 +223,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn labels_leave_what_is_damaged() {
+    fn labels_can_be_set_in_a_damaged_recording() {
         let (folder, path) = in_folder("a.mcap");
         let bytes = record(&path);
         let both = [LabelSpan::new(0.0, 2.0, "one"), LabelSpan::new(0.0, 1.0, "one")];
@@ -239,9 +240,9 @@ mod hard_cases {
         assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
     }
 
-    /// Such a file was refused, although none of its frames is damaged.
+    /// Regression test: such a file was refused, although none of its frames is damaged.
     #[test]
-    fn damaged_registers_cost_no_frame() {
+    fn damaged_registers_lose_no_frame() {
         let whole = whole();
         let key = b"registers\x02\0\0\0[";
         let at = whole.windows(key.len()).position(|bytes| bytes == key).expect("the registers") + key.len() - 1;
@@ -256,7 +257,7 @@ mod hard_cases {
         }
     }
 
-    /// The unfinished output stayed in the folder under its hidden name.
+    /// Regression test: the unfinished output stayed in the folder under its hidden name.
     #[test]
     fn a_repair_that_is_interrupted_leaves_no_file() {
         let (folder, path) = in_folder("a.mcap");
@@ -276,7 +277,7 @@ mod hard_cases {
 
     /// Asserts that all complete chunks before a cut, as after `kill -9`, are read and saved.
     #[test]
-    fn a_cut_costs_what_lies_behind_its_chunk() {
+    fn a_cut_loses_only_what_follows_the_last_whole_chunk() {
         let (folder, path) = in_folder("a.mcap");
         let bytes = record(&path);
         let cut_path = folder.path().join("cut.mcap");
@@ -300,7 +301,7 @@ mod hard_cases {
             assert!(!reader.is_complete());
             let (frames, gaps, error) = read(&mut reader);
             assert!(frames.len() == expected && error.is_none(), "cut at {cut}: {error:?}");
-            // A part of a chunk is told as a gap of unknown length behind the last frame.
+            // A part of a chunk is reported as a gap of unknown length behind the last frame.
             let behind_frames = frames.last().map_or(0, |frame| frame.sequence + 1);
             let first_sequence = gaps.iter().map(|gap| gap.first_sequence + gap.frames).fold(behind_frames, u64::max);
             let end = Gap { first_sequence, frames: 0, reason: GapReason::Recorded };
@@ -311,9 +312,9 @@ mod hard_cases {
         }
     }
 
-    /// `cat a b > both` gave the first recording, and nobody was told of the second.
+    /// Regression test: of a file made by `cat a b > both` the first recording was read, and the second was not reported.
     #[test]
-    fn a_file_that_goes_on_behind_its_recording_is_told_of() {
+    fn data_behind_a_recording_are_reported() {
         let (_folder, path) = in_folder("both.mcap");
         let bytes = record(&path);
         for behind in [bytes.clone(), b"more".to_vec(), vec![0; 10_000]] {
@@ -332,9 +333,9 @@ mod hard_cases {
         }
     }
 
-    /// One wrong byte in the waveform cost the whole recording.
+    /// Regression test: one wrong byte in the waveform lost the whole recording.
     #[test]
-    fn a_damaged_head_is_replaced_by_that_of_another_recording() {
+    fn a_damaged_header_is_replaced_by_that_of_another_recording() {
         let (folder, path) = in_folder("a.mcap");
         let mut bytes = record(&path);
         let fixed = folder.path().join("fixed.mcap");
@@ -343,15 +344,15 @@ mod hard_cases {
         bytes[at] = b'?';
         std::fs::write(&path, &bytes).expect("writes");
         assert!(matches!(repair(&path, &fixed, Existing::Refuse), Err(RecordingError::Corrupt { .. })));
-        let with = |waveform| {
+        let repair_with = |waveform| {
             let header = Some(RecordingHeader::new(waveform));
             repair_unless(&path, &fixed, header, Existing::Replace, || false).expect("repairs")
         };
-        let report = with(pattern().waveform);
+        let report = repair_with(pattern().waveform);
         assert_eq!((report.frames, report.labels, report.damage.len()), (47, 1, 1));
         assert!(content(&fixed).0.into_iter().eq((0..20).chain(23..50)));
-        // Frames of another shape are not taken for those of this waveform.
-        let report = with(waveform(&[1, 2], 4, 32, 0.1));
+        // Frames of another shape are not used for this waveform.
+        let report = repair_with(waveform(&[1, 2], 4, 32, 0.1));
         assert_eq!((report.frames, report.frames_lost()), (0, 47));
     }
 
@@ -394,16 +395,16 @@ mod hard_cases {
         }
     }
 
-    /// A damaged length of a message index hid the chunks that it reached over, and the report did not say so.
+    /// Regression test: a damaged length of a message index hid the chunks that it reached over, without a report.
     #[test]
-    fn a_length_of_a_record_between_chunks_costs_no_chunk() {
+    fn a_wrong_length_of_a_record_between_chunks_loses_no_chunk() {
         let whole = whole();
         let chunks = chunks(&whole);
         let at = chunks[1].1;
         assert_eq!(whole[at], MESSAGE_INDEX);
         // Beyond the end of two more chunks, and one byte more and less than right.
-        let own = u64::from_le_bytes(*whole[at + 1..].first_chunk().expect("a length"));
-        for length in [(chunks[3].1 - at - 9) as u64, own + 1, own - 1] {
+        let correct_length = u64::from_le_bytes(*whole[at + 1..].first_chunk().expect("a length"));
+        for length in [(chunks[3].1 - at - 9) as u64, correct_length + 1, correct_length - 1] {
             let mut bytes = whole.clone();
             bytes[at + 1..at + 9].copy_from_slice(&length.to_le_bytes());
             let (report, numbers, _) = repaired(&bytes).expect("repairs");
@@ -413,9 +414,9 @@ mod hard_cases {
         }
     }
 
-    /// Asserts that a chunk of a hundred bytes with a claimed length of exabytes is refused without that memory.
+    /// Asserts that a chunk of a hundred bytes with a stated length of exabytes is refused without allocating that memory.
     #[test]
-    fn a_claimed_length_is_not_believed() {
+    fn a_stated_length_is_checked_before_allocation() {
         let mut bytes = whole();
         let (start, _) = chunks(&bytes)[2];
         bytes[start + 9 + 16..start + 9 + 24].copy_from_slice(&(1u64 << 60).to_le_bytes());
@@ -423,7 +424,7 @@ mod hard_cases {
         assert!(report.damage[0].reason.contains("claims"), "{:?}", report.damage);
     }
 
-    /// Labels of frames that the repaired file does not have were kept, and other commands refused them.
+    /// Regression test: labels of frames that the repaired file lacks were kept, and other commands refused them.
     #[test]
     fn labels_are_cut_to_the_frames_that_are_saved() {
         let (folder, path) = in_folder("a.mcap");

@@ -15,10 +15,12 @@ use crate::common::{Pattern, chunks, in_folder, read, record, waveform};
 
 const FRAMES: u64 = 25;
 
+/// Source of the frames.
 fn pattern() -> Pattern {
     Pattern::new(waveform(&[1], 4, 32, 0.1), FRAMES)
 }
 
+/// Label of the recording.
 fn label() -> LabelSpan {
     LabelSpan::new(0.0, 2.0, "one")
 }
@@ -66,9 +68,9 @@ fn assert_is_whole(bytes: &[u8], name: &str) {
     assert_eq!((report.frames, report.labels, report.damage.len()), (FRAMES, 1, 0), "{name}: {report:?}");
 }
 
-/// The labels of the first two files were not found, the others were read as recordings without frames or labels.
+/// Regression test: the labels of the first two files were not found, the others were read as recordings without frames or labels.
 #[test]
-fn files_of_another_layout_hold_the_same() {
+fn files_of_another_layout_have_the_same_content() {
     let layouts = [
         ("channels named late", WriteOptions::new()),
         ("no channels in the summary", WriteOptions::new().repeat_channels(false)),
@@ -83,9 +85,9 @@ fn files_of_another_layout_hold_the_same() {
     }
 }
 
-/// A new label is a chunk. It was the only one in the index, by which other programs found no frame.
+/// Regression test: a new label, which is a chunk, was the only chunk in the index, so that other programs found no frame.
 #[test]
-fn a_recording_without_chunks_takes_no_labels_until_it_is_repaired() {
+fn a_recording_without_chunks_refuses_labels_until_it_is_repaired() {
     let (folder, path) = in_folder("a.mcap");
     let bytes = rewritten(WriteOptions::new().use_chunks(false));
     std::fs::write(&path, &bytes).expect("writes");
@@ -98,7 +100,7 @@ fn a_recording_without_chunks_takes_no_labels_until_it_is_repaired() {
     assert_is_whole(&std::fs::read(&repaired).expect("reads"), "repaired");
 }
 
-/// Damage among messages without chunks cost all later frames without a gap.
+/// Regression test: damage among messages without chunks lost all later frames without a gap.
 #[test]
 fn damage_among_messages_without_chunks_is_a_gap() {
     let mut bytes = rewritten(WriteOptions::new().use_chunks(false));
@@ -120,9 +122,9 @@ fn damage_among_messages_without_chunks_is_a_gap() {
     assert_eq!((frames.len() as u64, gaps.len()), (report.frames, 1), "{gaps:?}");
 }
 
-/// A wrong bit in the index of chunks hid labels and answers.
+/// Regression test: a wrong bit in the index of chunks hid labels and answers.
 #[test]
-fn damage_of_the_summary_hides_nothing() {
+fn damage_of_the_summary_hides_no_messages() {
     let whole = recorded();
     let (_folder, path) = in_folder("a.mcap");
     let content = |bytes: &[u8]| {
@@ -150,7 +152,7 @@ fn damage_of_the_summary_hides_nothing() {
     }
 }
 
-/// A file with LZ4 was called damaged, and the repair that was advised saved nothing.
+/// Regression test: a file with LZ4 was called damaged, and the suggested repair saved nothing.
 #[test]
 fn another_compression_is_named_and_is_no_damage() {
     let whole = recorded();

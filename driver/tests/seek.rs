@@ -15,7 +15,7 @@ enum Event {
     Gap(Gap),
 }
 
-fn rest(source: &mut Recording) -> Vec<Event> {
+fn read_rest(source: &mut Recording) -> Vec<Event> {
     let mut frame = Frame::zeroed(source.waveform().shape());
     let mut events = Vec::new();
     loop {
@@ -28,14 +28,14 @@ fn rest(source: &mut Recording) -> Vec<Event> {
 }
 
 /// All events after the last earlier frame.
-fn behind(events: &[Event], is_earlier: impl Fn(&Frame) -> bool) -> &[Event] {
+fn after_last(events: &[Event], is_earlier: impl Fn(&Frame) -> bool) -> &[Event] {
     let last = events.iter().rposition(|e| matches!(e, Event::Frame(frame) if is_earlier(frame)));
     &events[last.map_or(0, |last| last + 1)..]
 }
 
 /// Events that [`Recording::seek_frame`] must lead to.
-fn from_frame(events: &[Event], sequence: u64) -> &[Event] {
-    let mut found = behind(events, |frame| frame.sequence < sequence);
+fn expected_from_frame(events: &[Event], sequence: u64) -> &[Event] {
+    let mut found = after_last(events, |frame| frame.sequence < sequence);
     while let [Event::Gap(gap), rest @ ..] = found
         && gap.frames > 0
         && gap.first_sequence + gap.frames <= sequence
@@ -45,18 +45,18 @@ fn from_frame(events: &[Event], sequence: u64) -> &[Event] {
     found
 }
 
-/// Asserts that the events behind each place are those that a reader from the start finds there.
-fn check_places(source: &mut Recording, numbers: std::ops::Range<u64>, tenths: impl Iterator<Item = i32>) {
-    let events = rest(source);
+/// Asserts that the events after each seek are those that a reader from the start finds there.
+fn check_seeks(source: &mut Recording, numbers: std::ops::Range<u64>, tenths: impl Iterator<Item = i32>) {
+    let events = read_rest(source);
     for sequence in numbers.rev().chain([u64::MAX]) {
         source.seek_frame(sequence).expect("seeks");
-        assert_eq!(rest(source), from_frame(&events, sequence), "frame {sequence}");
+        assert_eq!(read_rest(source), expected_from_frame(&events, sequence), "frame {sequence}");
     }
     for tenths in tenths {
         let time_s = f64::from(tenths) / 10.0;
         source.seek_time_s(time_s).expect("seeks");
-        let expected = behind(&events, |frame| frame.time_ns < (time_s.max(0.0) * 1e9).round() as u64);
-        assert_eq!(rest(source), expected, "at {time_s} s");
+        let expected = after_last(&events, |frame| frame.time_ns < (time_s.max(0.0) * 1e9).round() as u64);
+        assert_eq!(read_rest(source), expected, "at {time_s} s");
     }
 }
 
@@ -95,15 +95,15 @@ proptest! {
     #![proptest_config(cases(24))]
 
     #[test]
-    fn an_mcap_file_is_entered_anywhere(lost in prop::collection::vec(0..90u64, 0..30), finish in any::<bool>()) {
+    fn seeks_in_an_mcap_file_lead_anywhere(lost in prop::collection::vec(0..90u64, 0..30), finish in any::<bool>()) {
         let (_folder, path) = in_folder("a.mcap");
         record(&path, finish, |sequence| lost.contains(&sequence) || (40..55).contains(&sequence));
-        check_places(&mut Recording::open(&path).expect("opens"), 0..95, (-3..170).step_by(3));
+        check_seeks(&mut Recording::open(&path).expect("opens"), 0..95, (-3..170).step_by(3));
     }
 }
 
 #[test]
-fn the_vendors_formats_are_entered_anywhere() {
+fn seeks_in_the_vendors_formats_lead_anywhere() {
     let folder = tempfile::tempdir().expect("folder");
     let pattern = Pattern::new(waveform(&[1, 2], 4, 16, 0.17), 0);
     for (name, format) in [("a", Format::Infineon), ("a.txt", Format::Text)] {
@@ -118,13 +118,13 @@ fn the_vendors_formats_are_entered_anywhere() {
             writer.frame(&frame).expect("writes");
         }
         writer.finish().expect("finishes");
-        check_places(&mut Recording::open(&path).expect("opens"), 0..45, -3..80);
+        check_seeks(&mut Recording::open(&path).expect("opens"), 0..45, -3..80);
     }
 }
 
 /// Asserts, by the number of bytes read, that a seek to the middle reads the chunks of a bisection and not the file.
 #[test]
-fn a_place_is_found_without_reading_the_file() {
+fn a_seek_does_not_read_the_whole_file() {
     let (_folder, path) = in_folder("long.mcap");
     let pattern = Pattern::new(waveform(&[1, 2, 3], 8, 128, 1.0), 0);
     let mut recorder = Recorder::create(&path, &RecordingHeader::new(pattern.waveform.clone())).expect("creates");
@@ -155,7 +155,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn seeking_steps_around_damage() {
+    fn seeks_skip_damage() {
         let (_folder, path) = in_folder("a.mcap");
         record(&path, true, |_| false);
         let mut bytes = std::fs::read(&path).expect("reads");
@@ -171,7 +171,7 @@ mod hard_cases {
     /// Asserts that an index with wrong positions does not lead to frames before or after the requested one (found by
     /// fuzzing).
     #[test]
-    fn an_index_that_is_wrong_about_a_chunk_is_seen_through() {
+    fn an_index_with_a_wrong_position_does_not_mislead() {
         let (_folder, path) = in_folder("a.mcap");
         record(&path, true, |_| false);
         let bytes = std::fs::read(&path).expect("reads");

@@ -12,7 +12,7 @@ fn reasons(gaps: &[Gap]) -> Vec<GapReason> {
 }
 
 #[test]
-fn a_board_that_is_plugged_in_again_goes_on() {
+fn the_stream_continues_after_replugging() {
     let folder = tempfile::tempdir().expect("folder");
     // Unread data are lost with the terminal, so that the board is unplugged rarely enough for frames to arrive in
     // between.
@@ -32,7 +32,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
 }
 
 #[test]
-fn a_board_that_stalls_is_started_anew() {
+fn a_stalled_board_is_restarted() {
     for (kind, chirps, samples) in [(Kind::Mcu7V4, 8, 64), (Kind::Deepcraft, 32, 128)] {
         let waveform = waveform(&[1, 2, 3], chirps, samples, 0.1);
         let board = board(&waveform, u64::MAX, kind, &[Fault::Stall(4)]);
@@ -47,7 +47,7 @@ fn a_board_that_stalls_is_started_anew() {
 /// Asserts that a counter that jumps by less than a slice, which gives a packet an impossible position, leads to a
 /// restart.
 #[test]
-fn lost_alignment_is_found_by_starting_anew() {
+fn lost_alignment_leads_to_a_restart() {
     let waveform = waveform(&[1, 2, 3], 128, 256, 0.1);
     for by in [1, 2, 3, 5] {
         let fault = Fault::SkipCounter { packet: 48 + 6, by };
@@ -65,7 +65,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn packets_in_the_wrong_order_cost_their_frames_only() {
+    fn packets_in_the_wrong_order_lose_only_their_frames() {
         let small = waveform(&[1, 2, 3], 8, 64, 0.1);
         let board = board(&small, u64::MAX, Kind::default(), &[Fault::ReorderPacket(3)]);
         let mut stream = Mcu7Board::open(board.address()).expect("opens").start(&small).expect("starts");
@@ -74,7 +74,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn every_fault_at_once_is_survived() {
+    fn the_stream_survives_all_faults_together() {
         let folder = tempfile::tempdir().expect("folder");
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let faults = [
@@ -85,7 +85,7 @@ mod hard_cases {
             Fault::DoublePacket(16),
             Fault::ReorderPacket(18),
             Fault::SkipCounter { packet: 22, by: 3 },
-            // Until the stream has been started anew, the board goes on sending: some tens of packets, on a fast machine 80.
+            // Until the stream is restarted, the board continues to send: some tens of packets, on a fast machine 80.
             Fault::Unplug { packet: 1000, duration: Duration::from_millis(50) },
             Fault::DropPacket(1100),
         ];
@@ -101,7 +101,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn without_leave_to_reconnect_the_error_comes_at_once() {
+    fn without_reconnection_the_error_is_returned_at_once() {
         let folder = tempfile::tempdir().expect("folder");
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let fault = Fault::Unplug { packet: 100, duration: Duration::from_millis(20) };

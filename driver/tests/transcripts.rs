@@ -17,11 +17,12 @@ use serialport::{SerialPort, TTYPort};
 use crate::common::transcript;
 
 /// Time limit for any answer, far above the need of any machine.
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 /// Message of a transcript: whether the host sent it, and its bytes.
 type Message = (bool, Vec<u8>);
 
+/// Messages of the host.
 fn sent_by_host(transcript: &[Message]) -> Vec<Vec<u8>> {
     transcript.iter().filter(|(host, _)| *host).map(|(_, bytes)| bytes.clone()).collect()
 }
@@ -59,6 +60,7 @@ fn ramp(waveform: Waveform) -> Box<dyn FrameSource> {
     }))
 }
 
+/// Emulated board of this protocol.
 fn emulated(waveform: Waveform, protocol: Protocol) -> EmulatedBoard {
     let kind = if protocol == Protocol::V3 { Kind::Mcu7V3 } else { Kind::Mcu7V4 };
     let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind, ..EmulatorOptions::default() };
@@ -95,7 +97,7 @@ fn replay(protocol: Protocol) {
     let Some(transcript) = transcript(protocol) else { return };
     let board = emulated(programmed(&transcript), protocol);
     let mut port =
-        serialport::new(board.path().to_string_lossy(), 921_600).timeout(PATIENCE).open_native().expect("opens");
+        serialport::new(board.path().to_string_lossy(), 921_600).timeout(TIMEOUT).open_native().expect("opens");
     let (mut packets, mut compared) = (Vec::new(), 0);
     let mut expected_packets = transcript.iter().filter(|(host, bytes)| !host && is_packet(bytes)).map(|(_, b)| b);
     let mut answers = transcript.iter().filter(|(host, bytes)| !host && !is_packet(bytes)).map(|(_, b)| b);
@@ -144,7 +146,7 @@ struct Tap {
     sent: Arc<Mutex<Vec<u8>>>,
     stop: Arc<AtomicBool>,
     threads: Vec<thread::JoinHandle<()>>,
-    _keep: std::fs::File,
+    _terminal: std::fs::File,
 }
 
 impl Tap {
@@ -153,7 +155,7 @@ impl Tap {
         theirs.set_exclusive(false).expect("the client may open it too");
         // The plain file keeps the terminal open without locking it; otherwise the line would hang up.
         let path = PathBuf::from(theirs.name().expect("has a name"));
-        let keep = std::fs::File::open(&path).expect("opens");
+        let terminal = std::fs::File::open(&path).expect("opens");
         drop(theirs);
         ours.set_timeout(Duration::from_millis(20)).expect("time-out");
         let port = serialport::new(board.path().to_string_lossy(), 921_600).timeout(Duration::from_millis(20));
@@ -184,7 +186,7 @@ impl Tap {
         let clone = |port: &mut TTYPort| port.try_clone_native().expect("clones");
         let down = pump(clone(&mut ours), clone(&mut board), Some(sent.clone()));
         let up = pump(board, ours, None);
-        Tap { path, sent, stop, threads: vec![down, up], _keep: keep }
+        Tap { path, sent, stop, threads: vec![down, up], _terminal: terminal }
     }
 
     fn finish(self) -> Vec<u8> {
@@ -217,7 +219,7 @@ fn our_session(transcript: &[Message], protocol: Protocol) -> Vec<Vec<u8>> {
     requests
 }
 
-/// Text of a request. A long register list is shown by its length; its content is compared separately.
+/// Text of a request. Of a long register list only the length is shown; its content is compared separately.
 fn describe(bytes: &[u8]) -> String {
     let request = Request::decode(bytes).expect("request");
     match Command::from_request(&request).expect("command") {
@@ -255,7 +257,7 @@ fn differences(vendor: &[Vec<u8>], ours: &[Vec<u8>]) -> Vec<String> {
 }
 
 #[test]
-fn our_client_differs_from_protocol_4_only_where_it_has_a_reason() {
+fn our_client_differs_from_protocol_4_only_as_intended() {
     let Some(transcript) = transcript(Protocol::V4) else { return };
     let ours = our_session(&transcript, Protocol::V4);
     let expected = [
@@ -271,7 +273,7 @@ fn our_client_differs_from_protocol_4_only_where_it_has_a_reason() {
 }
 
 #[test]
-fn our_client_differs_from_protocol_3_only_where_it_has_a_reason() {
+fn our_client_differs_from_protocol_3_only_as_intended() {
     let Some(transcript) = transcript(Protocol::V3) else { return };
     let ours = our_session(&transcript, Protocol::V3);
     let expected = [
@@ -284,7 +286,7 @@ fn our_client_differs_from_protocol_3_only_where_it_has_a_reason() {
         "-V3 WriteRegisters { address: 6, values: [1048576] }",
         "-V3 ReadRegisters { address: 2, count: 1 }",
         "-V3 Uuid",
-        // Version 3 gives the board info in two forms, of which one suffices.
+        // Version 3 has two requests for the board info, of which one suffices.
         "-V3 BoardInfoFixed { length: 32 }",
         // Our client tries version 4 first.
         "+V4 BoardInfo",

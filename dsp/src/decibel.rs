@@ -32,13 +32,13 @@ dispatch! {
 }
 
 #[inline(always)]
-fn convert<const FUSES: bool>(power: &mut [f32], floor_power: f32) -> u32 {
+fn convert<const FUSED: bool>(power: &mut [f32], floor_power: f32) -> u32 {
     let mut non_finite = 0;
     for p in power {
         // Not `f32::max`, which would turn NaN into the floor.
         let clamped = if *p < floor_power { floor_power } else { *p };
-        let db = DB_PER_OCTAVE * log2::<FUSES>(clamped);
-        // The bit arithmetic of `log2` makes numbers of NaN and infinity: bring them back.
+        let db = DB_PER_OCTAVE * log2::<FUSED>(clamped);
+        // The bit arithmetic of `log2` turns NaN and infinity into numbers, so they are restored.
         let is_finite = clamped < f32::INFINITY;
         *p = if is_finite { db } else { clamped };
         non_finite += u32::from(!is_finite);
@@ -65,12 +65,12 @@ pub(crate) const SQRT_HALF_BITS: i32 = 0x3f35_04f3;
 
 /// Base-2 logarithm of a positive normal number.
 #[inline(always)]
-fn log2<const FUSES: bool>(x: f32) -> f32 {
+fn log2<const FUSED: bool>(x: f32) -> f32 {
     let bits = x.to_bits() as i32;
     let exponent = (bits - SQRT_HALF_BITS) >> 23;
     let t = f32::from_bits((bits - (exponent << 23)) as u32) - 1.0;
     let [a, b, c, d, e, f, g] = LOG2_POLYNOMIAL;
-    let step = |sum: f32, coefficient: f32| if FUSES { sum.mul_add(t, coefficient) } else { sum * t + coefficient };
+    let step = |sum: f32, coefficient: f32| if FUSED { sum.mul_add(t, coefficient) } else { sum * t + coefficient };
     let polynomial = step(step(step(step(step(step(g, f), e), d), c), b), a);
     step(polynomial, exponent as f32)
 }
@@ -97,7 +97,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn not_a_number_and_infinity_stay_visible_and_zero_reads_the_floor() {
+        fn nan_and_infinity_stay_visible_and_zero_reads_the_floor() {
             let mut db = [0.0, -0.0, 1e-42, f32::NAN, f32::INFINITY, 1.0, -f32::NAN];
             power_to_db(&mut db, 1e-20);
             for floor in &db[..3] {

@@ -213,7 +213,7 @@ pub enum FrameMismatch {
 }
 
 impl FrameMismatch {
-    /// Checks that a frame has this shape, and as many codes.
+    /// Checks that a frame has this shape and the number of codes of the shape.
     pub(crate) fn check(frame: &Frame, expected: FrameShape) -> Result<(), Self> {
         if frame.shape != expected {
             return Err(Self::Shape { sequence: frame.sequence, expected, got: frame.shape });
@@ -221,7 +221,7 @@ impl FrameMismatch {
         Self::check_length(frame.sequence, frame.codes.len(), expected)
     }
 
-    /// Checks that a frame of this shape has as many samples.
+    /// Checks that `got` is the number of samples of a frame of this shape.
     pub(crate) fn check_length(sequence: u64, got: usize, shape: FrameShape) -> Result<(), Self> {
         let expected = shape.codes();
         if got == expected { Ok(()) } else { Err(Self::Length { sequence, expected, got }) }
@@ -232,7 +232,7 @@ impl FrameMismatch {
 mod tests {
     use super::*;
 
-    /// Fault of a receiver with these codes, beside one that is as it should be.
+    /// Fault of the second receiver with these codes; the first receiver has no fault.
     fn fault(code: impl Fn(usize) -> u16) -> Option<ReceiverFault> {
         let mut frame = Frame::zeroed(FrameShape { rx: 2, chirps: 10, samples: 20 });
         for (index, value) in frame.codes.iter_mut().enumerate() {
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_of_a_receiver_are_told_apart() {
+    fn faults_of_a_receiver_are_distinguished() {
         let wave = |index: usize| 1500 + index as u16;
         assert_eq!(fault(wave), None);
         assert_eq!(fault(|_| 2048), Some(ReceiverFault::Constant));

@@ -78,8 +78,9 @@ impl std::fmt::Display for KernelLevel {
     }
 }
 
-/// Defines a function of a level and other arguments that calls a generic one, with `FUSED` true inside a function compiled for AVX2
-/// or AVX-512, or false in plain code.
+/// Defines a function of a level and other arguments that calls a generic function, compiled for the level.
+///
+/// The generic parameter, `FUSED`, is true in the code for AVX2 and AVX-512, and false in portable code.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! dispatch {
@@ -128,7 +129,7 @@ mod tests {
         }
     }
 
-    /// Tests of kernels leave out levels that the processor lacks; here that counts, once for all of them.
+    /// Tests of kernels leave out levels that the processor lacks. This test counts them as skipped, once for all tests.
     #[test]
     fn levels_that_are_not_tested_count_as_skipped() {
         for (level, name) in KernelLevel::ALL.into_iter().zip(["portable", "avx2", "avx512"]) {

@@ -221,7 +221,12 @@ pub struct WaveformMismatch {
     pub got: String,
 }
 
-fn within(name: &'static str, value: f64, (min, max): (f64, f64), unit: &'static str) -> Result<(), WaveformError> {
+fn check_range(
+    name: &'static str,
+    value: f64,
+    (min, max): (f64, f64),
+    unit: &'static str,
+) -> Result<(), WaveformError> {
     // The negated form also refuses NaN.
     if !(value >= min && value <= max) {
         return Err(WaveformError::OutOfRange { name, value, min, max, unit });
@@ -242,27 +247,32 @@ impl Waveform {
     /// - [`WaveformError::DoesNotFit`] if the samples do not fit into the chirp interval, or the chirps into the frame interval.
     pub fn realise(request: WaveformRequest) -> Result<Self, WaveformError> {
         let r = &request;
-        within("start_frequency_hz", r.start_frequency_hz, (RF_BAND_HZ.0, RF_BAND_HZ.1 - LEAST_BAND_HZ), "Hz")?;
-        let ends = (r.start_frequency_hz + LEAST_BAND_HZ, RF_BAND_HZ.1);
-        within("end_frequency_hz", r.end_frequency_hz, ends, "Hz")?;
-        within("samples_per_chirp", r.samples_per_chirp as f64, (8.0, 4095.0), "samples")?;
-        within("chirps_per_frame", r.chirps_per_frame as f64, (1.0, 4095.0), "chirps")?;
+        check_range("start_frequency_hz", r.start_frequency_hz, (RF_BAND_HZ.0, RF_BAND_HZ.1 - LEAST_BAND_HZ), "Hz")?;
+        let end_limits_hz = (r.start_frequency_hz + LEAST_BAND_HZ, RF_BAND_HZ.1);
+        check_range("end_frequency_hz", r.end_frequency_hz, end_limits_hz, "Hz")?;
+        check_range("samples_per_chirp", r.samples_per_chirp as f64, (8.0, 4095.0), "samples")?;
+        check_range("chirps_per_frame", r.chirps_per_frame as f64, (1.0, 4095.0), "chirps")?;
         let (divider_min, divider_max) = ADC_DIVIDER_RANGE;
-        let rates = (REFERENCE_CLOCK_HZ / f64::from(divider_max), REFERENCE_CLOCK_HZ / f64::from(divider_min));
-        within("sample_rate_hz", r.sample_rate_hz, rates, "Hz")?;
-        within("tx_power_level", f64::from(r.tx_power_level), (0.0, 31.0), "(setting)")?;
-        within("if_gain_db", r.if_gain_db, (18.0, 60.0), "dB")?;
-        within("high_pass_cutoff_hz", r.high_pass_cutoff_hz, (20e3, 80e3), "Hz")?;
-        within("anti_alias_cutoff_hz", r.anti_alias_cutoff_hz, (400e3, 700e3), "Hz")?;
-        within("chirp_interval_s", r.chirp_interval_s, (1e-6, Self::LONGEST_CHIRP_INTERVAL_S), "s")?;
-        within("frame_interval_s", r.frame_interval_s, (1e-6, Self::LONGEST_FRAME_INTERVAL_S), "s")?;
+        let rate_limits_hz = (REFERENCE_CLOCK_HZ / f64::from(divider_max), REFERENCE_CLOCK_HZ / f64::from(divider_min));
+        check_range("sample_rate_hz", r.sample_rate_hz, rate_limits_hz, "Hz")?;
+        check_range("tx_power_level", f64::from(r.tx_power_level), (0.0, 31.0), "(setting)")?;
+        check_range("if_gain_db", r.if_gain_db, (18.0, 60.0), "dB")?;
+        check_range("high_pass_cutoff_hz", r.high_pass_cutoff_hz, (20e3, 80e3), "Hz")?;
+        check_range("anti_alias_cutoff_hz", r.anti_alias_cutoff_hz, (400e3, 700e3), "Hz")?;
+        check_range("chirp_interval_s", r.chirp_interval_s, (1e-6, Self::LONGEST_CHIRP_INTERVAL_S), "s")?;
+        check_range("frame_interval_s", r.frame_interval_s, (1e-6, Self::LONGEST_FRAME_INTERVAL_S), "s")?;
 
         let sample_rate_hz = REFERENCE_CLOCK_HZ / (REFERENCE_CLOCK_HZ / r.sample_rate_hz).round();
         let sampling_s = r.samples_per_chirp as f64 / sample_rate_hz;
-        let wanted_slope = (r.end_frequency_hz - r.start_frequency_hz) / (sampling_s + ADC_START_DELAY_S);
-        let slopes = (SLOPE_STEP_HZ_PER_S, 400e12);
-        within("the slope by end_frequency_hz, samples_per_chirp and sample_rate_hz", wanted_slope, slopes, "Hz/s")?;
-        let slope_hz_per_s = (wanted_slope / SLOPE_STEP_HZ_PER_S).round() * SLOPE_STEP_HZ_PER_S;
+        let requested_slope_hz_per_s = (r.end_frequency_hz - r.start_frequency_hz) / (sampling_s + ADC_START_DELAY_S);
+        let slope_limits_hz_per_s = (SLOPE_STEP_HZ_PER_S, 400e12);
+        check_range(
+            "the slope by end_frequency_hz, samples_per_chirp and sample_rate_hz",
+            requested_slope_hz_per_s,
+            slope_limits_hz_per_s,
+            "Hz/s",
+        )?;
+        let slope_hz_per_s = (requested_slope_hz_per_s / SLOPE_STEP_HZ_PER_S).round() * SLOPE_STEP_HZ_PER_S;
         let chirp_interval_s = (r.chirp_interval_s / CHIRP_INTERVAL_STEP_S).round() * CHIRP_INTERVAL_STEP_S;
 
         let needed_s = sampling_s + CHIRP_OVERHEAD_S;
@@ -366,25 +376,27 @@ impl Waveform {
     /// [`WaveformMismatch`] with the first quantity that differs: the number of chirps or samples, a missing receiver, a range
     /// step or an unambiguous velocity off by more than 1 %, or a frame interval off by more than 5 %.
     pub fn check_compatible(&self, needed: &Waveform) -> Result<(), WaveformMismatch> {
-        let differ = |what, show: &dyn Fn(&Waveform) -> String| {
-            Err(WaveformMismatch { what, expected: show(needed), got: show(self) })
+        let mismatch = |what, value_of: &dyn Fn(&Waveform) -> String| {
+            Err(WaveformMismatch { what, expected: value_of(needed), got: value_of(self) })
         };
-        let near = |of: &dyn Fn(&Waveform) -> f64, tolerance: f64| (of(self) / of(needed) - 1.0).abs() <= tolerance;
+        let is_near = |quantity: &dyn Fn(&Waveform) -> f64, tolerance: f64| {
+            (quantity(self) / quantity(needed) - 1.0).abs() <= tolerance
+        };
         let size = |w: &Waveform| (w.request.chirps_per_frame, w.request.samples_per_chirp);
         if size(self) != size(needed) {
-            return differ("map size", &|w| format!("{} chirps x {} samples", size(w).0, size(w).1));
+            return mismatch("map size", &|w| format!("{} chirps x {} samples", size(w).0, size(w).1));
         }
         if needed.request.rx_antennas.bits() & !self.request.rx_antennas.bits() != 0 {
-            return differ("receivers", &|w| format!("{:?}", w.request.rx_antennas.antennas()));
+            return mismatch("receivers", &|w| format!("{:?}", w.request.rx_antennas.antennas()));
         }
-        if !near(&|w| w.range_resolution_m(), 0.01) {
-            return differ("range step", &|w| format!("{:.4} m", w.range_resolution_m()));
+        if !is_near(&|w| w.range_resolution_m(), 0.01) {
+            return mismatch("range step", &|w| format!("{:.4} m", w.range_resolution_m()));
         }
-        if !near(&|w| w.velocity_step_m_per_s(1), 0.01) {
-            return differ("unambiguous velocity span", &|w| format!("{:.4} m/s", w.velocity_step_m_per_s(1)));
+        if !is_near(&|w| w.velocity_step_m_per_s(1), 0.01) {
+            return mismatch("unambiguous velocity span", &|w| format!("{:.4} m/s", w.velocity_step_m_per_s(1)));
         }
-        if !near(&|w| w.frame_interval_s(), 0.05) {
-            return differ("frame interval", &|w| format!("{:.4} s", w.frame_interval_s()));
+        if !is_near(&|w| w.frame_interval_s(), 0.05) {
+            return mismatch("frame interval", &|w| format!("{:.4} s", w.frame_interval_s()));
         }
         Ok(())
     }
@@ -425,7 +437,7 @@ mod tests {
     }
 
     #[test]
-    fn antennas_are_enabled_up_to_one() {
+    fn a_subset_of_antennas_keeps_the_first_ones() {
         let some = RxMask::from_antennas(&[1, 3]).expect("antennas");
         assert_eq!([0, 1, 5].map(|index| some.up_to(index).antennas()), [vec![1], vec![1, 3], vec![1, 3]]);
         assert_eq!(RxMask::ALL.up_to(1).antennas(), [1, 2]);

@@ -1,4 +1,4 @@
-//! Asserts that maps are made from frames without allocation: this test program's allocator counts by thread.
+//! Asserts that maps are computed from frames without allocation. The allocator of this test program counts by thread.
 
 mod counting;
 
@@ -33,7 +33,7 @@ fn no_transform_allocates_once_it_is_planned() {
             for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
                 let mut processor = RdmProcessor::with_kernel(&spec, &waveform, level).expect("spec fits");
                 let (mut map, mut frame) = (processor.empty_map(), Frame::zeroed(waveform.shape()));
-                let mut make = |sequences: std::ops::Range<u64>| {
+                let mut process = |sequences: std::ops::Range<u64>| {
                     for sequence in sequences {
                         frame.sequence = sequence;
                         frame
@@ -44,12 +44,12 @@ fn no_transform_allocates_once_it_is_planned() {
                         processor.process(&frame, &mut map).expect("frame fits");
                     }
                 };
-                make(0..10);
+                process(0..10);
                 let before = ALLOCATIONS.get();
                 assert!(before > 0, "the allocator counts");
                 // The jump of the sequence number resets the state.
-                make(10..20);
-                make(30..40);
+                process(10..20);
+                process(30..40);
                 assert_eq!(ALLOCATIONS.get() - before, 0, "{level}, {}, {spec:?}", waveform.shape());
             }
         }

@@ -33,7 +33,7 @@ pub const MODEL_LIMIT_BYTES: u64 = 512 << 20;
 /// their own.
 pub const FOLDERS_VARIABLE: &str = "RADOME_PATH";
 
-/// Fault of a path that a file names.
+/// Fault of a path that leads out of the folder of the file with the path.
 const LEAVES_ITS_FOLDER: &str = "leads out of the folder of the file that names it";
 
 /// Reason why a file is refused. It is wrapped in an [`io::Error`].
@@ -114,8 +114,8 @@ pub fn read_text(path: &Path, limit_bytes: u64) -> io::Result<String> {
 /// with the path of the key in backticks.
 pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, toml::de::Error> {
     let parsed = toml::from_str(text)?;
-    // The deserialiser of a table in memory notices which values an array left over, that of a text does not. Such a table
-    // has no integers beyond 64 bits with sign; a document with one goes without this check.
+    // The deserialiser of a table in memory detects surplus values of an array; that of a text does not. Such a table holds
+    // only signed 64-bit integers; a document with a larger one is not checked.
     if let Ok(table) = toml::from_str::<toml::Table>(text) {
         table.try_into::<T>().map_err(|error| {
             let message = error.to_string().trim_end().replace('\n', " ");
@@ -151,16 +151,18 @@ pub fn beside(folder: &Path, name: &str) -> io::Result<PathBuf> {
 /// Errors of the system, and [`Refused::Outside`].
 pub fn named_by_spec(folder: &Path, name: &Path) -> io::Result<PathBuf> {
     let path = folder.join(name);
-    let (real, own) = (path.canonicalize()?, folder_of(folder).canonicalize()?);
-    let is_toml = real.extension().is_some_and(|extension| extension == "toml");
-    let is_near = |above: &Path| real.strip_prefix(above).is_ok_and(|rest| rest.components().count() <= 2);
-    let listed = std::env::var_os(FOLDERS_VARIABLE).unwrap_or_default();
+    let (resolved, own_folder) = (path.canonicalize()?, folder_of(folder).canonicalize()?);
+    let is_toml = resolved.extension().is_some_and(|extension| extension == "toml");
+    let is_in_folder_of =
+        |parent: &Path| resolved.strip_prefix(parent).is_ok_and(|rest| rest.components().count() <= 2);
+    let variable = std::env::var_os(FOLDERS_VARIABLE).unwrap_or_default();
     let is_listed = || {
-        let listed = std::env::split_paths(&listed).filter(|folder| !folder.as_os_str().is_empty());
-        listed.filter_map(|folder| folder.canonicalize().ok()).any(|folder| real.starts_with(folder))
+        let folders = std::env::split_paths(&variable).filter(|folder| !folder.as_os_str().is_empty());
+        folders.filter_map(|folder| folder.canonicalize().ok()).any(|folder| resolved.starts_with(folder))
     };
-    if real.starts_with(&own) || (is_toml && own.parent().is_some_and(is_near)) || is_listed() {
-        // The real path is not returned: messages and fingerprints keep the name that the user knows.
+    if resolved.starts_with(&own_folder) || (is_toml && own_folder.parent().is_some_and(is_in_folder_of)) || is_listed()
+    {
+        // The resolved path is not returned, so that messages and fingerprints keep the name that the user knows.
         return Ok(path);
     }
     let hint = "put the file beside the one that names it, or list its folder in RADOME_PATH";
@@ -198,7 +200,7 @@ mod hard_cases {
 
     use super::*;
 
-    /// Arrays of a fixed length took their values from the beginning of a list, whatever followed.
+    /// Regression test: arrays of a fixed length took the first values of a longer list.
     #[test]
     fn surplus_values_are_refused_with_their_key() {
         type Rooms = BTreeMap<String, BTreeMap<String, [f64; 2]>>;
@@ -215,7 +217,7 @@ mod hard_cases {
 
     fn refused(result: io::Result<impl std::fmt::Debug>) -> Refused {
         let error = result.expect_err("refused");
-        error.get_ref().and_then(|inner| inner.downcast_ref::<Refused>()).cloned().expect("a reason of ours")
+        error.get_ref().and_then(|inner| inner.downcast_ref::<Refused>()).cloned().expect("a reason of this crate")
     }
 
     #[test]
@@ -236,8 +238,8 @@ mod hard_cases {
         {
             assert_eq!(refused(read(Path::new("/dev/zero"), 99)), Refused::NotRegular);
             let pipe = folder.path().join("pipe");
-            let made = std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
-            assert!(made.success());
+            let status = std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
+            assert!(status.success());
             assert_eq!(refused(read(&pipe, 99)), Refused::NotRegular);
             // The file reports no length and does not end before the limit.
             assert!(matches!(

@@ -7,38 +7,39 @@ use std::time::{Duration, Instant};
 
 /// Time between two attempts to lock.
 const RETRY: Duration = Duration::from_millis(10);
-/// Number of times that a file is opened again because its name has passed to another before it was locked.
+/// Number of times that a file is opened again because another file has got its name before it was locked.
 const REOPENINGS: usize = 100;
 
-/// Opens the file of this name, locks it by `attempt`, such as [`File::try_lock`], and waits up to `patience` for another
-/// holder; `None` if that one holds it for longer. The lock belongs to the file and not to its name: if the file was renamed,
-/// replaced or removed before it was locked, the one that has the name now is opened. On a file system without locks a warning
-/// is logged, and the file is not locked.
+/// Opens the file of this name by `open` and locks it by `try_lock`, such as [`File::try_lock`]. Waits up to `timeout` for
+/// another holder of the lock; returns `None` if that one holds it for longer.
+///
+/// The lock belongs to the file and not to its name. If the file was renamed, replaced or removed before it was locked, the
+/// file that has the name now is opened. On a file system without locks, a warning is logged and the file is not locked.
 ///
 /// # Errors
-/// Those of `open`, and those of the system, which `refused` converts.
+/// Those of `open`, and those of the system, which `convert_error` converts.
 pub fn lock<E>(
     path: &Path,
-    patience: Duration,
+    timeout: Duration,
     open: impl Fn() -> Result<File, E>,
-    attempt: impl Fn(&File) -> Result<(), TryLockError>,
-    refused: impl FnOnce(io::Error) -> E,
+    try_lock: impl Fn(&File) -> Result<(), TryLockError>,
+    convert_error: impl FnOnce(io::Error) -> E,
 ) -> Result<Option<File>, E> {
     let start = Instant::now();
     let mut reopened = 0;
     while reopened < REOPENINGS {
         let file = open()?;
-        match attempt(&file) {
-            Ok(()) if leads_to(path, &file) => return Ok(Some(file)),
+        match try_lock(&file) {
+            Ok(()) if refers_to(path, &file) => return Ok(Some(file)),
             Ok(()) => reopened += 1,
-            Err(TryLockError::WouldBlock) if start.elapsed() < patience => std::thread::sleep(RETRY),
+            Err(TryLockError::WouldBlock) if start.elapsed() < timeout => std::thread::sleep(RETRY),
             Err(TryLockError::WouldBlock) => break,
             Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {
                 let path = path.display();
                 tracing::warn!("{path}: this file system knows no locks; see that only one process writes here");
                 return Ok(Some(file));
             }
-            Err(TryLockError::Error(error)) => return Err(refused(error)),
+            Err(TryLockError::Error(error)) => return Err(convert_error(error)),
         }
     }
     Ok(None)
@@ -46,16 +47,16 @@ pub fn lock<E>(
 
 /// Returns whether a name still refers to an open file.
 #[cfg(unix)]
-fn leads_to(path: &Path, file: &File) -> bool {
+fn refers_to(path: &Path, file: &File) -> bool {
     use std::os::unix::fs::MetadataExt;
     match (std::fs::metadata(path), file.metadata()) {
-        (Ok(named), Ok(open)) => (named.dev(), named.ino()) == (open.dev(), open.ino()),
+        (Ok(of_path), Ok(of_file)) => (of_path.dev(), of_path.ino()) == (of_file.dev(), of_file.ino()),
         _ => false,
     }
 }
 
 #[cfg(not(unix))]
-fn leads_to(_: &Path, _: &File) -> bool {
+fn refers_to(_: &Path, _: &File) -> bool {
     true
 }
 
@@ -65,9 +66,9 @@ mod tests {
 
     use super::*;
 
-    fn locked(path: &Path, attempt: impl Fn(&File) -> Result<(), TryLockError>) -> Option<File> {
+    fn locked(path: &Path, try_lock: impl Fn(&File) -> Result<(), TryLockError>) -> Option<File> {
         let open = || File::options().write(true).create(true).truncate(false).open(path);
-        lock(path, Duration::ZERO, open, attempt, |error| error).expect("opens")
+        lock(path, Duration::ZERO, open, try_lock, |error| error).expect("opens")
     }
 
     #[test]
@@ -81,22 +82,22 @@ mod tests {
         drop((first, second));
     }
 
-    /// A file that its holder removed between opening and locking gave a lock that kept nobody out.
+    /// Regression test: if its holder removed the file between opening and locking, the lock excluded nobody.
     #[test]
     fn a_file_that_was_removed_meanwhile_is_made_again() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.lock");
         let attempts = Cell::new(0);
-        let held = locked(&path, |file| {
+        let locked_file = locked(&path, |file| {
             if attempts.replace(attempts.get() + 1) == 0 {
                 std::fs::remove_file(&path).expect("removed");
             }
             file.try_lock()
         });
-        let held = held.expect("free");
+        let locked_file = locked_file.expect("free");
         assert_eq!(attempts.get(), 2);
         assert!(locked(&path, File::try_lock).is_none());
-        drop(held);
+        drop(locked_file);
         assert!(locked(&path, File::try_lock).is_some());
     }
 }

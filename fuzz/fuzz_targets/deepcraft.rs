@@ -8,25 +8,25 @@ use prost::Message;
 use radome_driver::protocol::deepcraft::{
     ChunkEvent, ChunkLayout, ChunkParser, Custom, MAX_REQUEST, MAX_RESPONSE, MessageParser, Request, Response,
 };
-use radome_fuzz::{pieces, within};
+use radome_fuzz::{pieces, with_memory_limit};
 
 fn messages<'a>(input: impl Iterator<Item = &'a [u8]>) -> Vec<Option<Vec<u8>>> {
     let mut parser = MessageParser::new(MAX_REQUEST);
-    let mut found = Vec::new();
+    let mut messages = Vec::new();
     for piece in input {
         parser.push(piece);
         while let Some(message) = parser.next_message() {
             match message {
-                Ok(message) => found.push(Some(message.to_vec())),
+                Ok(message) => messages.push(Some(message.to_vec())),
                 // The start of the next message is unknown.
                 Err(_) => {
-                    found.push(None);
-                    return found;
+                    messages.push(None);
+                    return messages;
                 }
             }
         }
     }
-    found
+    messages
 }
 
 /// Checks numbers and codes of frames up to the first damage.
@@ -57,26 +57,26 @@ fn chunks<'a>(layout: ChunkLayout, input: impl Iterator<Item = &'a [u8]>) {
 
 fuzz_target!(|input: &[u8]| {
     let allowed = (1 << 20) + 2 * MAX_RESPONSE + 1024 * input.len();
-    let at_once = within(allowed, || messages(std::iter::once(input)));
+    let at_once = with_memory_limit(allowed, || messages(std::iter::once(input)));
     assert_eq!(at_once, messages(pieces(input, 40)));
     for message in at_once.iter().flatten().map(Vec::as_slice).chain([input]) {
-        if let Ok(request) = within(allowed, || Request::decode(message)) {
+        if let Ok(request) = with_memory_limit(allowed, || Request::decode(message)) {
             assert_eq!(Request::decode(request.encode_to_vec().as_slice()).map_err(|e| e.to_string()), Ok(request));
         }
-        if let Ok(response) = within(allowed, || Response::decode(message)) {
+        if let Ok(response) = with_memory_limit(allowed, || Response::decode(message)) {
             // NaN compares unequal to itself, so that bytes are compared.
             let bytes = response.encode_to_vec();
             let again = Response::decode(bytes.as_slice()).expect("what was encoded is decoded");
             assert_eq!(again.encode_to_vec(), bytes);
         }
-        if let Ok(custom) = within(allowed, || Custom::decode(message)) {
+        if let Ok(custom) = with_memory_limit(allowed, || Custom::decode(message)) {
             let again = Custom::decode(&custom.encode()).expect("what was encoded is decoded");
             assert_eq!(again.encode(), custom.encode());
         }
     }
     for frame_codes in [2, 16, 96] {
         let layout = ChunkLayout { device: 0, stream: 0, frame_codes };
-        within(allowed, || chunks(layout, std::iter::once(input)));
-        within(allowed, || chunks(layout, pieces(input, 60)));
+        with_memory_limit(allowed, || chunks(layout, std::iter::once(input)));
+        with_memory_limit(allowed, || chunks(layout, pieces(input, 60)));
     }
 });

@@ -10,16 +10,17 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, WriteOptions};
 use radome_fuzz::{check_mcap, folder, parts, waveform};
 
+/// Builds a recording from the parts of an input: metadata, then messages.
 fn build(input: &[u8]) -> Option<Vec<u8>> {
     let mut parts = parts(input, usize::MAX).into_iter();
-    let good = serde_json::to_string(&waveform()).ok()?;
-    let mut text = |good: &str| {
+    let valid_waveform = serde_json::to_string(&waveform()).ok()?;
+    let mut text = |default: &str| {
         let part = parts.next().unwrap_or(&[]);
-        if part.is_empty() { Some(good.to_owned()) } else { String::from_utf8(part.to_vec()).ok() }
+        if part.is_empty() { Some(default.to_owned()) } else { String::from_utf8(part.to_vec()).ok() }
     };
     let metadata = BTreeMap::from([
         ("format_version".to_owned(), text("1")?),
-        ("waveform".to_owned(), text(&good)?),
+        ("waveform".to_owned(), text(&valid_waveform)?),
         ("board".to_owned(), text("null")?),
         ("registers".to_owned(), text("[]")?),
     ]);
@@ -33,12 +34,12 @@ fn build(input: &[u8]) -> Option<Vec<u8>> {
         .ok()?;
     writer.write_metadata(&Metadata { name: "radome".into(), metadata }).ok()?;
     let schema = writer.add_schema("radome.frame", "", &[]).ok()?;
-    let none = BTreeMap::new();
+    let no_metadata = BTreeMap::new();
     let channels = [
-        writer.add_channel(schema, "/radome/frames", "radome.frame", &none).ok()?,
-        writer.add_channel(0, "/radome/gaps", "json", &none).ok()?,
-        writer.add_channel(0, "/radome/labels", "json", &none).ok()?,
-        writer.add_channel(0, "/other", "json", &none).ok()?,
+        writer.add_channel(schema, "/radome/frames", "radome.frame", &no_metadata).ok()?,
+        writer.add_channel(0, "/radome/gaps", "json", &no_metadata).ok()?,
+        writer.add_channel(0, "/radome/labels", "json", &no_metadata).ok()?,
+        writer.add_channel(0, "/other", "json", &no_metadata).ok()?,
     ];
     for (index, part) in parts.enumerate() {
         let Some((&kind, body)) = part.split_first() else { continue };

@@ -8,12 +8,12 @@ use radome_driver::protocol::packed12::{code_at, pack, packed_length, unpack};
 use radome_dsp::FrameShape;
 
 fuzz_target!(|input: &[u8]| {
-    let &[rx, chirps, samples, room, ref bytes @ ..] = input else { return };
+    let &[rx, chirps, samples, shortage, ref bytes @ ..] = input else { return };
     // Capacity equal to, below or above the number of codes in the bytes.
-    let room = (bytes.len() / 3 * 2 + 3).saturating_sub(usize::from(room % 8));
-    let mut codes = vec![0xFFFF; room];
+    let capacity = (bytes.len() / 3 * 2 + 3).saturating_sub(usize::from(shortage % 8));
+    let mut codes = vec![0xFFFF; capacity];
     let count = unpack(bytes, &mut codes);
-    assert_eq!(count, room.min(bytes.len() / 3 * 2));
+    assert_eq!(count, capacity.min(bytes.len() / 3 * 2));
     for (index, code) in codes.iter().enumerate() {
         assert_eq!(*code, if index < count { code_at(bytes, index).expect("a code") } else { 0xFFFF });
     }
@@ -32,8 +32,8 @@ fuzz_target!(|input: &[u8]| {
                 let code = frame[(receiver * shape.chirps + chirp) * shape.samples + sample];
                 // With three receivers only whole triples are taken.
                 let at = fifo_index(shape, receiver, chirp, sample);
-                let whole = if shape.rx == 3 { codes.len() / 3 * 3 } else { codes.len() };
-                assert_eq!(code, if at < whole { codes[at] } else { 0xFFFF });
+                let used = if shape.rx == 3 { codes.len() / 3 * 3 } else { codes.len() };
+                assert_eq!(code, if at < used { codes[at] } else { 0xFFFF });
             }
         }
     }

@@ -7,7 +7,7 @@ use radome_driver::chip::{ChipConfiguration, RegisterFile};
 use radome_driver::protocol::mcu7::{
     BoardInfo, Command, FirmwareVersion, HostEvent, HostParser, MAX_MESSAGE, Protocol, Request,
 };
-use radome_fuzz::{pieces, within};
+use radome_fuzz::{pieces, with_memory_limit};
 
 fn parse<'a>(protocol: Protocol, input: impl Iterator<Item = &'a [u8]>) -> Vec<HostEvent> {
     let mut parser = HostParser::new(protocol);
@@ -15,11 +15,11 @@ fn parse<'a>(protocol: Protocol, input: impl Iterator<Item = &'a [u8]>) -> Vec<H
     for piece in input {
         parser.push(piece);
         while let Some(event) = parser.next_event() {
-            // When it refuses a request the parser, like the firmware, forgets all its bytes. The result then depends
-            // on the pieces.
-            let refused = matches!(event, HostEvent::Refused { .. });
+            // A parser that refuses a request discards all its bytes, like the firmware. The result then depends on the
+            // pieces.
+            let is_refused = matches!(event, HostEvent::Refused { .. });
             events.push(event);
-            if refused {
+            if is_refused {
                 return events;
             }
         }
@@ -27,6 +27,7 @@ fn parse<'a>(protocol: Protocol, input: impl Iterator<Item = &'a [u8]>) -> Vec<H
     events
 }
 
+/// Checks that a request keeps its meaning, and that its register values cause no panic.
 fn check(request: &Request) {
     let bytes = request.encode();
     assert!(bytes.len() <= MAX_MESSAGE);
@@ -53,7 +54,7 @@ fn check(request: &Request) {
 
 fuzz_target!(|input: &[u8]| {
     for protocol in Protocol::ALL {
-        let at_once = within(64 * 1024 + 16 * input.len(), || parse(protocol, std::iter::once(input)));
+        let at_once = with_memory_limit(64 * 1024 + 16 * input.len(), || parse(protocol, std::iter::once(input)));
         assert_eq!(at_once, parse(protocol, pieces(input, 40)));
         for event in &at_once {
             if let HostEvent::Request(request) = event {

@@ -7,10 +7,10 @@ use libfuzzer_sys::fuzz_target;
 use radome_driver::protocol::cmsis_dap::{Answer, Command, Info};
 use radome_driver::protocol::mcu7::bulk::{BulkParser, Control, LastError, MAX_BULK};
 use radome_driver::protocol::mcu7::{BoardEvent, Framing};
-use radome_fuzz::{pieces, within};
+use radome_fuzz::{pieces, with_memory_limit};
 
 /// Asserts that no byte of these reads is lost or repeated.
-fn bulk(input: &[u8]) {
+fn check_bulk(input: &[u8]) {
     let mut parser = BulkParser::new();
     let (mut pushed, mut accounted) = (0, 0);
     for read in pieces(input, 2 * Framing::USB_PACKET) {
@@ -37,7 +37,8 @@ fn bulk(input: &[u8]) {
     assert!(!parser.is_waiting());
 }
 
-fn probe(input: &[u8]) {
+/// Checks commands and answers of debug probes.
+fn check_probe(input: &[u8]) {
     if let Some(command) = Command::decode(input) {
         assert_eq!(Command::decode(&command.encode()), Some(command));
     }
@@ -54,9 +55,9 @@ fn probe(input: &[u8]) {
 }
 
 fuzz_target!(|input: &[u8]| {
-    within(256 * 1024 + 8 * input.len(), || {
-        bulk(input);
-        probe(input);
+    with_memory_limit(256 * 1024 + 8 * input.len(), || {
+        check_bulk(input);
+        check_probe(input);
         if let Some((setup, data)) = input.split_first_chunk() {
             let _ = Control::decode(setup, data);
         }

@@ -11,19 +11,19 @@ use radome_models::{Model, ModelCard, NetworkSpec, TrainSpec};
 use safetensors::tensor::{Dtype, TensorView};
 
 use crate::dataset_spec::BuildSpec;
-use crate::{files, folder, within};
+use crate::{files, folder, with_memory_limit};
 
 /// Largest number of weights of a network that the check of a card builds.
-const MOST_NUMBERS: usize = 1 << 20;
+const MAX_WEIGHTS: usize = 1 << 20;
 
 /// Asserts that a dataset folder that opens and matches its hashes is written again without change.
 pub fn check_dataset(input: &[u8]) {
     let folder = files(&["dataset.json", "manifest.jsonl", "maps-00000.npy", "maps-00001.npy"], input);
-    let opened = within((8 << 20) + 256 * input.len(), || Dataset::open(folder.path()));
+    let opened = with_memory_limit((8 << 20) + 256 * input.len(), || Dataset::open(folder.path()));
     let Ok(dataset) = opened else { return };
     let split = SplitSpec::default();
     let _ = verify(&dataset, &split);
-    let is_whole = within((8 << 20) + 256 * input.len(), || dataset.verify()).is_ok();
+    let matches_hashes = with_memory_limit((8 << 20) + 256 * input.len(), || dataset.verify()).is_ok();
     for index in 0..dataset.len() {
         if let Ok(cells) = dataset.map(index) {
             assert_eq!(cells.len(), dataset.header().shape.cells());
@@ -33,7 +33,7 @@ pub fn check_dataset(input: &[u8]) {
     if let Ok(splits) = dataset.splits(&split) {
         assert_eq!(splits.len(), dataset.len());
     }
-    if is_whole {
+    if matches_hashes {
         let again = folder.path().join("again");
         merge(&[(folder.path(), &dataset)], &again, None).expect("what was read can be written");
         let again = Dataset::open(&again).expect("what was written opens");
@@ -45,7 +45,7 @@ pub fn check_dataset(input: &[u8]) {
 /// weights.
 pub fn check_model(input: &[u8]) {
     let name = Path::new("a.safetensors");
-    if let Ok(model) = within((64 << 20) + 64 * input.len(), || Model::from_bytes(name, input)) {
+    if let Ok(model) = with_memory_limit((64 << 20) + 64 * input.len(), || Model::from_bytes(name, input)) {
         check_smoothing(model.card.smoothing);
         let folder = folder();
         let path = folder.path().join("again.safetensors");
@@ -55,7 +55,8 @@ pub fn check_model(input: &[u8]) {
         assert_eq!(again.network.values().expect("numbers"), model.network.values().expect("numbers"));
     }
     let spec = NetworkSpec::named("resnet18").expect("a network");
-    let weights = within((64 << 20) + 64 * input.len(), || TorchvisionWeights::from_bytes(name, input, &spec));
+    let weights =
+        with_memory_limit((64 << 20) + 64 * input.len(), || TorchvisionWeights::from_bytes(name, input, &spec));
     assert!(!matches!(weights, Err(WeightsError::NoCounterpart { .. })));
 }
 
@@ -74,7 +75,7 @@ pub fn with_card(text: &str) -> Vec<u8> {
     });
     let layout = layout.map(|spec| spec.layout()).unwrap_or_default();
     let count: usize = layout.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum();
-    let layout = if count <= MOST_NUMBERS { layout } else { Vec::new() };
+    let layout = if count <= MAX_WEIGHTS { layout } else { Vec::new() };
     let zeros: Vec<Vec<u8>> = layout.iter().map(|(_, shape)| vec![0; 4 * shape.iter().product::<usize>()]).collect();
     let views = layout.iter().zip(&zeros).map(|((name, shape), zeros)| {
         (name.as_str(), TensorView::new(Dtype::F32, shape.clone(), zeros).expect("as many as its shape says"))
@@ -88,7 +89,7 @@ pub fn check_onnx(input: &[u8]) {
     let folder = folder();
     let path = folder.path().join("a.onnx");
     std::fs::write(&path, input).expect("writes");
-    match within((1 << 20) + 64 * input.len(), || ModelCard::load(&path)) {
+    match with_memory_limit((1 << 20) + 64 * input.len(), || ModelCard::load(&path)) {
         Ok(card) => check_smoothing(card.smoothing),
         Err(error) => assert!(!error.to_string().is_empty()),
     }
@@ -106,14 +107,14 @@ fn check_smoothing(smoothing: Smoothing) {
 /// Asserts that specs of a training, a study and a dataset are accepted, or refused with a reason.
 pub fn check_specs(text: &str) {
     let allowed = (4 << 20) + 1024 * text.len();
-    within(allowed, || {
+    with_memory_limit(allowed, || {
         if let Ok(spec) = toml::from_str::<TrainSpec>(text)
             && spec.check().is_ok()
         {
             check_smoothing(spec.smoothing);
         }
     });
-    within(allowed, || {
+    with_memory_limit(allowed, || {
         let Ok(mut table) = toml::from_str::<toml::Table>(text) else { return };
         for key in ["dataset", "conditions"] {
             table.remove(key);
@@ -123,7 +124,7 @@ pub fn check_specs(text: &str) {
             assert!(spec.variants.iter().all(|variant| spec.network(variant).is_ok()));
         }
     });
-    if let Err(error) = within(allowed, || BuildSpec::parse(text)) {
+    if let Err(error) = with_memory_limit(allowed, || BuildSpec::parse(text)) {
         assert!(!format!("{error:#}").is_empty());
     }
 }

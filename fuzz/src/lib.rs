@@ -17,56 +17,60 @@ pub use learning::{check_card, check_dataset, check_model, check_onnx, check_spe
 pub use recordings::{INFINEON_FILES, check_mcap, check_vendors, waveform};
 pub use scenes::{SCENE_FILES, check_bvh, check_collada, check_gltf, check_obj, check_scene, check_stl};
 
-struct Counting;
+/// System allocator that counts the allocated bytes and panics beyond a limit.
+struct LimitedAllocator;
 
-static LIVE: AtomicUsize = AtomicUsize::new(0);
-static ALLOWED: AtomicUsize = AtomicUsize::new(usize::MAX);
+/// Allocated bytes.
+static ALLOCATED: AtomicUsize = AtomicUsize::new(0);
+/// Largest permitted number of allocated bytes.
+static LIMIT: AtomicUsize = AtomicUsize::new(usize::MAX);
 
-fn grown(bytes: usize) {
-    let live = LIVE.fetch_add(bytes, Ordering::Relaxed) + bytes;
-    if live > ALLOWED.load(Ordering::Relaxed) {
+/// Counts an allocation.
+fn count_allocation(bytes: usize) {
+    let allocated = ALLOCATED.fetch_add(bytes, Ordering::Relaxed) + bytes;
+    if allocated > LIMIT.load(Ordering::Relaxed) {
         // The fuzzer ends the program here, so that the backtrace shows the allocation.
-        ALLOWED.store(usize::MAX, Ordering::Relaxed);
-        panic!("{bytes} bytes more make {live}, which is too much");
+        LIMIT.store(usize::MAX, Ordering::Relaxed);
+        panic!("{bytes} bytes more make {allocated}, which is too much");
     }
 }
 
-// SAFETY: every call goes on to the system's allocator unchanged; counting does not allocate.
-unsafe impl GlobalAlloc for Counting {
+// SAFETY: every call is passed on to the system's allocator unchanged; counting does not allocate.
+unsafe impl GlobalAlloc for LimitedAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        grown(layout.size());
+        count_allocation(layout.size());
         // SAFETY: the caller's promise about `layout` is passed on.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        grown(layout.size());
+        count_allocation(layout.size());
         // SAFETY: the caller's promise about `layout` is passed on.
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        LIVE.fetch_sub(layout.size(), Ordering::Relaxed);
+        ALLOCATED.fetch_sub(layout.size(), Ordering::Relaxed);
         // SAFETY: `pointer` came from `System` with this `layout`.
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        grown(size);
-        LIVE.fetch_sub(layout.size(), Ordering::Relaxed);
+        count_allocation(size);
+        ALLOCATED.fetch_sub(layout.size(), Ordering::Relaxed);
         // SAFETY: `pointer` came from `System` with this `layout`; the promise about `size` is passed on.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }
 
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: LimitedAllocator = LimitedAllocator;
 
 /// Runs `action`, which may allocate at most this number of bytes more than are allocated already.
-pub fn within<T>(bytes: usize, action: impl FnOnce() -> T) -> T {
-    ALLOWED.store(LIVE.load(Ordering::Relaxed) + bytes, Ordering::Relaxed);
+pub fn with_memory_limit<T>(bytes: usize, action: impl FnOnce() -> T) -> T {
+    LIMIT.store(ALLOCATED.load(Ordering::Relaxed) + bytes, Ordering::Relaxed);
     let result = action();
-    ALLOWED.store(usize::MAX, Ordering::Relaxed);
+    LIMIT.store(usize::MAX, Ordering::Relaxed);
     result
 }
 
@@ -78,8 +82,8 @@ pub fn pieces(bytes: &[u8], longest: usize) -> impl Iterator<Item = &[u8]> {
     std::iter::from_fn(move || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let length = 1 + (state >> 33) as usize % longest;
-        let (piece, others) = rest.split_at(length.min(rest.len()));
-        rest = others;
+        let (piece, after) = rest.split_at(length.min(rest.len()));
+        rest = after;
         (!piece.is_empty()).then_some(piece)
     })
 }
@@ -87,10 +91,10 @@ pub fn pieces(bytes: &[u8], longest: usize) -> impl Iterator<Item = &[u8]> {
 /// Separator between the files of one input.
 pub const SEPARATOR: &[u8] = b"\n====\n";
 
-/// The first files of an input, as many as `most`; the last one has the rest.
-pub fn parts(input: &[u8], most: usize) -> Vec<&[u8]> {
+/// Divides an input into its files, at most `max_parts`; the last one has the rest.
+pub fn parts(input: &[u8], max_parts: usize) -> Vec<&[u8]> {
     let (mut parts, mut rest) = (Vec::new(), input);
-    while parts.len() + 1 < most
+    while parts.len() + 1 < max_parts
         && let Some(at) = rest.windows(SEPARATOR.len()).position(|w| w == SEPARATOR)
     {
         parts.push(&rest[..at]);

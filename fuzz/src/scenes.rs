@@ -7,14 +7,16 @@ use radome_sim::people::bvh::parse_bvh;
 use radome_sim::people::clip::BodyClip;
 use radome_sim::people::imported::{Actor, ActorOptions};
 
-use crate::{files, within};
+use crate::{files, with_memory_limit};
 
 /// Files of a scene's folder, in the order of an input's sections.
 pub const SCENE_FILES: [&str; 8] =
     ["scene.toml", "receiver.toml", "room.obj", "room.stl", "room.gltf", "actor.gltf", "actor.dae", "clip.bvh"];
 
-/// Memory that parsing may take: bytes for each byte of a mesh, and a constant.
-const MESH_BYTES: [usize; 2] = [512, 16 << 20];
+/// Memory that parsing a mesh may take for each of its bytes.
+const BYTES_PER_MESH_BYTE: usize = 512;
+/// Memory that parsing a mesh may take in addition.
+const MESH_BYTES: usize = 16 << 20;
 /// Memory that an actor may take: its skin is refined to 150,000 triangles at most.
 const ACTOR_BYTES: usize = 768 << 20;
 /// Memory that the samples of a clip's joints may take.
@@ -25,7 +27,7 @@ const CLIP_BYTES: usize = 256 << 20;
 pub fn check_scene(input: &[u8]) {
     let folder = files(&SCENE_FILES, input);
     let path = folder.path().join("scene.toml");
-    match within(2 * ACTOR_BYTES, || Scene::load(&path)) {
+    match with_memory_limit(2 * ACTOR_BYTES, || Scene::load(&path)) {
         Ok(scene) => {
             let room = scene.room();
             assert!(room.size_m.is_finite() && room.size_m.min_element() > 0.0, "{:?}", room.size_m);
@@ -41,16 +43,14 @@ pub fn check_scene(input: &[u8]) {
 
 /// Checks binary or text STL.
 pub fn check_stl(input: &[u8]) {
-    let [each, beside] = MESH_BYTES;
-    if let Ok(parts) = within(beside + each * input.len(), || parse_stl(input)) {
+    if let Ok(parts) = with_memory_limit(MESH_BYTES + BYTES_PER_MESH_BYTE * input.len(), || parse_stl(input)) {
         check_parts(&parts);
     }
 }
 
 /// Checks OBJ.
 pub fn check_obj(input: &[u8]) {
-    let [each, beside] = MESH_BYTES;
-    if let Ok(parts) = within(beside + each * input.len(), || parse_obj(input)) {
+    if let Ok(parts) = with_memory_limit(MESH_BYTES + BYTES_PER_MESH_BYTE * input.len(), || parse_obj(input)) {
         check_parts(&parts);
     }
 }
@@ -60,12 +60,12 @@ pub fn check_gltf(input: &[u8]) {
     let folder = files(&["a.gltf", "buffer.bin"], input);
     let path = folder.path().join("a.gltf");
     // Many primitives may read the numbers of one accessor, so that their total is bounded.
-    if let Ok(parts) = within(ACTOR_BYTES, || import(&path, LengthUnit::Metre, UpAxis::Y)) {
+    if let Ok(parts) = with_memory_limit(ACTOR_BYTES, || import(&path, LengthUnit::Metre, UpAxis::Y)) {
         check_parts(&parts);
     }
     let bytes = std::fs::read(&path).unwrap_or_default();
     let options = ActorOptions { height_m: Some(1.75), ..ActorOptions::default() };
-    if let Ok(actor) = within(ACTOR_BYTES, || Actor::parse(&bytes, &path, &options)) {
+    if let Ok(actor) = with_memory_limit(ACTOR_BYTES, || Actor::parse(&bytes, &path, &options)) {
         check_actor(&actor);
     }
 }
@@ -73,24 +73,24 @@ pub fn check_gltf(input: &[u8]) {
 /// Checks COLLADA.
 pub fn check_collada(input: &[u8]) {
     let options = ActorOptions { height_m: Some(1.75), ..ActorOptions::default() };
-    if let Ok(actor) = within(ACTOR_BYTES, || Actor::parse(input, std::path::Path::new("a.dae"), &options)) {
+    if let Ok(actor) = with_memory_limit(ACTOR_BYTES, || Actor::parse(input, std::path::Path::new("a.dae"), &options)) {
         check_actor(&actor);
     }
 }
 
 /// Checks a BVH clip and its cycle of steps.
 pub fn check_bvh(text: &str) {
-    let Ok(clip) = within((1 << 20) + 512 * text.len(), || parse_bvh(text)) else {
+    let Ok(clip) = with_memory_limit((1 << 20) + 512 * text.len(), || parse_bvh(text)) else {
         assert!(BodyClip::parse(text, UpAxis::Y, None).is_err());
         return;
     };
     assert!(clip.joints.iter().enumerate().all(|(i, joint)| joint.parent.is_none_or(|parent| parent < i)));
-    let wide: usize = clip.joints.iter().map(|joint| joint.channels.len()).sum();
-    assert!(clip.frames.iter().all(|frame| frame.len() == wide && frame.iter().all(|number| number.is_finite())));
+    let channels: usize = clip.joints.iter().map(|joint| joint.channels.len()).sum();
+    assert!(clip.frames.iter().all(|frame| frame.len() == channels && frame.iter().all(|number| number.is_finite())));
     for up in [UpAxis::Y, UpAxis::Z] {
-        if let Ok(cycle) = within(CLIP_BYTES, || BodyClip::parse(text, up, None)) {
-            let [begin, end] = cycle.span_s;
-            assert!(begin >= 0.0 && end > begin && cycle.cycle_m(0.9).is_finite());
+        if let Ok(cycle) = with_memory_limit(CLIP_BYTES, || BodyClip::parse(text, up, None)) {
+            let [start_s, end_s] = cycle.span_s;
+            assert!(start_s >= 0.0 && end_s > start_s && cycle.cycle_m(0.9).is_finite());
         }
     }
 }
@@ -108,6 +108,7 @@ fn check_parts(parts: &[Part]) {
     }
 }
 
+/// Asserts that an actor has a valid mesh, a height and a cycle.
 fn check_actor(actor: &Actor) {
     let rest = actor.skin.rest();
     assert!(rest.check().is_ok() && !rest.triangles.is_empty());

@@ -6,18 +6,18 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::{FrameSource, Waveform};
 
-use super::host::{lost, open_port};
+use super::host::{disconnected, open_port};
 use super::{BoardError, BoardIdentity, DeepcraftBoard, Esp32Stream, Mcu7Board, Outage, Reconnect};
 use crate::chip::RegisterList;
 use crate::transport::serial::{OpenPort, read_more};
 use crate::transport::{Address, trace};
 
-/// Time for which a port is listened to before it is asked.
-const LISTEN: Duration = Duration::from_millis(300);
-/// Time for which a port that has not answered is listened to again, in addition to three frame intervals.
-const LISTEN_AGAIN: Duration = Duration::from_secs(1);
-/// Most bytes that are listened to.
-const MOST_HEARD: usize = 1 << 18;
+/// Time for which the driver listens to a port before it sends requests.
+const LISTEN_TIME: Duration = Duration::from_millis(300);
+/// Time for which the driver listens again to a port that has not answered, in addition to three frame intervals.
+const SECOND_LISTEN_TIME: Duration = Duration::from_secs(1);
+/// Largest number of bytes that the driver listens to.
+const MOST_RECEIVED: usize = 1 << 18;
 /// Shortest line that is taken for text, bytes.
 const SHORTEST_LINE: usize = 16;
 
@@ -48,7 +48,7 @@ pub enum Detected {
 pub struct StartedBoard {
     /// Frames of the board, which is opened again if it is lost.
     pub frames: Box<dyn FrameSource>,
-    /// Name that the board tells, or that of its kind.
+    /// Name that the board reports, or that of its kind.
     pub name: String,
     /// Identity; `None` of a board that only prints.
     pub identity: Option<BoardIdentity>,
@@ -79,24 +79,24 @@ impl Detected {
     /// The requests sent do not harm a board of another protocol.
     pub fn open(address: &Address, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
         let Address::Serial(path) = address else { return Detected::mcu7(address) };
-        let printer = |(port, heard): (OpenPort, Vec<u8>)| {
-            Esp32Stream::listen(path, port, heard, waveform).map(|stream| Detected::Esp32(Box::new(stream)))
+        let open_esp32 = |(port, received): (OpenPort, Vec<u8>)| {
+            Esp32Stream::listen(path, port, received, waveform).map(|stream| Detected::Esp32(Box::new(stream)))
         };
-        if let Some(heard) = printing(path, LISTEN)? {
-            return printer(heard);
+        if let Some(received) = listen_for_text(path, LISTEN_TIME)? {
+            return open_esp32(received);
         }
-        match asked_in_turn(path, Detected::mcu7, |board| Detected::Deepcraft(Box::new(board))) {
-            Err(silent @ BoardError::NoAnswer { .. }) => {
-                printing(path, listen_again(waveform))?.map_or(Err(silent), printer)
+        match try_protocols(path, Detected::mcu7, |board| Detected::Deepcraft(Box::new(board))) {
+            Err(no_answer @ BoardError::NoAnswer { .. }) => {
+                listen_for_text(path, second_listen_time(waveform))?.map_or(Err(no_answer), open_esp32)
             }
             answer => answer,
         }
     }
 
-    /// Returns the waveform that the board has already: the one that it was left with, is set to, or prints.
+    /// Returns the waveform that the board has already: the one that it was programmed with, is set to, or prints.
     pub fn waveform(&self) -> Option<Waveform> {
         match self {
-            Detected::Mcu7(_, left) => left.clone(),
+            Detected::Mcu7(_, programmed) => programmed.clone(),
             Detected::Deepcraft(board) => board.configured_waveform(),
             Detected::Esp32(stream) => Some(stream.waveform().clone()),
         }
@@ -137,8 +137,8 @@ impl Detected {
     }
 
     fn mcu7(address: &Address) -> Result<Detected, BoardError> {
-        let (board, left) = Mcu7Board::open_with_waveform(address)?;
-        Ok(Detected::Mcu7(Box::new(board), left))
+        let (board, programmed) = Mcu7Board::open_with_waveform(address)?;
+        Ok(Detected::Mcu7(Box::new(board), programmed))
     }
 }
 
@@ -147,53 +147,53 @@ impl Detected {
 /// # Errors
 /// Those of [`Detected::open`].
 pub(crate) fn identity_on(path: &Path) -> Result<Option<BoardIdentity>, BoardError> {
-    if printing(path, LISTEN)?.is_some() {
+    if listen_for_text(path, LISTEN_TIME)?.is_some() {
         return Ok(None);
     }
-    match asked_in_turn(path, Mcu7Board::identity_at, |board| board.identity().clone()) {
-        Err(silent @ BoardError::NoAnswer { .. }) => match printing(path, listen_again(None))? {
+    match try_protocols(path, Mcu7Board::identity_at, |board| board.identity().clone()) {
+        Err(no_answer @ BoardError::NoAnswer { .. }) => match listen_for_text(path, second_listen_time(None))? {
             Some(_) => Ok(None),
-            None => Err(silent),
+            None => Err(no_answer),
         },
         answer => answer.map(Some),
     }
 }
 
-/// Returns the time for which a port that has not answered is listened to: its frames may be far apart.
-fn listen_again(waveform: Option<&Waveform>) -> Duration {
+/// Returns the time for which the driver listens again to a port that has not answered. Its frames may be far apart.
+fn second_listen_time(waveform: Option<&Waveform>) -> Duration {
     let interval_s = waveform.map_or(0.0, Waveform::frame_interval_s);
-    LISTEN_AGAIN + Duration::from_secs_f64(3.0 * interval_s)
+    SECOND_LISTEN_TIME + Duration::from_secs_f64(3.0 * interval_s)
 }
 
 /// Opens a port and listens until it has received text. Returns the port and the received bytes, or `None` after
 /// `timeout` without text.
-fn printing(path: &Path, timeout: Duration) -> Result<Option<(OpenPort, Vec<u8>)>, BoardError> {
+fn listen_for_text(path: &Path, timeout: Duration) -> Result<Option<(OpenPort, Vec<u8>)>, BoardError> {
     let mut port = open_port(path)?;
-    let mut heard = Vec::new();
-    let began = Instant::now();
-    while began.elapsed() < timeout && heard.len() < MOST_HEARD {
-        let before = heard.len();
-        read_more(&mut port, &mut heard).map_err(lost(path))?;
-        if heard.len() > before && is_text(&heard) {
-            trace::received(&heard);
-            return Ok(Some((port, heard)));
+    let mut received = Vec::new();
+    let start = Instant::now();
+    while start.elapsed() < timeout && received.len() < MOST_RECEIVED {
+        let previous_length = received.len();
+        read_more(&mut port, &mut received).map_err(disconnected(path))?;
+        if received.len() > previous_length && is_text(&received) {
+            trace::received(&received);
+            return Ok(Some((port, received)));
         }
     }
-    trace::measured(heard.len());
+    trace::measured(received.len());
     Ok(None)
 }
 
-/// Tries one protocol after the other on a port. A DEEPCRAFT board takes the MCU7 request for the start of a longer one
-/// and waits for its rest; the DEEPCRAFT client completes it.
-fn asked_in_turn<T>(
+/// Tries one protocol after the other on a port. A DEEPCRAFT board takes the MCU7 request for the start of a longer request
+/// and waits for the rest, which the DEEPCRAFT client sends.
+fn try_protocols<T>(
     path: &Path,
     mcu7: impl FnOnce(&Address) -> Result<T, BoardError>,
     deepcraft: impl FnOnce(DeepcraftBoard) -> T,
 ) -> Result<T, BoardError> {
     match mcu7(&Address::Serial(path.into())) {
-        Err(silent @ BoardError::NoAnswer { .. }) => match DeepcraftBoard::open(path) {
+        Err(no_answer @ BoardError::NoAnswer { .. }) => match DeepcraftBoard::open(path) {
             Ok(board) => Ok(deepcraft(board)),
-            Err(BoardError::NoAnswer { .. }) => Err(silent),
+            Err(BoardError::NoAnswer { .. }) => Err(no_answer),
             Err(error) => Err(error),
         },
         answer => answer,
@@ -214,7 +214,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn packets_are_no_text_and_lines_are_even_after_a_boot_loader() {
+    fn lines_are_text_even_after_a_boot_loader_and_packets_are_not() {
         let ramp: Vec<u8> = (0..=255).collect();
         assert!(!is_text(&ramp));
         assert!(!is_text(b""));

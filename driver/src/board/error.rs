@@ -120,7 +120,7 @@ impl BoardError {
 
     /// Returns whether opening the port again may remove the error. A port that has just come back may lack its
     /// permissions for a moment, so that [`BoardError::PermissionDenied`] counts too.
-    pub fn is_passing(&self) -> bool {
+    pub fn is_transient(&self) -> bool {
         match self {
             BoardError::Open { .. }
             | BoardError::Absent { .. }
@@ -134,7 +134,7 @@ impl BoardError {
             | BoardError::Acquisition { .. }
             | BoardError::NoFrame { .. }
             | BoardError::Stalled { .. } => true,
-            BoardError::Deepcraft { source, .. } => source.is_passing(),
+            BoardError::Deepcraft { source, .. } => source.is_transient(),
             BoardError::Protocol { .. }
             | BoardError::OtherChip { .. }
             | BoardError::OtherBoard { .. }

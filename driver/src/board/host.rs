@@ -13,7 +13,7 @@ pub(super) fn open_port(path: &Path) -> Result<OpenPort, BoardError> {
 }
 
 /// Returns a function that converts an error of the system to that of a broken connection.
-pub(super) fn lost(path: &Path) -> impl FnOnce(io::Error) -> BoardError {
+pub(super) fn disconnected(path: &Path) -> impl FnOnce(io::Error) -> BoardError {
     move |source| BoardError::Disconnected { path: path.to_owned(), source }
 }
 

@@ -8,7 +8,7 @@ mod esp32;
 mod host;
 mod identity;
 mod mcu7;
-mod patience;
+mod read_deadline;
 mod reconnect;
 
 pub use deepcraft::{DeepcraftBoard, DeepcraftStream};

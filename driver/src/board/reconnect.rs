@@ -41,37 +41,38 @@ impl Reconnect {
         std::iter::successors(Some(self.first_wait), move |wait| Some(wait.saturating_mul(2).min(longest)))
     }
 
-    /// Repeats `reopen` until it succeeds; returns `error` if the time since `noticed` runs out, and logs what came in its place.
-    fn until_back(
+    /// Repeats `reopen` until it succeeds. Returns `error` if the time since the loss was noticed runs out, and logs the error of the
+    /// last attempt.
+    fn retry(
         self,
         noticed: Instant,
         error: BoardError,
         mut reopen: impl FnMut() -> Result<(), BoardError>,
     ) -> Result<(), BoardError> {
-        let mut last = None;
+        let mut last_error = None;
         for wait in self.waits() {
-            let left = self.give_up_after.saturating_sub(noticed.elapsed());
-            if left.is_zero() {
+            let remaining = self.give_up_after.saturating_sub(noticed.elapsed());
+            if remaining.is_zero() {
                 break;
             }
-            thread::sleep(wait.min(left));
+            thread::sleep(wait.min(remaining));
             match reopen() {
-                Err(error) if error.is_passing() => {
+                Err(error) if error.is_transient() => {
                     tracing::debug!(%error, "the board is not back yet");
-                    last = Some(error);
+                    last_error = Some(error);
                 }
                 result => return result,
             }
         }
-        if let Some(last) = last {
-            tracing::warn!("the board did not come back; the last attempt: {last}");
+        if let Some(last_error) = last_error {
+            tracing::warn!("the board did not come back; the last attempt: {last_error}");
         }
         Err(error)
     }
 }
 
-/// Tells whether the board of a stream is away: from a loss that the stream tries to end until the next frame. A stream that
-/// is stopped meanwhile reports no gap itself.
+/// Flag that tells whether the board of a stream is away: from a loss until the next frame. A stream that is stopped meanwhile
+/// reports no gap itself.
 #[derive(Debug, Clone, Default)]
 pub struct Outage(Arc<AtomicBool>);
 
@@ -89,22 +90,30 @@ pub(super) struct Recovery {
     pub policy: Option<Reconnect>,
     /// Whether the board is away.
     pub outage: Outage,
-    /// Time of the last frame before a loss and time at which the loss was noticed. A board that answers but sends no
-    /// frame counts as lost.
-    loss: Option<(Instant, Instant)>,
+    /// Last loss.
+    loss: Option<Loss>,
+}
+
+/// Loss of a board. A board that answers but sends no frame counts as lost.
+#[derive(Debug, Clone, Copy)]
+struct Loss {
+    /// Time of the last frame before the loss.
+    last_frame: Instant,
+    /// Time at which the loss was noticed.
+    noticed: Instant,
 }
 
 impl Recovery {
     /// Returns the time at which the loss after this frame was noticed: now, if the loss is new.
-    fn noticed(&mut self, last_frame: Instant) -> Instant {
+    fn loss_noticed(&mut self, last_frame: Instant) -> Instant {
         match self.loss {
-            Some((before, noticed)) if before == last_frame => noticed,
-            _ => self.loss.insert((last_frame, Instant::now())).1,
+            Some(loss) if loss.last_frame == last_frame => loss.noticed,
+            _ => self.loss.insert(Loss { last_frame, noticed: Instant::now() }).noticed,
         }
     }
 
     /// Notes that the board is away, and reports it unless it was away already.
-    fn is_lost(&self, policy: Reconnect, error: &BoardError) {
+    fn note_loss(&self, policy: Reconnect, error: &BoardError) {
         if !self.outage.0.swap(true, Ordering::SeqCst) {
             let give_up_after_s = policy.give_up_after.as_secs_f64();
             tracing::warn!(%error, give_up_after_s, "the board is lost: its port is opened again and again");
@@ -112,9 +121,9 @@ impl Recovery {
     }
 
     /// Notes that a frame has come, and reports the end of an outage.
-    fn frame_came(&self) {
+    fn note_frame(&self) {
         if self.outage.0.swap(false, Ordering::SeqCst) {
-            let away_s = self.loss.map_or(0.0, |(last_frame, _)| last_frame.elapsed().as_secs_f64());
+            let away_s = self.loss.map_or(0.0, |loss| loss.last_frame.elapsed().as_secs_f64());
             tracing::warn!(away_s, "the board is back");
         }
     }
@@ -123,7 +132,7 @@ impl Recovery {
 /// Stream that can open the connection to its board again.
 pub(super) trait Reconnectable {
     /// Reads the next frame or gap; fails after the deadline.
-    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError>;
+    fn read_event(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError>;
 
     /// Closes the connection: the old port must be closed before the new one can be opened.
     fn close(&mut self);
@@ -140,27 +149,27 @@ pub(super) trait Reconnectable {
 /// Reads the next frame or gap, and reconnects by the stream's policy after an error that may pass.
 pub(super) fn next_event(stream: &mut impl Reconnectable, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
     loop {
-        let error = match stream.wait(frame) {
+        let error = match stream.read_event(frame) {
             Ok(event) => {
-                // The gap of an outage comes first. Until its frame has come too, the board may be away for longer.
+                // The gap of an outage comes before its first frame. Until that frame has come, the board may be lost again.
                 if event == SourceEvent::Frame {
-                    stream.recovery().frame_came();
+                    stream.recovery().note_frame();
                 }
                 return Ok(event);
             }
             Err(error) => error,
         };
-        let Some(policy) = stream.recovery().policy.filter(|_| error.is_passing()) else { return Err(error) };
-        stream.recovery().is_lost(policy, &error);
+        let Some(policy) = stream.recovery().policy.filter(|_| error.is_transient()) else { return Err(error) };
+        stream.recovery().note_loss(policy, &error);
         stream.close();
         let last_frame = stream.last_frame();
-        let noticed = stream.recovery().noticed(last_frame);
+        let noticed = stream.recovery().loss_noticed(last_frame);
         let reopen = || {
-            // A former attempt may have opened the port and failed later.
+            // An earlier attempt may have opened the port and failed later.
             stream.close();
             stream.reopen()
         };
-        policy.until_back(noticed, error, reopen)?;
+        policy.retry(noticed, error, reopen)?;
     }
 }
 
@@ -179,16 +188,16 @@ mod tests {
 
     use super::*;
 
-    /// Board that falls silent once. `seen` is the gap of the outage when the board was looked for.
-    struct Silent {
+    /// Stream whose events are given. `gaps` are the gaps of the outage at each attempt to reopen.
+    struct ScriptedStream {
         recovery: Recovery,
         events: Vec<Option<SourceEvent>>,
-        seen: Vec<Option<Gap>>,
+        gaps: Vec<Option<Gap>>,
         last_frame: Instant,
     }
 
-    impl Reconnectable for Silent {
-        fn wait(&mut self, _frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+    impl Reconnectable for ScriptedStream {
+        fn read_event(&mut self, _frame: &mut Frame) -> Result<SourceEvent, BoardError> {
             let event = self.events.pop().unwrap_or(Some(SourceEvent::End));
             event.ok_or_else(|| BoardError::Stalled { path: "port".into(), waited: Duration::ZERO })
         }
@@ -196,7 +205,7 @@ mod tests {
         fn close(&mut self) {}
 
         fn reopen(&mut self) -> Result<(), BoardError> {
-            self.seen.push(self.recovery.outage.gap(1));
+            self.gaps.push(self.recovery.outage.gap(1));
             Ok(())
         }
 
@@ -213,11 +222,11 @@ mod tests {
     fn an_outage_lasts_from_the_loss_to_the_next_frame() {
         let policy = Reconnect { first_wait: Duration::from_millis(1), ..Reconnect::default() };
         let gap = SourceEvent::Gap(Gap { first_sequence: 1, frames: 2, reason: GapReason::Disconnected });
-        let mut stream = Silent {
+        let mut stream = ScriptedStream {
             recovery: Recovery { policy: Some(policy), ..Recovery::default() },
             // From the last to the first.
             events: vec![Some(SourceEvent::Frame), Some(gap), None, Some(SourceEvent::Frame)],
-            seen: Vec::new(),
+            gaps: Vec::new(),
             last_frame: Instant::now(),
         };
         let outage = stream.recovery.outage.clone();
@@ -226,7 +235,7 @@ mod tests {
             assert_eq!(next_event(&mut stream, &mut frame).expect("an event"), event);
             assert_eq!(outage.gap(1).is_some(), is_away, "{event:?}");
         }
-        assert_eq!(stream.seen, [Some(Gap { first_sequence: 1, frames: 0, reason: GapReason::Disconnected })]);
+        assert_eq!(stream.gaps, [Some(Gap { first_sequence: 1, frames: 0, reason: GapReason::Disconnected })]);
     }
 
     #[test]
@@ -242,7 +251,7 @@ mod tests {
         /// Regression test: the loss of frames 10 s apart is noticed after half a minute. The stream then ended without
         /// an attempt to reconnect.
         #[test]
-        fn a_loss_that_is_noticed_late_is_looked_after_all_the_same() {
+        fn a_loss_that_is_noticed_late_is_retried() {
             let give_up_after = Duration::from_secs(1);
             let policy = Reconnect { first_wait: Duration::from_millis(1), give_up_after, ..Reconnect::default() };
             let stalled = || BoardError::Stalled { path: "port".into(), waited: Duration::from_secs(31) };
@@ -251,19 +260,19 @@ mod tests {
             let (mut recovery, mut attempts) = (Recovery::default(), 0);
             // The port opens each time but no frame comes: the stream must end too.
             let error = loop {
-                let noticed = recovery.noticed(last_frame);
+                let noticed = recovery.loss_noticed(last_frame);
                 assert!(noticed >= last_frame + Duration::from_millis(20));
                 let reopen = || {
                     attempts += 1;
                     Ok(())
                 };
-                if let Err(error) = policy.until_back(noticed, stalled(), reopen) {
+                if let Err(error) = policy.retry(noticed, stalled(), reopen) {
                     break error;
                 }
             };
             assert!(attempts > 0 && matches!(error, BoardError::Stalled { .. }), "{attempts} attempts: {error}");
             // The next loss has its own time.
-            assert!(recovery.noticed(Instant::now()) > last_frame + Duration::from_millis(20));
+            assert!(recovery.loss_noticed(Instant::now()) > last_frame + Duration::from_millis(20));
         }
 
         #[test]

@@ -11,8 +11,8 @@
 //!   starts 150 cycles (1.875 us) early, so `FSU` lies `150 RSU` below the requested start. Sampling starts
 //!   `8 T_SSTRT + 1 = 249` cycles after the transmitter;
 //! - `RTU` is the time from ramp start to the last sample, rounded up to 8 cycles;
-//! - a chirp lasts `90 + 8 RTU + 8 TMREND + INIT0 + INIT1 + 8 T_SED 2^T_SED_MUL + 32` cycles. The last number gathers
-//!   the state machine's overheads and is fitted to the captured list (591.125 us);
+//! - a chirp lasts `90 + 8 RTU + 8 TMREND + INIT0 + INIT1 + 8 T_SED 2^T_SED_MUL + 32` cycles. The last number is
+//!   the sum of the state machine's overheads, fitted to the captured list (591.125 us);
 //! - a frame lasts its chirps, less the end delay of the last one, plus `8 TFED 2^TFED_MUL` and the wake-up. This
 //!   gives the captured list's 77.269 ms within 26 us, which is what `TFED` can resolve at that length.
 //!
@@ -246,16 +246,16 @@ pub struct ChipConfiguration {
 
 /// Mantissa and exponent of a delay: value `mantissa << exponent` in units of 8 cycles.
 fn delay(units: f64, max_exponent: u32) -> (u32, u32) {
-    let mut best = (0, 0, f64::INFINITY);
+    let (mut best_mantissa, mut best_exponent, mut least_error) = (0, 0, f64::INFINITY);
     for exponent in 0..=max_exponent {
         let mantissa = (units / f64::from(1u32 << exponent)).round().clamp(0.0, 255.0);
         let error = (mantissa * f64::from(1u32 << exponent) - units).abs();
-        if error <= best.2 {
-            best = (mantissa as u32, exponent, error);
+        if error <= least_error {
+            (best_mantissa, best_exponent, least_error) = (mantissa as u32, exponent, error);
         }
     }
     // A delay of zero has a zero exponent too.
-    if best.0 == 0 { (0, 0) } else { (best.0, best.1) }
+    if best_mantissa == 0 { (0, 0) } else { (best_mantissa, best_exponent) }
 }
 
 /// Quantity in a register field: `origin + step n` in some unit.
@@ -275,13 +275,13 @@ impl Quantity {
 
     /// Returns the field with the value `n`, or an error if `n` is out of range.
     fn in_field(&self, field: Field, n: i64, hint: &'static str) -> Result<(Field, u32), ChipError> {
-        let at = |n: i64| self.origin + self.step * n as f64;
+        let physical = |n: i64| self.origin + self.step * n as f64;
         let (least, most) = self.range;
         if n < least || n > most {
             // A negative step swaps the ends of the interval.
-            let (min, max) = (at(least).min(at(most)), at(least).max(at(most)));
+            let (min, max) = (physical(least).min(physical(most)), physical(least).max(physical(most)));
             let (field, quantity, unit) = (field.name, self.name, self.unit);
-            return Err(ChipError::FieldRange { field, quantity, value: at(n), min, max, unit, hint });
+            return Err(ChipError::FieldRange { field, quantity, value: physical(n), min, max, unit, hint });
         }
         Ok((field, (n & 0xFF_FFFF) as u32))
     }
@@ -361,27 +361,27 @@ impl ChipConfiguration {
             needed_s: cycles / REFERENCE_CLOCK_HZ,
             given_s,
         };
-        let chirp = chirp_interval_s * REFERENCE_CLOCK_HZ;
+        let chirp_cycles = chirp_interval_s * REFERENCE_CLOCK_HZ;
         let (rtu, _) = ramp(&self.waveform);
         let active = active_cycles(rtu);
-        let (chirp_power_mode, used) =
-            if chirp >= (active + INIT_CYCLES) as f64 { (1, active + INIT_CYCLES) } else { (0, active) };
-        if chirp + 4.0 < used as f64 {
-            return Err(too_short("a chirp", used as f64, chirp_interval_s));
+        let (chirp_power_mode, fixed_cycles) =
+            if chirp_cycles >= (active + INIT_CYCLES) as f64 { (1, active + INIT_CYCLES) } else { (0, active) };
+        if chirp_cycles + 4.0 < fixed_cycles as f64 {
+            return Err(too_short("a chirp", fixed_cycles as f64, chirp_interval_s));
         }
-        let (sed, sed_mul) = delay((chirp - used as f64) / 8.0, 16);
+        let (sed, sed_mul) = delay((chirp_cycles - fixed_cycles as f64) / 8.0, 16);
         let end_delay = u64::from(sed) << sed_mul << 3;
-        let chirps = ((used + end_delay) * r.chirps_per_frame as u64 - end_delay) as f64;
+        let all_chirps_cycles = ((fixed_cycles + end_delay) * r.chirps_per_frame as u64 - end_delay) as f64;
 
-        let frame = r.frame_interval_s * REFERENCE_CLOCK_HZ;
-        let (frame_power_mode, rest) = match frame - chirps - WAKE_UP_CYCLES as f64 {
-            rest if rest >= 0.0 => (2, rest),
-            _ => (1, frame - chirps),
+        let frame_cycles = r.frame_interval_s * REFERENCE_CLOCK_HZ;
+        let (frame_power_mode, rest_cycles) = match frame_cycles - all_chirps_cycles - WAKE_UP_CYCLES as f64 {
+            rest_cycles if rest_cycles >= 0.0 => (2, rest_cycles),
+            _ => (1, frame_cycles - all_chirps_cycles),
         };
-        if rest < -8.0 {
-            return Err(too_short("a frame", chirps, r.frame_interval_s));
+        if rest_cycles < -8.0 {
+            return Err(too_short("a frame", all_chirps_cycles, r.frame_interval_s));
         }
-        let (fed, fed_mul) = delay(rest / 8.0, 22);
+        let (fed, fed_mul) = delay(rest_cycles / 8.0, 22);
         Ok(vec![
             (PLL1_7::PD_MODE, chirp_power_mode),
             (PLL1_7::T_SED, sed),
@@ -448,13 +448,15 @@ impl ChipConfiguration {
     /// # Errors
     /// [`ChipError::NotAWaveform`] if the registers do not stand for a waveform.
     pub fn decode(registers: &RegisterFile) -> Result<Self, ChipError> {
-        let wrong = |reason: String| ChipError::NotAWaveform { reason };
+        let not_a_waveform = |reason: String| ChipError::NotAWaveform { reason };
         let divider = registers.field(ADC0::ADC_DIV);
         let samples = registers.field(PLL1_3::APU) as usize;
         let chirps = registers.field(CCR2::FRAME_LEN) as usize + 1;
         let rsu = registers.field(PLL1_1::RSU);
         if divider < 20 || samples == 0 || rsu == 0 || rsu >= 1 << 23 {
-            return Err(wrong(format!("ADC_DIV {divider}, APU {samples}, RSU {rsu}; is the chip configured?")));
+            return Err(not_a_waveform(format!(
+                "ADC_DIV {divider}, APU {samples}, RSU {rsu}; is the chip configured?"
+            )));
         }
         // FSU is a signed 24-bit number.
         let fsu = ((registers.field(PLL1_0::FSU) << 8) as i32) >> 8;
@@ -464,12 +466,13 @@ impl ChipConfiguration {
         let sample_rate_hz = REFERENCE_CLOCK_HZ / f64::from(divider);
 
         let mode = registers.field(PLL1_7::PD_MODE);
-        let used = active_cycles(u64::from(registers.field(PLL1_2::RTU))) + if mode == 0 { 0 } else { INIT_CYCLES };
+        let fixed_cycles =
+            active_cycles(u64::from(registers.field(PLL1_2::RTU))) + if mode == 0 { 0 } else { INIT_CYCLES };
         let end_delay = u64::from(registers.field(PLL1_7::T_SED)) << registers.field(PLL1_7::T_SED_MUL) << 3;
-        let chirp = used + end_delay;
-        let wake_up = if registers.field(CCR1::PD_MODE) >= 2 { WAKE_UP_CYCLES } else { 0 };
+        let chirp_cycles = fixed_cycles + end_delay;
+        let wake_up_cycles = if registers.field(CCR1::PD_MODE) >= 2 { WAKE_UP_CYCLES } else { 0 };
         let frame_delay = u64::from(registers.field(CCR1::TFED)) << registers.field(CCR1::TFED_MUL) << 3;
-        let frame = chirp * chirps as u64 - end_delay + wake_up + frame_delay;
+        let frame_cycles = chirp_cycles * chirps as u64 - end_delay + wake_up_cycles + frame_delay;
 
         let mask = registers.field(CS1_U_1::BBCH_SEL) & 7;
         let antennas: Vec<u8> = (1..=3).filter(|a| mask >> (a - 1) & 1 == 1).collect();
@@ -478,19 +481,20 @@ impl ChipConfiguration {
         let high_pass_db = if registers.field(CS1_U_2::HP_GAIN) >> u32::from(first) & 1 == 1 { 18.0 } else { 30.0 };
         let seconds = |cycles: u64| cycles as f64 / REFERENCE_CLOCK_HZ;
         let ramp_s = samples as f64 / sample_rate_hz + ADC_START_DELAY_S;
-        // Rounding to the grids may lead out of the limits of a request, at most by half a step of slope and a step of frequency.
-        let inside = |value: f64, [low, high]: [f64; 2], most: f64| {
-            let near = value.max(low).min(high);
-            if (near - value).abs() <= most { near } else { value }
+        // Rounding to the grids may exceed the limits of a request, at most by half a step of slope and a step of frequency.
+        let clamp_within = |value: f64, [low, high]: [f64; 2], tolerance: f64| {
+            let clamped = value.max(low).min(high);
+            if (clamped - value).abs() <= tolerance { clamped } else { value }
         };
         let end_frequency_hz = start_frequency_hz + slope * ramp_s;
         let start_frequency_hz =
-            inside(start_frequency_hz, [RF_BAND_HZ.0, RF_BAND_HZ.1 - LEAST_BAND_HZ], FREQUENCY_STEP_HZ);
-        let most_hz = 0.5 * SLOPE_STEP_HZ_PER_S * ramp_s + FREQUENCY_STEP_HZ;
-        let end_frequency_hz = inside(end_frequency_hz, [start_frequency_hz + LEAST_BAND_HZ, RF_BAND_HZ.1], most_hz);
+            clamp_within(start_frequency_hz, [RF_BAND_HZ.0, RF_BAND_HZ.1 - LEAST_BAND_HZ], FREQUENCY_STEP_HZ);
+        let tolerance_hz = 0.5 * SLOPE_STEP_HZ_PER_S * ramp_s + FREQUENCY_STEP_HZ;
+        let end_frequency_hz =
+            clamp_within(end_frequency_hz, [start_frequency_hz + LEAST_BAND_HZ, RF_BAND_HZ.1], tolerance_hz);
         // The longest intervals may be rounded up by half a step of their delay, and by 8 cycles for their overheads.
-        let longest = |cycles: u64, exponent: Field, longest_s: f64| {
-            inside(seconds(cycles), [0.0, longest_s], seconds((4u64 << registers.field(exponent)) + 8))
+        let interval_s = |cycles: u64, exponent: Field, longest_s: f64| {
+            clamp_within(seconds(cycles), [0.0, longest_s], seconds((4u64 << registers.field(exponent)) + 8))
         };
         let request = WaveformRequest {
             start_frequency_hz,
@@ -498,15 +502,15 @@ impl ChipConfiguration {
             samples_per_chirp: samples,
             chirps_per_frame: chirps,
             sample_rate_hz,
-            chirp_interval_s: longest(chirp, PLL1_7::T_SED_MUL, Waveform::LONGEST_CHIRP_INTERVAL_S),
-            frame_interval_s: longest(frame, CCR1::TFED_MUL, Waveform::LONGEST_FRAME_INTERVAL_S),
-            rx_antennas: RxMask::from_antennas(&antennas).map_err(|e| wrong(e.to_string()))?,
+            chirp_interval_s: interval_s(chirp_cycles, PLL1_7::T_SED_MUL, Waveform::LONGEST_CHIRP_INTERVAL_S),
+            frame_interval_s: interval_s(frame_cycles, CCR1::TFED_MUL, Waveform::LONGEST_FRAME_INTERVAL_S),
+            rx_antennas: RxMask::from_antennas(&antennas).map_err(|e| not_a_waveform(e.to_string()))?,
             tx_power_level: registers.field(CS1_U_1::TX1_DAC) as u8,
             if_gain_db: high_pass_db + 5.0 * f64::from(vga).min(6.0),
             high_pass_cutoff_hz: HIGH_PASS_HZ[(high_pass & 3) as usize],
             anti_alias_cutoff_hz: 500e3,
         };
-        let waveform = Waveform::realise(request).map_err(|e| wrong(e.to_string()))?;
+        let waveform = Waveform::realise(request).map_err(|e| not_a_waveform(e.to_string()))?;
         Ok(ChipConfiguration { waveform, slice_samples: 2 * (registers.field(SFCTL::FIFO_CREF) as usize + 1) })
     }
 }
@@ -574,7 +578,7 @@ mod tests {
         }
     }
 
-    /// Registers whose rounded ramp ends behind the band were refused, although its request is within the band.
+    /// Regression test: registers whose rounded ramp ends beyond the band were refused, although the request is within the band.
     #[test]
     fn a_ramp_to_the_edge_of_the_band_is_realised() {
         for megahertz in 0..=12 {
@@ -599,7 +603,7 @@ mod tests {
     }
 
     /// Asserts that a waveform and the one that its registers realise compile to the same registers.
-    fn assert_steady(request: WaveformRequest) -> Waveform {
+    fn assert_idempotent(request: WaveformRequest) -> Waveform {
         let waveform = Waveform::realise(request).expect("valid");
         let configuration = ChipConfiguration { waveform, slice_samples: 8192 };
         let realised = configuration.realised().expect("a waveform");
@@ -616,7 +620,7 @@ mod tests {
             let chirp_interval_s = f64::from(chirp_interval_us) * 1e-6;
             let frame_interval_s = 128.0 * chirp_interval_s;
             let paper = WaveformRequest::paper();
-            let realised = assert_steady(WaveformRequest { chirp_interval_s, frame_interval_s, ..paper });
+            let realised = assert_idempotent(WaveformRequest { chirp_interval_s, frame_interval_s, ..paper });
             let error_s = (realised.request.frame_interval_s - frame_interval_s).abs();
             assert!(error_s < 10e-6, "{chirp_interval_us} us: {error_s} s");
         }
@@ -631,7 +635,7 @@ mod tests {
             [(4, 0.99, 10.0), (4, 1.0, 10.0), (128, 2e-3, 99.8), (128, 2e-3, 99.9), (128, 2e-3, 100.0)]
         {
             let intervals = WaveformRequest { chirp_interval_s, frame_interval_s, ..paper.clone() };
-            let realised = assert_steady(WaveformRequest { chirps_per_frame, ..intervals }).request;
+            let realised = assert_idempotent(WaveformRequest { chirps_per_frame, ..intervals }).request;
             assert!((realised.chirp_interval_s / chirp_interval_s - 1.0).abs() < 4e-3, "{realised:?}");
             assert!((realised.frame_interval_s / frame_interval_s - 1.0).abs() < 4e-3, "{realised:?}");
         }

@@ -24,21 +24,21 @@ pub fn candidates_in(roots: &Roots) -> Vec<Candidate> {
     let mut found = sysfs::serial_ports(roots);
     found.extend(sysfs::hid_devices(roots));
     // The USB device itself is listed if it is opened directly, or if no driver has created a node for it.
-    let is_of_interest = |(device, is_probe): &(Candidate, bool)| {
-        let mut nodes = found.iter().filter(|other| other.is_of_device(device));
+    let is_listed = |(device, is_probe): &(Candidate, bool)| {
+        let mut nodes = found.iter().filter(|other| other.is_same_device(device));
         match device.belief {
             Belief::Mcu7Bulk => true,
             _ if *is_probe => !nodes.any(|other| other.transport == Transport::Hid),
             _ => nodes.next().is_none(),
         }
     };
-    let devices: Vec<_> =
-        sysfs::usb_devices(roots).into_iter().filter(is_of_interest).map(|(device, _)| device).collect();
+    let devices: Vec<_> = sysfs::usb_devices(roots).into_iter().filter(is_listed).map(|(device, _)| device).collect();
     found.extend(devices);
     found.sort_by(|a, b| (&a.path, a.transport).cmp(&(&b.path, b.transport)));
     let probes: Vec<Candidate> = found.iter().filter(|c| c.is_probe()).cloned().collect();
     for candidate in found.iter_mut().filter(|c| !c.is_probe()) {
-        candidate.debug_probe = probes.iter().find(|probe| candidate.is_beside(probe)).map(|probe| probe.path.clone());
+        candidate.debug_probe =
+            probes.iter().find(|probe| candidate.is_same_kit(probe)).map(|probe| probe.path.clone());
     }
     found
 }
@@ -52,7 +52,7 @@ mod tests {
         use crate::discover::{Access, Roots, candidates, candidates_in};
 
         #[test]
-        fn any_machine_can_be_looked_at() {
+        fn candidates_are_listed_on_any_machine() {
             candidates();
             assert_eq!(node_access(Path::new("/dev/no-such-node")), Access::Absent);
             let nowhere = Roots { sys: "/no/such/sys".into(), dev: "/no/such/dev".into() };

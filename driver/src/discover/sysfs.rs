@@ -75,6 +75,7 @@ fn device_of(roots: &Roots, class: &str, name: &str) -> Option<(PathBuf, Option<
     Some((folder, usb))
 }
 
+/// Kind of a USB device with known ids.
 fn belief(usb: Option<&UsbIdentity>) -> Option<Belief> {
     usb.and_then(|usb| Belief::by_usb_id(usb.vendor_id, usb.product_id))
 }
@@ -83,6 +84,7 @@ fn candidate(path: PathBuf, transport: Transport, belief: Belief, usb: Option<Us
     Candidate { access: node_access(&path), path, transport, belief, usb, debug_probe: None }
 }
 
+/// Lists serial ports that a board can be on.
 pub(super) fn serial_ports(roots: &Roots) -> Vec<Candidate> {
     let port = |name: String| {
         let (_, usb) = device_of(roots, "tty", &name)?;
@@ -109,12 +111,12 @@ pub(super) fn hid_devices(roots: &Roots) -> Vec<Candidate> {
 /// Returns whether a USB device has a vendor-specific interface whose name marks it as a debug probe with bulk
 /// transfers.
 fn has_bulk_probe(folder: &Path) -> bool {
-    let is_one = |name: String| {
+    let is_bulk_probe = |name: String| {
         let interface = folder.join(name);
         text(&interface.join("bInterfaceClass")).is_some_and(|class| class == VENDOR_SPECIFIC)
             && text(&interface.join("interface")).is_some_and(|name| name.contains(CMSIS_DAP))
     };
-    names(folder).into_iter().filter(|name| name.contains(':')).any(is_one)
+    names(folder).into_iter().filter(|name| name.contains(':')).any(is_bulk_probe)
 }
 
 /// Lists USB devices with known ids, and debug probes. The flag marks probes with bulk transfers.

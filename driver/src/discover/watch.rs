@@ -37,11 +37,11 @@ impl Watch {
 
     /// Polls the devices; returns removed ones first, then added and changed ones.
     pub fn look(&mut self) -> Vec<Change> {
-        let now = candidates_in(&self.roots);
-        let known = std::mem::replace(&mut self.known, now.clone());
-        let removed = known.iter().filter(|old| !now.iter().any(|new| is_same(old, new)));
+        let current = candidates_in(&self.roots);
+        let known = std::mem::replace(&mut self.known, current.clone());
+        let removed = known.iter().filter(|old| !current.iter().any(|new| is_same(old, new)));
         let mut changes: Vec<Change> = removed.cloned().map(Change::Removed).collect();
-        for new in now {
+        for new in current {
             match known.iter().find(|old| is_same(old, &new)) {
                 None => changes.push(Change::Added(new)),
                 Some(old) if *old != new => changes.push(Change::Changed(new)),

@@ -48,6 +48,7 @@ pub struct EmulatedBoard {
     claim: Option<OwnedFd>,
 }
 
+/// Creates the firmware of the emulated kind of board.
 fn firmware(
     feed: Feed,
     options: &EmulatorOptions,
@@ -66,17 +67,18 @@ fn firmware(
     })
 }
 
-/// Path of a folder that nothing else in this process uses.
-fn folder() -> PathBuf {
+/// Path of a folder that no other board of this process uses.
+fn unique_folder() -> PathBuf {
     static NEXT: AtomicU64 = AtomicU64::new(0);
     let next = NEXT.fetch_add(1, Ordering::Relaxed);
     std::env::temp_dir().join(format!("radome-board-{}-{next}", std::process::id()))
 }
 
+/// Line to the host that the options select.
 fn host_line(options: &EmulatorOptions) -> Result<HostLine, EmulatorError> {
     match (options.kind, &options.terminal) {
         (Kind::Mcu7Bulk, Some(path)) => Err(EmulatorError::NoTerminal { path: path.clone() }),
-        (Kind::Mcu7Bulk, None) => Ok(HostLine::Endpoints(options.link.clone().unwrap_or_else(folder))),
+        (Kind::Mcu7Bulk, None) => Ok(HostLine::Endpoints(options.link.clone().unwrap_or_else(unique_folder))),
         (_, Some(path)) => Ok(HostLine::Terminal(path.clone())),
         (_, None) => Ok(HostLine::Pseudoterminal { link: options.link.clone() }),
     }
@@ -99,10 +101,10 @@ impl EmulatedBoard {
         let claim = options.link.as_deref().map(port::claim).transpose()?;
         let shared = Arc::new(Shared::default());
         let mut firmware = firmware(feed, &options, &shared)?;
-        let what = line.description();
+        let description = line.description();
         let mut wire = Wire::new(line, &options, shared.clone()).map_err(|source| match &options.link {
             Some(link) if source.kind() == ErrorKind::AlreadyExists => EmulatorError::LinkExists { link: link.clone() },
-            _ => EmulatorError::Line { what, source },
+            _ => EmulatorError::Line { what: description, source },
         })?;
         let path = wire.path().to_owned();
         let address = match options.kind {
@@ -115,7 +117,7 @@ impl EmulatedBoard {
                 if let Err(error) = wire.serve(firmware.as_mut()) {
                     wire.shared.fail(format!("its line failed: {error}"));
                 }
-                wire.shared.dead.store(true, Ordering::Release);
+                wire.shared.has_ended.store(true, Ordering::Release);
             })
             .map_err(EmulatorError::Thread)?;
         Ok(EmulatedBoard { path, address, shared, thread: Some(thread), claim })
@@ -144,7 +146,7 @@ impl EmulatedBoard {
     /// Failure of the source or of the line, if there was one. The board then sends nothing more.
     pub fn failure(&self) -> Option<String> {
         let failure = self.shared.failure.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let has_panicked = self.is_over() && !self.shared.dead.load(Ordering::Acquire);
+        let has_panicked = self.is_over() && !self.shared.has_ended.load(Ordering::Acquire);
         failure.or_else(|| has_panicked.then(|| "the emulated board panicked".to_owned()))
     }
 

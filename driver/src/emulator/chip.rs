@@ -44,7 +44,7 @@ pub(super) struct Chip {
     chip_id: u32,
     pub source: SampleSource,
     /// Waveform of the running frames; `None` while none run.
-    pub frames: Option<Waveform>,
+    pub running: Option<Waveform>,
     power: Power,
     thermometer: Thermometer,
     /// Number of conversions of the slow ADC, and the result of the last one.
@@ -59,16 +59,16 @@ pub(super) struct Chip {
 impl Chip {
     /// Creates a chip that was programmed with the source's waveform and does not measure.
     pub fn new(feed: Feed, options: &EmulatorOptions, shared: &Arc<Shared>) -> std::io::Result<Self> {
-        let foreign = options.faults.iter().find_map(|fault| match fault {
+        let chip_id = options.faults.iter().find_map(|fault| match fault {
             Fault::ForeignChip(id) => Some(*id),
             _ => None,
         });
         let waveform = feed.source.waveform().clone();
         let mut chip = Chip {
             registers: RegisterFile::default(),
-            chip_id: foreign.unwrap_or(CHIP_ID_BGT60TR13C),
+            chip_id: chip_id.unwrap_or(CHIP_ID_BGT60TR13C),
             source: SampleSource::new(feed, options.pace, options.repeat, shared.clone())?,
-            frames: None,
+            running: None,
             power: Power::DeepSleep,
             thermometer: Thermometer::new(options.seed),
             conversions: 0,
@@ -82,7 +82,7 @@ impl Chip {
         Ok(chip)
     }
 
-    /// Programs the registers as a former client would have, so that a client can read the waveform.
+    /// Programs the registers as an earlier client would have, so that a client can read the waveform.
     fn program_registers(&mut self, waveform: Waveform) {
         let configuration = ChipConfiguration { waveform, slice_samples: FIFO_SAMPLES / 2 };
         for register in configuration.compile().unwrap_or_default() {
@@ -96,7 +96,7 @@ impl Chip {
     pub fn reset(&mut self) {
         self.registers = RegisterFile::default();
         self.registers.set(address::CHIP_ID, self.chip_id);
-        if self.frames.is_some() {
+        if self.running.is_some() {
             self.source.stop();
         }
         self.sleep();
@@ -110,13 +110,15 @@ impl Chip {
         self.reset_fifo();
     }
 
+    /// Ends frames and goes to deep sleep.
     fn sleep(&mut self) {
         // The register keeps the last conversion.
         self.converted = self.slow_adc();
-        self.frames = None;
+        self.running = None;
         self.power = Power::DeepSleep;
     }
 
+    /// Clears the error flags of the FIFO.
     fn reset_fifo(&mut self) {
         (self.overflowed, self.underflowed) = (false, false);
     }
@@ -148,8 +150,8 @@ impl Chip {
     }
 
     /// Codes in the FIFO.
-    fn fill(&self) -> u64 {
-        if self.frames.is_some() { self.source.in_fifo().min(FIFO_SAMPLES as u64) } else { 0 }
+    fn fifo_codes(&self) -> u64 {
+        if self.running.is_some() { self.source.in_fifo().min(FIFO_SAMPLES as u64) } else { 0 }
     }
 
     /// FIFO level of the interrupt, codes.
@@ -159,11 +161,12 @@ impl Chip {
 
     /// Returns whether the interrupt line is high.
     pub fn interrupt(&self) -> bool {
-        self.fill() / 2 * 2 > self.interrupt_level()
+        self.fifo_codes() / 2 * 2 > self.interrupt_level()
     }
 
+    /// Content of FSTAT.
     fn fifo_status(&self) -> u32 {
-        let codes = self.fill();
+        let codes = self.fifo_codes();
         let flags = [
             (field::FSTAT::FOF_ERR, self.overflowed),
             (field::FSTAT::FUF_ERR, self.underflowed),
@@ -182,7 +185,7 @@ impl Chip {
 
     /// Returns whether the ADC is ready that the field `isolated` of `CSCI` switches off between chirps.
     fn is_ready(&self, isolated: Field) -> bool {
-        self.has_band_gap() && (self.frames.is_some() || self.registers.field(isolated) == 0)
+        self.has_band_gap() && (self.running.is_some() || self.registers.field(isolated) == 0)
     }
 
     /// Power mode and ready bits of the status register.
@@ -199,7 +202,7 @@ impl Chip {
 
     /// Last result of the slow ADC: the temperature in each chirp, while frames run with the sensor switched on.
     fn slow_adc(&self) -> u32 {
-        match &self.frames {
+        match &self.running {
             Some(waveform) if self.registers.field(field::CS1_U_1::TEMP_MEAS_EN) == 1 => {
                 self.thermometer.code(self.chirps(waveform))
             }
@@ -224,7 +227,7 @@ impl Chip {
 
     /// Frames and chirps since the start.
     fn frame_status(&self) -> u32 {
-        let Some(waveform) = &self.frames else { return 0 };
+        let Some(waveform) = &self.running else { return 0 };
         let chirps = self.chirps(waveform);
         let per_frame = waveform.shape().chirps.max(1) as u64;
         let count = |field: Field, value: u64, content| field.put(content, (value & u64::from(field.max())) as u32);
@@ -264,7 +267,7 @@ impl Chip {
                 if value & main_bits::FRAME_START != 0 {
                     match field::MAIN::CW_MODE.of(value) {
                         0 => self.start_frames(),
-                        _ => self.advance_to_wave(),
+                        _ => self.start_continuous_wave(),
                     }
                 }
             }
@@ -273,7 +276,7 @@ impl Chip {
     }
 
     /// Executes a start in continuous-wave mode: the state machine takes one step towards active mode and stays there.
-    fn advance_to_wave(&mut self) {
+    fn start_continuous_wave(&mut self) {
         let next = if self.power == Power::DeepSleep { Power::Idle } else { Power::Active };
         self.sleep();
         self.power = next;
@@ -289,16 +292,16 @@ impl Chip {
         };
         self.source.restart(&waveform);
         self.power = Power::Active;
-        self.frames = Some(waveform);
+        self.running = Some(waveform);
         self.starts += 1;
     }
 
     /// Returns the state of the next burst read of this many codes, which the interrupt line announces.
     pub fn poll(&mut self, codes: u64) -> Slice {
-        let Some(waveform) = &self.frames else { return Slice::Wait };
+        let Some(waveform) = &self.running else { return Slice::Wait };
         let frames = self.registers.field(field::CCR2::MAX_FRAME_CNT);
         let last = u64::from(frames) * waveform.shape().codes() as u64;
-        if frames > 0 && self.source.taken + codes > last {
+        if frames > 0 && self.source.codes_out + codes > last {
             return Slice::Wait;
         }
         // The interrupt line rises at its own level; firmware that reads more than that reads past the end.
@@ -307,10 +310,10 @@ impl Chip {
 
     /// Reads a burst from the FIFO and appends it to `out`.
     pub fn read_fifo(&mut self, codes: usize, out: &mut Vec<u16>) {
-        let there = codes.min(self.source.in_fifo() as usize).min(self.source.at_hand());
-        out.extend_from_slice(self.source.codes(there));
-        self.source.take(there);
-        let missing = codes - there;
+        let available = codes.min(self.source.in_fifo() as usize).min(self.source.available());
+        out.extend_from_slice(self.source.codes(available));
+        self.source.take(available);
+        let missing = codes - available;
         if missing > 0 {
             out.extend(std::iter::repeat_n(0xFFF, missing));
             self.underflowed = true;
@@ -319,7 +322,7 @@ impl Chip {
 
     /// Sets the sticky overflow flag if more has been sampled than the FIFO holds.
     pub fn check_overflow(&mut self) {
-        self.overflowed |= self.frames.is_some() && self.source.overflows();
+        self.overflowed |= self.running.is_some() && self.source.overflows();
     }
 
     /// Makes the FIFO overflow.
@@ -337,7 +340,7 @@ mod tests {
     use crate::emulator::Pace;
     use crate::pattern;
 
-    /// Frames whose codes count on from 0.
+    /// Frames whose codes count up from 0.
     fn ramp(waveform: Waveform) -> Feed {
         let (interval_s, mut next) = (waveform.frame_interval_s(), 0);
         let source = source_from_fn(waveform, move |frame| {
@@ -398,10 +401,10 @@ mod tests {
     #[test]
     fn a_software_reset_puts_every_register_back_and_clears_itself() {
         let mut chip = started(Pace::AsFastAsRead, 128);
-        assert!(chip.frames.is_some());
+        assert!(chip.running.is_some());
         assert_eq!(chip.read(address::MAIN) & main_bits::ALL, 0);
         chip.write(address::MAIN, main_bits::SW_RESET);
-        assert!(chip.frames.is_none());
+        assert!(chip.running.is_none());
         for register in
             crate::chip::REGISTERS.iter().filter(|r| r.address != address::MAIN && r.address != address::CHIP_ID)
         {
@@ -412,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_is_the_status_and_what_the_register_held_before() {
+    fn an_answer_is_the_status_and_the_earlier_content_of_the_register() {
         let mut chip = chip(Pace::AsFastAsRead);
         chip.reset();
         let write = SpiWord::write(address::SFCTL, 0x10_2BFF);
@@ -475,7 +478,7 @@ mod tests {
 
         /// The FIFO holds exactly 16384 codes: a host that does not read loses the frames after them.
         #[test]
-        fn a_fifo_that_nobody_reads_overflows() {
+        fn a_fifo_that_is_not_read_overflows() {
             let mut chip = started_with(pattern::waveform(&[1], 64, 64, 0.1), Pace::RealTime(10.0), 128);
             for _ in 0..5000 {
                 chip.source.advance();
@@ -491,7 +494,7 @@ mod tests {
         }
 
         #[test]
-        fn a_read_past_the_end_gives_ones_and_is_told() {
+        fn a_read_past_the_end_gives_ones_and_sets_the_underflow_flag() {
             let mut chip = started(Pace::RealTime(1.0), 64);
             assert!(matches!(poll(&mut chip, 16_384), Slice::Ready { .. }));
             let mut codes = Vec::new();
@@ -503,12 +506,12 @@ mod tests {
 
         /// The client gets no error: only the emulator can lack frames, a real chip cannot.
         #[test]
-        fn of_another_waveform_nothing_is_measured_and_both_are_named() {
+        fn another_waveform_is_not_measured_and_the_refusal_names_both() {
             let shared = Arc::new(Shared::default());
             let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
             let mut chip = Chip::new(ramp(waveform()), &options, &shared).expect("threads");
             program(&mut chip, &list(pattern::waveform(&[1], 8, 64, 0.1), 128));
-            assert!(chip.frames.is_some() && matches!(chip.poll(128), Slice::Wait));
+            assert!(chip.running.is_some() && matches!(chip.poll(128), Slice::Wait));
             let refusal = shared.refusal().expect("says why");
             assert!(refusal.contains("4 chirps") && refusal.contains("8 chirps"), "{refusal}");
             // The source's own waveform is still measured afterwards.
@@ -523,7 +526,7 @@ mod tests {
             let mut chip = chip(Pace::AsFastAsRead);
             chip.reset();
             chip.write(address::MAIN, main_bits::FRAME_START);
-            assert!(chip.frames.is_none());
+            assert!(chip.running.is_none());
         }
     }
 
@@ -542,13 +545,13 @@ mod tests {
         /// The vendor's library wakes the chip in continuous-wave mode, waits for the band gap, switches the ADC on,
         /// waits for that, converts, and resets the chip.
         #[test]
-        fn a_chip_that_sleeps_is_woken_for_it() {
+        fn a_sleeping_chip_measures_after_it_is_woken() {
             let mut chip = chip(Pace::AsFastAsRead);
             chip.reset();
             assert_eq!(chip.read(address::STAT0), 0xA8, "deep sleep, as after a reset");
             chip.write(address::CSCI, 0x0B60 | 0x0080 | 0x0400);
             chip.write(address::MAIN, 0x1E_8270 | 1 << 16 | main_bits::FRAME_START);
-            assert!(chip.frames.is_none(), "continuous wave is no frames");
+            assert!(chip.running.is_none(), "continuous wave is no frames");
             assert!(is_set(&chip, field::STAT0::MADC_BGUP) && !is_set(&chip, field::STAT0::SADC_RDY));
             chip.write(address::SADC_CTRL, 0x01_0F10);
             assert!(celsius(&chip) < 0.0, "an ADC that is off converts nothing");
@@ -565,7 +568,7 @@ mod tests {
         }
 
         #[test]
-        fn a_chip_that_measures_has_it_from_the_last_chirp() {
+        fn a_measuring_chip_has_the_temperature_of_the_last_chirp() {
             let mut chip = started(Pace::AsFastAsRead, 128);
             assert!(is_set(&chip, field::STAT0::SADC_RDY));
             let mut codes = Vec::new();

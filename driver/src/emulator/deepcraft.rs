@@ -21,13 +21,13 @@ const STREAM: i32 = 0;
 ///
 /// The firmware reads 6144 codes at a time. It sends all frames that a read completes as one chunk, although the
 /// stream's `max_frame_count` says 1. The vendor's firmware 1.2 does the same (`dev_bgt60trxx.c`, where that 1 has the
-/// comment "Max frame_count?" and the loop over the frames read knows no limit). While the host takes no data, the
+/// comment "Max frame_count?" and the loop over the frames read has no limit). While the host takes no data, the
 /// chip's FIFO goes on filling. At a gap and at the end of the source the firmware sends the frames that it has. The
 /// real firmware does not check for an overflow of the FIFO, so that its behaviour then is unknown. This one counts the
 /// frames as dropped and starts the chip again.
 pub(super) struct Deepcraft {
     requests: Requests,
-    /// Starts of the radar when `codes` was begun.
+    /// Number of starts of the radar when `codes` was last emptied.
     starts: u64,
     stalled: bool,
     /// Number of the first frame in `codes`.
@@ -61,14 +61,15 @@ impl Deepcraft {
         })
     }
 
-    fn begin_anew(&mut self) {
-        self.frame_codes = self.requests.chip.frames.as_ref().map_or(1, |w| w.shape().codes().max(1));
+    /// Resets the buffer and all numbers after a start of the radar.
+    fn restart(&mut self) {
+        self.frame_codes = self.requests.chip.running.as_ref().map_or(1, |w| w.shape().codes().max(1));
         self.codes.clear();
         (self.number, self.first_number, self.read, self.sent, self.stalled) = (0, 0, 0, 0, false);
     }
 
     /// Frames that reads of the FIFO have completed and that have not been sent.
-    fn complete(&self) -> usize {
+    fn complete_frames(&self) -> usize {
         let read = self.read / FIFO_LEVEL_CODES * FIFO_LEVEL_CODES;
         (read / self.frame_codes).saturating_sub(self.sent)
     }
@@ -90,11 +91,11 @@ impl Deepcraft {
         if frames == 0 {
             return;
         }
-        let (number, before) = wire.next_number();
+        let (number, actions) = wire.next_number();
         let codes = frames * self.frame_codes;
         self.sent += frames;
-        for before in before {
-            match before {
+        for action in actions {
+            match action {
                 FaultAction::Overflow => {
                     self.shared.overflows.fetch_add(1, Ordering::Relaxed);
                     self.codes.drain(..codes);
@@ -121,7 +122,7 @@ impl Deepcraft {
         (self.read, self.sent) = (0, 0);
     }
 
-    /// Starts the chip again after an overflow of its FIFO. The chip's frame counter tells the number of lost frames.
+    /// Starts the chip again after an overflow of its FIFO. The chip's frame counter gives the number of lost frames.
     fn overflow(&mut self, wire: &mut Wire) {
         self.shared.overflows.fetch_add(1, Ordering::Relaxed);
         self.flush(wire);
@@ -147,7 +148,7 @@ impl Firmware for Deepcraft {
         }
         if self.starts != self.requests.starts {
             self.starts = self.requests.starts;
-            self.begin_anew();
+            self.restart();
         }
         if self.stalled {
             return false;
@@ -162,7 +163,7 @@ impl Firmware for Deepcraft {
             Slice::Ready { .. } => {
                 self.requests.chip.read_fifo(codes, &mut self.codes);
                 self.read += codes;
-                self.send(self.complete(), wire);
+                self.send(self.complete_frames(), wire);
                 true
             }
             Slice::Missing { frames } => {
@@ -188,7 +189,7 @@ impl Firmware for Deepcraft {
         self.requests.power_up();
     }
 
-    fn abandon(&mut self) {
-        self.requests.abandon();
+    fn client_left(&mut self) {
+        self.requests.client_left();
     }
 }

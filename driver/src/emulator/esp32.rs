@@ -66,8 +66,8 @@ impl Esp32 {
         })
     }
 
-    /// Resets the chip and starts frames. The content of its FIFO is lost; the chip's frame counter tells how many
-    /// frames, so that frames keep their numbers.
+    /// Resets the chip and starts frames. The content of its FIFO is lost; the chip's frame counter gives the
+    /// number of lost frames, so that later frames keep their numbers.
     fn start(&mut self) {
         self.chip.source.stop();
         let begun = u64::from(self.chip.frames_begun());
@@ -81,13 +81,13 @@ impl Esp32 {
     }
 
     /// Reads the chip's FIFO at each interrupt, as long as there is room for another frame.
-    fn drain(&mut self) {
-        let frames = if self.chip.source.waits() { 1 } else { BUFFER_FRAMES };
+    fn read_fifo(&mut self) {
+        let frames = if self.chip.source.waits_for_reader() { 1 } else { BUFFER_FRAMES };
         while self.frames.len() < frames && !self.chip.fifo_failed() {
             match self.chip.poll(self.slice.samples as u64) {
                 Slice::Ready { .. } => {
                     self.chip.read_fifo(self.slice.samples, &mut self.codes);
-                    self.cut_frames();
+                    self.split_frames();
                 }
                 Slice::Missing { frames } => {
                     self.number += frames;
@@ -112,7 +112,8 @@ impl Esp32 {
         self.first_number += frames;
     }
 
-    fn cut_frames(&mut self) {
+    /// Moves whole frames from `codes` to `frames`.
+    fn split_frames(&mut self) {
         while self.codes.len() >= self.codes_per_frame {
             let rest = self.codes.split_off(self.codes_per_frame);
             self.frames.push_back((self.number, std::mem::replace(&mut self.codes, rest)));
@@ -137,7 +138,7 @@ impl Firmware for Esp32 {
             });
             return true;
         }
-        self.drain();
+        self.read_fifo();
         if self.chip.fifo_failed() {
             self.shared.overflows.fetch_add(1, Ordering::Relaxed);
             self.start();
@@ -146,9 +147,9 @@ impl Firmware for Esp32 {
         if self.frames.is_empty() {
             return false;
         }
-        let (packet, before) = wire.next_number();
-        for before in before {
-            match before {
+        let (packet, actions) = wire.next_number();
+        for action in actions {
+            match action {
                 FaultAction::Overflow => {
                     self.chip.overflow();
                     return true;
@@ -173,7 +174,7 @@ impl Firmware for Esp32 {
     fn advance(&mut self) {
         self.chip.source.advance();
         if self.is_up && !self.stalled {
-            self.drain();
+            self.read_fifo();
         }
     }
 
@@ -181,8 +182,8 @@ impl Firmware for Esp32 {
         true
     }
 
-    /// Does nothing: the firmware starts anew with the next client.
-    fn abandon(&mut self) {}
+    /// Does nothing, because the firmware restarts with the next client.
+    fn client_left(&mut self) {}
 
     fn power_up(&mut self) {
         (self.is_up, self.stalled) = (false, false);

@@ -95,16 +95,18 @@ fn parse(text: &str) -> Result<Fault, &'static str> {
         ("overflow", None) => Fault::Overflow(packet),
         ("stall", None) => Fault::Stall(packet),
         ("drop" | "double" | "reorder" | "overflow" | "stall", Some(_)) => return Err("takes the packet alone"),
-        ("flip", _) => Fault::FlipBit { packet, bit: behind(detail, "lacks the bit", "the bit is no whole number")? },
+        ("flip", _) => {
+            Fault::FlipBit { packet, bit: parse_detail(detail, "lacks the bit", "the bit is no whole number")? }
+        }
         ("truncate", _) => {
-            let bytes = behind(detail, "lacks the bytes", "the bytes are no whole number")?;
+            let bytes = parse_detail(detail, "lacks the bytes", "the bytes are no whole number")?;
             Fault::TruncatePacket { packet, bytes }
         }
         ("skip", _) => {
-            Fault::SkipCounter { packet, by: behind(detail, "lacks the jump", "the jump is not 0 to 65535")? }
+            Fault::SkipCounter { packet, by: parse_detail(detail, "lacks the jump", "the jump is not 0 to 65535")? }
         }
         ("unplug" | "slow", _) => {
-            let seconds: f64 = behind(detail, "lacks the seconds", "the seconds are no number")?;
+            let seconds: f64 = parse_detail(detail, "lacks the seconds", "the seconds are no number")?;
             if !(0.0..=LONGEST_WAIT_S).contains(&seconds) {
                 return Err("the seconds are not 0 to 3600");
             }
@@ -116,7 +118,7 @@ fn parse(text: &str) -> Result<Fault, &'static str> {
 }
 
 /// Parses the number behind the packet; the error is `lacks` if there is none, and `wrong` if it is not of this type.
-fn behind<T: FromStr>(detail: Option<&str>, lacks: &'static str, wrong: &'static str) -> Result<T, &'static str> {
+fn parse_detail<T: FromStr>(detail: Option<&str>, lacks: &'static str, wrong: &'static str) -> Result<T, &'static str> {
     detail.ok_or(lacks)?.parse().map_err(|_| wrong)
 }
 
@@ -125,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_kind_is_understood() {
+    fn every_kind_is_parsed() {
         let script = "drop 5, double 9,flip 12:345, truncate 20:100, reorder 30, skip 40:3, overflow 50, stall 60, unplug 70:2.5, \
                       slow 80:0.5, chip 0x606, version 5";
         let faults: Vec<Fault> = script.split(',').map(|f| f.parse().unwrap_or_else(|e| panic!("{e}"))).collect();
@@ -150,7 +152,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn what_cannot_be_followed_is_named_with_what_would_do() {
+        fn invalid_faults_are_refused_with_a_hint() {
             for (text, what) in [
                 ("", "expected a kind"),
                 ("drop", "expected a kind"),

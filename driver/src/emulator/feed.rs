@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use radome_dsp::{FrameSource, SourceError, Waveform};
 
-type Made = Result<Box<dyn FrameSource>, SourceError>;
-type MakeWaveform = Box<dyn FnMut(&Waveform, Duration) -> Made + Send>;
+type SourceResult = Result<Box<dyn FrameSource>, SourceError>;
+type MakeWaveform = Box<dyn FnMut(&Waveform, Duration) -> SourceResult + Send>;
 
 /// Frames for an emulated board. Any boxed [`FrameSource`] converts into one, with frames of its own waveform until it
 /// ends.
@@ -14,12 +14,12 @@ pub struct Feed {
     pub(super) maker: Maker,
 }
 
-/// Way to make more sources like the first.
+/// Method of making more sources like the first.
 pub(super) enum Maker {
     /// No further source can be made.
     None,
     /// Opens the same frames again.
-    Again(Box<dyn FnMut() -> Made + Send>),
+    Reopen(Box<dyn FnMut() -> SourceResult + Send>),
     /// Makes frames of a waveform, the first of them at this time of the source or at the next frame after it.
     Waveforms(MakeWaveform),
 }
@@ -27,8 +27,8 @@ pub(super) enum Maker {
 impl Feed {
     /// Creates a feed whose source can be opened again, such as a recording. With
     /// [`repeat`](super::EmulatorOptions::repeat) the source is opened again each time that it ends.
-    pub fn reopenable(source: Box<dyn FrameSource>, open: impl FnMut() -> Made + Send + 'static) -> Self {
-        Feed { source, maker: Maker::Again(Box::new(open)) }
+    pub fn reopenable(source: Box<dyn FrameSource>, open: impl FnMut() -> SourceResult + Send + 'static) -> Self {
+        Feed { source, maker: Maker::Reopen(Box::new(open)) }
     }
 
     /// Creates a feed whose frames can be made for any waveform, such as a simulation's. `source` has frames of the
@@ -36,7 +36,7 @@ impl Feed {
     /// programs another waveform. It is given the time at which the first frame has to begin.
     pub fn of_any_waveform(
         source: Box<dyn FrameSource>,
-        make: impl FnMut(&Waveform, Duration) -> Made + Send + 'static,
+        make: impl FnMut(&Waveform, Duration) -> SourceResult + Send + 'static,
     ) -> Self {
         Feed { source, maker: Maker::Waveforms(Box::new(make)) }
     }

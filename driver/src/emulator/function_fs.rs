@@ -108,7 +108,7 @@ fn serve_board(control: &mut File, endpoint: &Path, folder: &Path) -> io::Result
     let mut board = HostSockets::connect(folder)?;
     let (data, endpoint) = (board.data.try_clone()?, endpoint.to_owned());
     thread::Builder::new().name("bulk endpoint".into()).spawn(move || {
-        if let Err(error) = pass_on(&data, &endpoint) {
+        if let Err(error) = forward_bulk(&data, &endpoint) {
             tracing::debug!(%error, "the bulk endpoint has ended");
         }
     })?;
@@ -132,8 +132,8 @@ fn transfer(control: &mut File, board: &mut HostSockets, setup: &Setup) -> io::R
     if !is_in(setup) && control.read(&mut data).is_err() {
         return Ok(());
     }
-    let answered = board.transfer(setup, &data);
-    let done = match answered {
+    let result = board.transfer(setup, &data);
+    let done = match result {
         Ok(answer) if is_in(setup) => control.write(answer.get(..length).unwrap_or(answer)),
         // A read where the host wants to read stalls the endpoint.
         Err(TransferError::Stall | TransferError::Timeout) if is_in(setup) => control.read(&mut []),
@@ -146,8 +146,8 @@ fn transfer(control: &mut File, board: &mut HostSockets, setup: &Setup) -> io::R
     Ok(())
 }
 
-/// Passes bulk transfers on from the board to the host.
-fn pass_on(board: &std::os::fd::OwnedFd, endpoint: &PathBuf) -> io::Result<()> {
+/// Forwards bulk transfers from the board to the host.
+fn forward_bulk(board: &std::os::fd::OwnedFd, endpoint: &PathBuf) -> io::Result<()> {
     let mut endpoint = OpenOptions::new().write(true).open(endpoint)?;
     let mut message = vec![0; MAX_BULK];
     loop {
@@ -167,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn descriptors_say_their_length() {
+    fn descriptors_state_their_length() {
         for bytes in [descriptors(&[0x81]), descriptors(&[1, 0x82]), strings("Radar")] {
             let length = u32::from_le_bytes([bytes[4], bytes[5], bytes[6], bytes[7]]);
             assert_eq!(length as usize, bytes.len());

@@ -20,7 +20,7 @@ use super::EmulatorError;
 use crate::protocol::mcu7::bulk::MAX_BULK;
 use crate::transport::usb::DeviceSockets;
 
-/// Most bytes of clients that are read at once while the port checks for clients.
+/// Largest number of bytes of clients that are read at once while the port checks for clients.
 const MOST_RECEIVED: usize = 65_536;
 
 /// Line of the board to its host.
@@ -64,7 +64,7 @@ pub(super) enum Port {
     Terminal(Terminal),
     Endpoints(DeviceSockets),
     /// The board is unplugged.
-    Gone,
+    Unplugged,
 }
 
 impl Port {
@@ -73,7 +73,7 @@ impl Port {
         match self {
             Port::Terminal(terminal) => &terminal.path,
             Port::Endpoints(sockets) => sockets.folder(),
-            Port::Gone => Path::new(""),
+            Port::Unplugged => Path::new(""),
         }
     }
 
@@ -82,7 +82,7 @@ impl Port {
         match self {
             Port::Terminal(terminal) => terminal.wait(write, timeout),
             Port::Endpoints(sockets) => sockets.wait(write, timeout),
-            Port::Gone => Ok(()),
+            Port::Unplugged => Ok(()),
         }
     }
 
@@ -90,27 +90,27 @@ impl Port {
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self {
             _ if bytes.is_empty() => Ok(0),
-            Port::Gone => Ok(0),
+            Port::Unplugged => Ok(0),
             Port::Terminal(terminal) => terminal.write(bytes),
             Port::Endpoints(sockets) => sockets.write(bytes.get(..MAX_BULK).unwrap_or(bytes)),
         }
     }
 
-    /// Starts to watch for clients, so that [`Port::has_client`] can tell, if the port supports it.
+    /// Makes [`Port::has_client`] detect clients, if the port supports it.
     pub fn watch_clients(&mut self) {
         if let Port::Terminal(terminal) = self {
-            (terminal.slave, terminal.visits) = (None, None);
+            (terminal.slave, terminal.watch) = (None, None);
         }
     }
 
     /// Returns whether the last client has closed the port or was killed since this was last true. Its data on the line
     /// are discarded then, in both directions. Bytes of a client that has just taken its place are appended to
     /// `received`.
-    pub fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
+    pub fn has_disconnected(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
         match self {
-            Port::Terminal(terminal) => terminal.was_abandoned(received),
-            Port::Endpoints(sockets) => Ok(sockets.was_abandoned()),
-            Port::Gone => Ok(false),
+            Port::Terminal(terminal) => terminal.has_disconnected(received),
+            Port::Endpoints(sockets) => Ok(sockets.has_disconnected()),
+            Port::Unplugged => Ok(false),
         }
     }
 
@@ -139,9 +139,9 @@ pub(super) struct Terminal {
     /// It is closed while the board finds out whether its last client has left.
     slave: Option<OwnedFd>,
     /// Watch on the terminal, if the board notices when clients leave.
-    visits: Option<Visits>,
+    watch: Option<TerminalWatch>,
     /// Whether a client may have left since the board last found that nobody has the terminal open.
-    may_be_abandoned: bool,
+    client_may_have_left: bool,
     path: PathBuf,
     /// Whether the other end is a pseudo-terminal, which clients open and close.
     is_pseudo: bool,
@@ -149,7 +149,7 @@ pub(super) struct Terminal {
 }
 
 /// Watch on a terminal's node. It reports the board's own openings and closings too.
-struct Visits {
+struct TerminalWatch {
     events: OwnedFd,
 }
 
@@ -162,11 +162,11 @@ struct Events {
     closing_after_opening: bool,
 }
 
-impl Visits {
+impl TerminalWatch {
     fn of(path: &Path) -> rustix::io::Result<Self> {
         let events = inotify::init(inotify::CreateFlags::CLOEXEC | inotify::CreateFlags::NONBLOCK)?;
         inotify::add_watch(&events, path, inotify::WatchFlags::OPEN | inotify::WatchFlags::CLOSE)?;
-        Ok(Visits { events })
+        Ok(TerminalWatch { events })
     }
 
     /// Reads the events since the last call.
@@ -198,15 +198,15 @@ impl Terminal {
         let slave = open_slave(&path)?;
         make_raw(&slave)?;
         fcntl_setfl(&master, fcntl_getfl(&master)? | OFlags::NONBLOCK)?;
-        let visits = Visits::of(&path);
-        if let Err(error) = &visits {
+        let watch = TerminalWatch::of(&path);
+        if let Err(error) = &watch {
             tracing::warn!(%error, path = %path.display(), "the emulated board cannot tell when its clients go");
         }
         Ok(Terminal {
             line: master,
             slave: Some(slave),
-            visits: visits.ok(),
-            may_be_abandoned: false,
+            watch: watch.ok(),
+            client_may_have_left: false,
             path,
             is_pseudo: true,
             hung_up: false,
@@ -220,8 +220,8 @@ impl Terminal {
         Ok(Terminal {
             line,
             slave: None,
-            visits: None,
-            may_be_abandoned: false,
+            watch: None,
+            client_may_have_left: false,
             path: path.into(),
             is_pseudo: false,
             hung_up: false,
@@ -232,25 +232,25 @@ impl Terminal {
         let interest = if write { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
         let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: i64::from(timeout.subsec_nanos()) };
         let line = PollFd::new(&self.line, interest);
-        let polled = match &self.visits {
-            Some(visits) => poll(&mut [line, PollFd::new(&visits.events, PollFlags::IN)], Some(&timeout)),
+        let result = match &self.watch {
+            Some(watch) => poll(&mut [line, PollFd::new(&watch.events, PollFlags::IN)], Some(&timeout)),
             None => poll(&mut [line], Some(&timeout)),
         };
-        match polled {
+        match result {
             Ok(_) | Err(Errno::INTR) => Ok(()),
             Err(e) => Err(e.into()),
         }
     }
 
-    /// Implements [`Port::was_abandoned`]. While the board's own handle of the terminal is closed, and only then, the
+    /// Implements [`Port::has_disconnected`]. While the board's own handle of the terminal is closed, and only then, the
     /// line is hung up if no client has the terminal open.
     ///
     /// The system reports a closing before it takes effect. After a closing, the board's own handle therefore stays
     /// closed until the line is hung up. The number of later reports does not matter.
-    fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
-        let Some(visits) = &self.visits else { return Ok(false) };
-        self.may_be_abandoned |= visits.read().any_closing;
-        if !self.may_be_abandoned {
+    fn has_disconnected(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
+        let Some(watch) = &self.watch else { return Ok(false) };
+        self.client_may_have_left |= watch.read().any_closing;
+        if !self.client_may_have_left {
             return Ok(false);
         }
         if let Some(slave) = self.slave.take() {
@@ -283,9 +283,8 @@ impl Terminal {
             Err(Errno::BUSY) => None,
             Err(e) => return Err(e.into()),
         };
-        // Closings from before the hang-up have been dealt with. A client that has come and gone since is another one
-        // that leaves.
-        self.may_be_abandoned = visits.read().closing_after_opening;
+        // Closings before the hang-up belong to this departure. A closing after a later opening is another departure.
+        self.client_may_have_left = watch.read().closing_after_opening;
         if let Some(slave) = &self.slave {
             // Nothing has been written yet for a client that has opened the port meanwhile: all unread data were for
             // former clients.
@@ -313,7 +312,7 @@ impl Terminal {
             Some(slave) => is_unread(slave),
             // A client has left and another is still there. A handle that is opened and closed again changes nothing for
             // it.
-            None if self.visits.is_some() && self.is_line_hung_up().is_ok_and(|is_hung_up| !is_hung_up) => {
+            None if self.watch.is_some() && self.is_line_hung_up().is_ok_and(|is_hung_up| !is_hung_up) => {
                 open_slave(&self.path).is_ok_and(|slave| is_unread(&slave))
             }
             None => false,
@@ -357,9 +356,9 @@ pub(super) fn claim(link: &Path) -> Result<OwnedFd, EmulatorError> {
     let path = folder.join(link.file_name().unwrap_or_default());
     let bytes = path.as_os_str().as_bytes();
     // A name has 107 bytes at most.
-    let tail = bytes.get(bytes.len().saturating_sub(80)..).unwrap_or(bytes);
+    let end_of_path = bytes.get(bytes.len().saturating_sub(80)..).unwrap_or(bytes);
     let mut name = format!("radome-link-{:08x}:", crc32fast::hash(bytes)).into_bytes();
-    name.extend_from_slice(tail);
+    name.extend_from_slice(end_of_path);
     let address = SocketAddrUnix::new_abstract_name(&name).map_err(|e| failed(e.into()))?;
     let socket = socket_with(AddressFamily::UNIX, SocketType::DGRAM, SocketFlags::CLOEXEC, None)
         .map_err(|e| failed(e.into()))?;
@@ -377,19 +376,19 @@ pub(super) fn claim(link: &Path) -> Result<OwnedFd, EmulatorError> {
 /// made.
 pub(super) fn link(terminal: &Path, link: &Path) -> io::Result<()> {
     match symlink(terminal, link) {
-        Err(e) if e.kind() == io::ErrorKind::AlreadyExists && is_left_behind(link) => {
-            let mut fresh = link.as_os_str().to_owned();
-            fresh.push(format!(".{}.new", std::process::id()));
-            let _ = std::fs::remove_file(&fresh);
-            symlink(terminal, &fresh)?;
-            std::fs::rename(&fresh, link)
+        Err(e) if e.kind() == io::ErrorKind::AlreadyExists && is_old_link(link) => {
+            let mut new_link = link.as_os_str().to_owned();
+            new_link.push(format!(".{}.new", std::process::id()));
+            let _ = std::fs::remove_file(&new_link);
+            symlink(terminal, &new_link)?;
+            std::fs::rename(&new_link, link)
         }
-        made => made,
+        result => result,
     }
 }
 
 /// Returns whether a link points to a pseudo-terminal, or to nothing.
-fn is_left_behind(link: &Path) -> bool {
+fn is_old_link(link: &Path) -> bool {
     std::fs::read_link(link).is_ok_and(|target| target.starts_with("/dev/pts") || !link.exists())
 }
 
@@ -416,10 +415,10 @@ mod tests {
 
     use super::*;
 
-    fn abandoned(terminal: &mut Terminal) -> (bool, Vec<u8>) {
+    fn has_disconnected(terminal: &mut Terminal) -> (bool, Vec<u8>) {
         let mut received = Vec::new();
-        let is_abandoned = terminal.was_abandoned(&mut received).expect("asks");
-        (is_abandoned, received)
+        let is_disconnected = terminal.has_disconnected(&mut received).expect("asks");
+        (is_disconnected, received)
     }
 
     fn client(terminal: &Terminal) -> File {
@@ -429,29 +428,29 @@ mod tests {
     #[test]
     fn a_terminal_that_its_last_client_leaves_is_empty_in_both_directions() {
         let mut terminal = Terminal::new().expect("a terminal");
-        assert_eq!(abandoned(&mut terminal), (false, vec![]), "nobody was there");
+        assert_eq!(has_disconnected(&mut terminal), (false, vec![]), "nobody was there");
         let mut first = client(&terminal);
         first.write_all(b"half a req").expect("writes");
         let second = client(&terminal);
         assert_eq!(terminal.write(b"frames").expect("writes"), 6);
         drop(first);
-        assert_eq!(abandoned(&mut terminal), (false, vec![]), "one is still there");
+        assert_eq!(has_disconnected(&mut terminal), (false, vec![]), "one is still there");
         let mut buffer = [0; 16];
         assert_eq!(terminal.read(&mut buffer).expect("reads"), 10, "what the first one wrote is still there");
         drop(second);
-        assert_eq!(abandoned(&mut terminal), (true, vec![]));
-        assert_eq!(abandoned(&mut terminal), (false, vec![]), "told once");
+        assert_eq!(has_disconnected(&mut terminal), (true, vec![]));
+        assert_eq!(has_disconnected(&mut terminal), (false, vec![]), "reported once");
         let port = Port::Terminal(terminal);
         assert!(!port.holds_unread());
     }
 
     #[test]
-    fn what_a_client_wrote_that_has_gone_is_never_read() {
+    fn data_of_a_client_that_has_left_are_never_read() {
         let mut terminal = Terminal::new().expect("a terminal");
         let mut gone = client(&terminal);
         gone.write_all(b"half a req").expect("writes");
         drop(gone);
-        assert_eq!(abandoned(&mut terminal), (true, vec![]));
+        assert_eq!(has_disconnected(&mut terminal), (true, vec![]));
         let mut next = client(&terminal);
         next.write_all(b"hello").expect("writes");
         let mut buffer = [0; 16];
@@ -465,12 +464,12 @@ mod tests {
         let gone = client(&terminal);
         rustix::termios::ioctl_tiocexcl(&gone).expect("reserves");
         drop(gone);
-        assert_eq!(abandoned(&mut terminal), (true, vec![]));
+        assert_eq!(has_disconnected(&mut terminal), (true, vec![]));
         client(&terminal);
     }
 
     #[test]
-    fn every_departure_is_noticed_once_whenever_the_board_looks() {
+    fn every_departure_is_noticed_once() {
         const ROUNDS: usize = 5000;
         let mut terminal = Terminal::new().expect("a terminal");
         let path = terminal.path.clone();
@@ -482,20 +481,20 @@ mod tests {
         });
         for round in 0..ROUNDS {
             turn.send(()).expect("there are clients");
-            let began = std::time::Instant::now();
-            while !abandoned(&mut terminal).0 {
-                assert!(began.elapsed() < Duration::from_secs(60), "departure {round} is not noticed");
+            let start = std::time::Instant::now();
+            while !has_disconnected(&mut terminal).0 {
+                assert!(start.elapsed() < Duration::from_secs(60), "departure {round} is not noticed");
             }
         }
         drop(turn);
         clients.join().expect("clients end");
-        assert_eq!(abandoned(&mut terminal), (false, vec![]), "nobody else was there");
+        assert_eq!(has_disconnected(&mut terminal), (false, vec![]), "nobody else was there");
     }
 
     #[test]
-    fn a_closing_after_an_opening_is_told_from_one_before_it() {
+    fn a_closing_after_an_opening_is_distinguished_from_one_before_it() {
         let terminal = Terminal::new().expect("a terminal");
-        let read = || terminal.visits.as_ref().expect("a watch").read();
+        let read = || terminal.watch.as_ref().expect("a watch").read();
         assert_eq!(read(), Events::default(), "nobody was there");
         let first = client(&terminal);
         assert_eq!(read(), Events::default(), "one has come");
@@ -508,7 +507,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_is_one_boards_at_a_time() {
+    fn a_link_belongs_to_one_board_at_a_time() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("board");
         let claimed = claim(&path).expect("free");
@@ -526,7 +525,7 @@ mod tests {
     }
 
     #[test]
-    fn only_links_that_boards_left_behind_are_replaced_and_only_its_own_is_removed() {
+    fn only_old_links_of_boards_are_replaced_and_only_the_own_link_is_removed() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("board");
         let terminal = Path::new("/dev/pts/4242");
@@ -553,19 +552,19 @@ mod tests {
         /// Regression test: the system reports a closing before it takes effect. A board that looked in between never
         /// noticed that its client had gone.
         #[test]
-        fn a_client_that_is_still_closing_the_terminal_when_that_is_reported_is_noticed_later() {
+        fn a_closing_that_is_reported_before_it_takes_effect_is_noticed_later() {
             let mut terminal = Terminal::new().expect("a terminal");
             let mut reported = client(&terminal);
             reported.write_all(b"half a req").expect("writes");
             // Stands for the client's handle until its closing takes effect.
             let closing = client(&terminal);
             drop(reported);
-            assert_eq!(abandoned(&mut terminal), (false, vec![]), "it is still there");
+            assert_eq!(has_disconnected(&mut terminal), (false, vec![]), "it is still there");
             drop(closing);
             // No other closing is reported.
-            terminal.visits.as_ref().expect("a watch").read();
-            assert_eq!(abandoned(&mut terminal), (true, vec![]));
-            assert_eq!(abandoned(&mut terminal), (false, vec![]), "told once");
+            terminal.watch.as_ref().expect("a watch").read();
+            assert_eq!(has_disconnected(&mut terminal), (true, vec![]));
+            assert_eq!(has_disconnected(&mut terminal), (false, vec![]), "reported once");
         }
     }
 }

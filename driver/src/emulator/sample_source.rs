@@ -17,10 +17,11 @@ use crate::protocol::fifo;
 /// Most frames that the source may be ahead.
 const FRAMES_AHEAD: usize = 2;
 /// Largest number of frames that are sampled or discarded at once.
-const MOST_AT_ONCE: usize = 100;
-/// Time for which the source is waited for while its frames are discarded.
-const BEHIND_PATIENCE: Duration = Duration::from_millis(1);
-/// Number of frames that a scene's simulation may be behind when the chip starts again. Behind more, it begins anew.
+const MAX_FRAMES_AT_ONCE: usize = 100;
+/// Wait for the source's next frame while frames are discarded.
+const CATCH_UP_WAIT: Duration = Duration::from_millis(1);
+/// Largest number of frames that a scene's simulation may be behind when the chip starts again. Beyond it, the simulation is
+/// restarted at the current time.
 const MOST_IDLE_FRAMES: f64 = 4.0;
 
 enum Message {
@@ -49,7 +50,7 @@ pub(super) enum Slice {
 
 pub(super) struct SampleSource {
     incoming: Receiver<Message>,
-    spare: Sender<Frame>,
+    free_frames: Sender<Frame>,
     /// Thread that runs the source.
     producer: Option<JoinHandle<()>>,
     maker: Arc<Mutex<Maker>>,
@@ -76,9 +77,9 @@ pub(super) struct SampleSource {
     /// Codes of frames in FIFO order; those before `sent` have been sent.
     codes: Vec<u16>,
     sent: usize,
-    /// Codes taken out, and codes put in, since the frames started.
-    pub taken: u64,
-    put: u64,
+    /// Numbers of codes taken out of the FIFO and put into it since the frames started.
+    pub codes_out: u64,
+    codes_in: u64,
     /// First code and time of the frames that `codes` holds.
     frames: VecDeque<(u64, u64)>,
     /// A gap that comes after the codes.
@@ -100,11 +101,11 @@ impl SampleSource {
         let waveform = source.waveform().clone();
         let makes_any_waveform = matches!(maker, Maker::Waveforms(_));
         let maker = Arc::new(Mutex::new(maker));
-        let (incoming, spare, producer) =
-            Producer::start(waveform.clone(), maker.clone(), repeat, Beginning::With(source))?;
+        let (incoming, free_frames, producer) =
+            Producer::start(waveform.clone(), maker.clone(), repeat, FirstSource::Given(source))?;
         Ok(SampleSource {
             incoming,
-            spare,
+            free_frames,
             producer: Some(producer),
             maker,
             makes_any_waveform,
@@ -122,8 +123,8 @@ impl SampleSource {
             next_ns: 0,
             codes: Vec::new(),
             sent: 0,
-            taken: 0,
-            put: 0,
+            codes_out: 0,
+            codes_in: 0,
             frames: VecDeque::new(),
             missing: 0,
             has_begun: false,
@@ -144,10 +145,10 @@ impl SampleSource {
 
     /// Returns whether the source's frames are those of this waveform. If others can be made, the registers have to be
     /// the same.
-    fn has(&self, waveform: &Waveform) -> bool {
+    fn has_waveform(&self, waveform: &Waveform) -> bool {
         !self.is_refused
             && compare(&self.source, waveform).is_ok()
-            && (!self.makes_any_waveform || is_same_but_for_receivers(&self.source, waveform))
+            && (!self.makes_any_waveform || matches_except_receivers(&self.source, waveform))
     }
 
     /// Sets the refusal of a client's request; nothing is sampled then.
@@ -160,41 +161,42 @@ impl SampleSource {
     pub fn restart(&mut self, waveform: &Waveform) {
         self.is_silent = false;
         self.shared.accept();
-        // A scene is not simulated for the time in which nobody listened.
+        // A scene is not simulated for the time without a client.
         let idle_ns = self.now_ns().map_or(0, |now| now.saturating_sub(self.next_ns));
         let was_idle =
             self.makes_any_waveform && idle_ns as f64 * 1e-9 > MOST_IDLE_FRAMES * self.source.frame_interval_s();
-        if !self.has(waveform) || was_idle {
+        if !self.has_waveform(waveform) || was_idle {
             match self.check(waveform) {
-                Ok(()) => self.remake(waveform),
+                Ok(()) => self.change_waveform(waveform),
                 Err(reason) => self.refuse(&reason),
             }
         }
-        let antennas = self.source.request.rx_antennas.antennas();
-        let wanted = waveform.request.rx_antennas.antennas();
-        self.channels = wanted.iter().filter_map(|a| antennas.iter().position(|b| a == b)).collect();
+        let source_antennas = self.source.request.rx_antennas.antennas();
+        let antennas_on = waveform.request.rx_antennas.antennas();
+        self.channels = antennas_on.iter().filter_map(|a| source_antennas.iter().position(|b| a == b)).collect();
         self.timing = SampleTiming::new(waveform);
         self.codes_per_frame = (self.channels.len() * self.shape.chirps * self.shape.samples) as u64;
         self.codes.clear();
         self.sent = 0;
         self.frames.clear();
-        (self.taken, self.put, self.missing) = (0, 0, 0);
+        (self.codes_out, self.codes_in, self.missing) = (0, 0, 0);
         // A reset directly followed by a start loses no frame.
-        let at_once = |now: u64, stopped: u64| (now - stopped) as f64 * 1e-9 < self.timing.frame_interval_s();
+        let is_immediate = |now: u64, stopped: u64| (now - stopped) as f64 * 1e-9 < self.timing.frame_interval_s();
         let stopped = self.stopped_ns.take();
-        self.started_ns = self.now_ns().map(|now| stopped.filter(|s| *s <= now && at_once(now, *s)).unwrap_or(now));
+        self.started_ns =
+            self.now_ns().map(|now| stopped.filter(|s| *s <= now && is_immediate(now, *s)).unwrap_or(now));
         self.has_begun = true;
     }
 
     /// Makes frames of another waveform, from the current time on. The clock stands still until the first frame is
     /// there.
-    fn remake(&mut self, waveform: &Waveform) {
+    fn change_waveform(&mut self, waveform: &Waveform) {
         let from_ns = self.now_ns().unwrap_or(self.next_ns);
-        let beginning = Beginning::Made { from: Duration::from_nanos(from_ns) };
-        match Producer::start(waveform.clone(), self.maker.clone(), self.repeat, beginning) {
-            // The former producer ends when it finds its channel closed.
-            Ok((incoming, spare, producer)) => {
-                (self.incoming, self.spare, self.producer) = (incoming, spare, Some(producer));
+        let first_source = FirstSource::Made { from: Duration::from_nanos(from_ns) };
+        match Producer::start(waveform.clone(), self.maker.clone(), self.repeat, first_source) {
+            // The earlier producer ends when its channel is closed.
+            Ok((incoming, free_frames, producer)) => {
+                (self.incoming, self.free_frames, self.producer) = (incoming, free_frames, Some(producer));
                 self.source = waveform.clone();
                 self.shape = waveform.shape();
                 (self.upcoming, self.clock, self.stopped_ns) = (None, None, None);
@@ -220,16 +222,16 @@ impl SampleSource {
     pub fn advance(&mut self) {
         let Some(now) = self.now_ns() else {
             // The first frame sets the clock.
-            if self.has_begun && !self.waits() {
-                self.pull();
+            if self.has_begun && !self.waits_for_reader() {
+                self.sample_frame();
             }
             return;
         };
         let ahead = 3 * self.fifo_limit();
-        // The firmware has to answer its host in between.
-        for _ in 0..MOST_AT_ONCE {
+        // The number is limited, because the firmware has to answer its host in between.
+        for _ in 0..MAX_FRAMES_AT_ONCE {
             let is_due = self.frames.back().is_none_or(|(_, time_ns)| *time_ns <= now);
-            if !(is_due && self.put < self.taken + ahead && self.pull()) {
+            if !(is_due && self.codes_in < self.codes_out + ahead && self.sample_frame()) {
                 return;
             }
         }
@@ -244,12 +246,12 @@ impl SampleSource {
     }
 
     /// Returns whether sampling waits for the reader: nothing overflows then.
-    pub fn waits(&self) -> bool {
+    pub fn waits_for_reader(&self) -> bool {
         self.pace == Pace::AsFastAsRead
     }
 
     /// Samples the next frame, or discards one from before the start; returns false if there is none yet.
-    fn pull(&mut self) -> bool {
+    fn sample_frame(&mut self) -> bool {
         if self.ended || self.is_silent || self.missing > 0 {
             return false;
         }
@@ -262,17 +264,17 @@ impl SampleSource {
             return false;
         }
         // A frame with at least one sampled chirp counts as measured; the start ended it.
-        let had_begun =
+        let is_before_start =
             |started: u64| self.timing.chirps_after(started.saturating_sub(frame.time_ns) as f64 * 1e-9) > 0;
-        if self.started_ns.is_some_and(had_begun) {
-            let _ = self.spare.try_send(frame);
+        if self.started_ns.is_some_and(is_before_start) {
+            let _ = self.free_frames.try_send(frame);
             return true;
         }
         self.started_ns = None;
-        self.frames.push_back((self.put, frame.time_ns));
+        self.frames.push_back((self.codes_in, frame.time_ns));
         fifo::interleave(&frame.codes, self.shape, &self.channels, &mut self.codes);
-        self.put += self.codes_per_frame;
-        let _ = self.spare.try_send(frame);
+        self.codes_in += self.codes_per_frame;
+        let _ = self.free_frames.try_send(frame);
         true
     }
 
@@ -280,8 +282,8 @@ impl SampleSource {
     fn receive(&mut self) -> Option<Frame> {
         // Frames from before the start are discarded as fast as they come.
         let is_behind = self.clock.is_some() && self.started_ns.is_some_and(|started| self.next_ns < started);
-        let patience = if is_behind { BEHIND_PATIENCE } else { Duration::ZERO };
-        let message = match self.incoming.recv_timeout(patience) {
+        let timeout = if is_behind { CATCH_UP_WAIT } else { Duration::ZERO };
+        let message = match self.incoming.recv_timeout(timeout) {
             Ok(message) => message,
             // The producer sends a message when it ends, unless it panics.
             Err(RecvTimeoutError::Disconnected) => {
@@ -320,17 +322,17 @@ impl SampleSource {
     /// Board time at which this code has been sampled, ns.
     fn time_ns(&self, code: u64) -> u64 {
         let frame = self.frames.iter().rev().find(|(first, _)| *first <= code);
-        let (first, time_ns) = frame.copied().unwrap_or((self.taken, 0));
+        let (first, time_ns) = frame.copied().unwrap_or((self.codes_out, 0));
         time_ns + (self.timing.in_frame_s(code - first) * 1e9) as u64
     }
 
     /// Returns the state of a slice of this many codes.
     pub fn slice(&mut self, samples: u64) -> Slice {
         self.advance();
-        if self.put < self.taken + samples {
-            self.pull();
+        if self.codes_in < self.codes_out + samples {
+            self.sample_frame();
         }
-        if self.put < self.taken + samples {
+        if self.codes_in < self.codes_out + samples {
             return match (self.missing, self.ended) {
                 (0, true) => Slice::End,
                 (0, false) => Slice::Wait,
@@ -340,7 +342,7 @@ impl SampleSource {
                 }
             };
         }
-        let ready_ns = self.time_ns(self.taken + samples - 1);
+        let ready_ns = self.time_ns(self.codes_out + samples - 1);
         if self.now_ns().is_some_and(|now| ready_ns > now) {
             return Slice::Wait;
         }
@@ -349,7 +351,7 @@ impl SampleSource {
 
     /// Returns whether more has been sampled than the FIFO holds.
     pub fn overflows(&self) -> bool {
-        !self.waits() && self.in_fifo() > self.fifo_limit()
+        !self.waits_for_reader() && self.in_fifo() > self.fifo_limit()
     }
 
     /// Codes that the FIFO holds before it overflows. Above real time the FIFO is larger by the speed, since the delays
@@ -361,24 +363,24 @@ impl SampleSource {
     /// Codes sampled since the frames started, including those not yet taken from the source. If sampling waits for the
     /// reader, all available codes count as sampled.
     pub fn sampled(&self) -> u64 {
-        let Some(now) = self.stopped_ns.or(self.now_ns()) else { return self.put };
+        let Some(now) = self.stopped_ns.or(self.now_ns()) else { return self.codes_in };
         let sampled = |(first, time_ns): &(u64, u64)| {
             first + self.timing.sampled_after(now.saturating_sub(*time_ns) as f64 * 1e-9)
         };
-        let of_last = |(first, time_ns): &(u64, u64)| {
+        let sampled_with_last = |(first, time_ns): &(u64, u64)| {
             first + self.timing.sampled_in_stream(now.saturating_sub(*time_ns) as f64 * 1e-9)
         };
-        let last = self.frames.back().filter(|_| !self.ended).map(of_last);
-        self.frames.iter().map(sampled).chain(last).max().unwrap_or(self.taken)
+        let last = self.frames.back().filter(|_| !self.ended).map(sampled_with_last);
+        self.frames.iter().map(sampled).chain(last).max().unwrap_or(self.codes_out)
     }
 
     /// Codes sampled and not yet taken out.
     pub fn in_fifo(&self) -> u64 {
-        self.sampled().saturating_sub(self.taken)
+        self.sampled().saturating_sub(self.codes_out)
     }
 
     /// Codes taken from the source and not yet taken out.
-    pub fn at_hand(&self) -> usize {
+    pub fn available(&self) -> usize {
         self.codes.len() - self.sent
     }
 
@@ -395,23 +397,22 @@ impl SampleSource {
             self.codes.drain(..self.sent);
             self.sent = 0;
         }
-        self.taken += samples as u64;
-        while self.frames.get(1).is_some_and(|(first, _)| *first <= self.taken) {
+        self.codes_out += samples as u64;
+        while self.frames.get(1).is_some_and(|(first, _)| *first <= self.codes_out) {
             self.frames.pop_front();
         }
     }
 
     /// Returns whether the codes taken so far are whole frames, so that slices end where frames do.
     pub fn at_frame_boundary(&self) -> bool {
-        self.taken.is_multiple_of(self.codes_per_frame.max(1))
+        self.codes_out.is_multiple_of(self.codes_per_frame.max(1))
     }
 }
 
 fn panic_message(thread: JoinHandle<()>) -> String {
     let Err(payload) = thread.join() else { return "the sample source ended without an error message".into() };
-    let words =
-        payload.downcast_ref::<&str>().copied().or_else(|| payload.downcast_ref::<String>().map(String::as_str));
-    format!("the source panicked: {}", words.unwrap_or("without a word"))
+    let text = payload.downcast_ref::<&str>().copied().or_else(|| payload.downcast_ref::<String>().map(String::as_str));
+    format!("the source panicked: {}", text.unwrap_or("without a word"))
 }
 
 /// Checks that frames of a source can replace those of a waveform; the error names the quantity that differs.
@@ -423,7 +424,7 @@ fn compare(source: &Waveform, wanted: &Waveform) -> Result<(), String> {
 }
 
 /// Returns whether the registers of two waveforms are equal except for the receivers.
-fn is_same_but_for_receivers(source: &Waveform, wanted: &Waveform) -> bool {
+fn matches_except_receivers(source: &Waveform, wanted: &Waveform) -> bool {
     let is_wanted = |mut waveform: Waveform| {
         waveform.request.rx_antennas = wanted.request.rx_antennas;
         waveform == *wanted
@@ -433,8 +434,8 @@ fn is_same_but_for_receivers(source: &Waveform, wanted: &Waveform) -> bool {
 }
 
 /// Origin of a producer's first source.
-enum Beginning {
-    With(Box<dyn FrameSource>),
+enum FirstSource {
+    Given(Box<dyn FrameSource>),
     /// The source has to be made; its first frame is at this time.
     Made {
         from: Duration,
@@ -447,11 +448,11 @@ struct Producer {
     maker: Arc<Mutex<Maker>>,
     repeat: bool,
     outgoing: Sender<Message>,
-    spare: Receiver<Frame>,
+    free_frames: Receiver<Frame>,
 }
 
 /// End of a source: number of frames, and start of the frame that would follow, ns.
-struct Pass {
+struct SourceEnd {
     frames: u64,
     next_ns: u64,
 }
@@ -462,37 +463,37 @@ impl Producer {
         waveform: Waveform,
         maker: Arc<Mutex<Maker>>,
         repeat: bool,
-        beginning: Beginning,
+        first_source: FirstSource,
     ) -> std::io::Result<(Receiver<Message>, Sender<Frame>, JoinHandle<()>)> {
         let (outgoing, incoming) = bounded(FRAMES_AHEAD);
-        let (to_producer, spare) = bounded(FRAMES_AHEAD + 2);
-        let producer = Producer { waveform, maker, repeat, outgoing, spare };
-        let thread = thread::Builder::new().name("emulator source".into()).spawn(move || producer.run(beginning))?;
+        let (to_producer, free_frames) = bounded(FRAMES_AHEAD + 2);
+        let producer = Producer { waveform, maker, repeat, outgoing, free_frames };
+        let thread = thread::Builder::new().name("emulator source".into()).spawn(move || producer.run(first_source))?;
         Ok((incoming, to_producer, thread))
     }
 
-    fn run(self, beginning: Beginning) {
-        let mut source = match beginning {
-            Beginning::With(source) => source,
-            Beginning::Made { from } => match self.make(from) {
+    fn run(self, first_source: FirstSource) {
+        let mut source = match first_source {
+            FirstSource::Given(source) => source,
+            FirstSource::Made { from } => match self.make(from) {
                 Ok(source) => source,
                 Err(reason) => return self.send(Message::Refused(reason)),
             },
         };
-        let mut seam_ns = None;
+        let mut start_ns = None;
         loop {
             // The channel is closed, or the reason of the end has been sent.
-            let Some(pass) = self.pass_on(source.as_mut(), seam_ns) else { return };
-            // A source without a frame would be opened again for ever.
-            if !self.repeat || pass.frames == 0 {
+            let Some(end) = self.forward_frames(source.as_mut(), start_ns) else { return };
+            // A source without a frame is not opened again, which would never end.
+            if !self.repeat || end.frames == 0 {
                 return self.send(Message::End);
             }
-            source = match self.begin_again() {
+            source = match self.reopen() {
                 Ok(Some(source)) => source,
                 Ok(None) => return self.send(Message::End),
                 Err(reason) => return self.send(Message::Failed(reason)),
             };
-            seam_ns = Some(pass.next_ns);
+            start_ns = Some(end.next_ns);
         }
     }
 
@@ -501,22 +502,22 @@ impl Producer {
         let _ = self.outgoing.send(message);
     }
 
-    /// Passes on all frames of a source. If another source came before it, its first frame begins at `seam_ns`.
-    fn pass_on(&self, source: &mut dyn FrameSource, seam_ns: Option<u64>) -> Option<Pass> {
+    /// Forwards all frames of a source. If another source came before it, its first frame begins at `start_ns`.
+    fn forward_frames(&self, source: &mut dyn FrameSource, start_ns: Option<u64>) -> Option<SourceEnd> {
         let shape = self.waveform.shape();
         let interval_ns = (self.waveform.frame_interval_s() * 1e9) as u64;
-        let mut pass = Pass { frames: 0, next_ns: seam_ns.unwrap_or(0) };
+        let mut end = SourceEnd { frames: 0, next_ns: start_ns.unwrap_or(0) };
         let mut first_ns = None;
         loop {
-            let mut frame = self.spare.try_recv().unwrap_or_else(|_| Frame::zeroed(shape));
+            let mut frame = self.free_frames.try_recv().unwrap_or_else(|_| Frame::zeroed(shape));
             let message = match source.next_frame(&mut frame) {
                 Ok(SourceEvent::Frame) if frame.shape == shape && frame.codes.len() == shape.codes() => {
                     let first_ns = *first_ns.get_or_insert(frame.time_ns);
-                    if let Some(seam_ns) = seam_ns {
-                        frame.time_ns = seam_ns.saturating_add(frame.time_ns.saturating_sub(first_ns));
+                    if let Some(start_ns) = start_ns {
+                        frame.time_ns = start_ns.saturating_add(frame.time_ns.saturating_sub(first_ns));
                     }
-                    pass.frames += 1;
-                    pass.next_ns = frame.time_ns.saturating_add(interval_ns);
+                    end.frames += 1;
+                    end.next_ns = frame.time_ns.saturating_add(interval_ns);
                     Message::Frame(frame)
                 }
                 Ok(SourceEvent::Frame) => {
@@ -525,7 +526,7 @@ impl Producer {
                     return None;
                 }
                 Ok(SourceEvent::Gap(gap)) => Message::Gap { frames: gap.frames },
-                Ok(SourceEvent::End) => return Some(pass),
+                Ok(SourceEvent::End) => return Some(end),
                 Err(error) => {
                     self.send(Message::Failed(with_causes(&*error)));
                     return None;
@@ -545,9 +546,9 @@ impl Producer {
     }
 
     /// Opens the source that has ended again; `None` if that is not possible.
-    fn begin_again(&self) -> Result<Option<Box<dyn FrameSource>>, String> {
+    fn reopen(&self) -> Result<Option<Box<dyn FrameSource>>, String> {
         match &mut *self.maker.lock().unwrap_or_else(PoisonError::into_inner) {
-            Maker::Again(open) => open().map(Some).map_err(|error| with_causes(&*error)),
+            Maker::Reopen(open) => open().map(Some).map_err(|error| with_causes(&*error)),
             Maker::Waveforms(_) | Maker::None => Ok(None),
         }
     }

@@ -19,8 +19,11 @@ pub struct EmulatorCounts {
 /// State that the thread of an emulated board shares with its handle.
 #[derive(Default)]
 pub(super) struct Shared {
+    /// Whether the board has to stop.
     pub(super) stop: AtomicBool,
-    pub(super) dead: AtomicBool,
+    /// Whether the thread has ended without a panic.
+    pub(super) has_ended: AtomicBool,
+    /// Whether the source has ended and all of it has been sent.
     pub(super) finished: AtomicBool,
     pub(super) packets: AtomicU64,
     pub(super) overflows: AtomicU64,

@@ -18,16 +18,16 @@ pub struct EmulatedSource {
     board: EmulatedBoard,
     truths: Receiver<(u64, Truth)>,
     /// Ground truth received last, if it belongs to a later frame.
-    ahead: Option<(u64, Truth)>,
+    pending_truth: Option<(u64, Truth)>,
 }
 
 /// Source that sends the ground truth of each frame to a channel.
-struct Tap {
+struct TruthTap {
     source: Box<dyn FrameSource>,
     truths: Sender<(u64, Truth)>,
 }
 
-impl FrameSource for Tap {
+impl FrameSource for TruthTap {
     fn waveform(&self) -> &Waveform {
         self.source.waveform()
     }
@@ -61,20 +61,21 @@ impl EmulatedSource {
     pub fn start(source: Box<dyn FrameSource>, options: EmulatorOptions) -> Result<Self, EmulatedSourceError> {
         let waveform = source.waveform().clone();
         let (sender, truths) = unbounded();
-        let board = EmulatedBoard::spawn(Box::new(Tap { source, truths: sender }), options)?;
+        let board = EmulatedBoard::spawn(Box::new(TruthTap { source, truths: sender }), options)?;
         let client = Mcu7Board::open(board.address())?;
         let identity = client.identity().clone();
-        Ok(EmulatedSource { stream: client.start(&waveform)?, identity, board, truths, ahead: None })
+        Ok(EmulatedSource { stream: client.start(&waveform)?, identity, board, truths, pending_truth: None })
     }
 
+    /// Ground truth of the frame with this number.
     fn truth(&mut self, sequence: u64) -> Option<Truth> {
         loop {
-            let (of, truth) = self.ahead.take().or_else(|| self.truths.try_recv().ok())?;
-            match of.cmp(&sequence) {
+            let (truth_sequence, truth) = self.pending_truth.take().or_else(|| self.truths.try_recv().ok())?;
+            match truth_sequence.cmp(&sequence) {
                 Ordering::Less => {}
                 Ordering::Equal => return Some(truth),
                 Ordering::Greater => {
-                    self.ahead = Some((of, truth));
+                    self.pending_truth = Some((truth_sequence, truth));
                     return None;
                 }
             }
@@ -103,21 +104,20 @@ impl FrameSource for EmulatedSource {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        // The board is silent both when its source has ended and when the source is slow: only the former ends the
-        // stream.
+        // The board is silent when its source has ended and when the source is slow. Only the former ends the stream.
         loop {
             let is_over = self.board.finished() || self.board.is_over();
-            let polled = self.stream.poll(frame, Duration::from_millis(50));
-            if matches!(polled, Ok(None)) && !is_over {
+            let result = self.stream.poll(frame, Duration::from_millis(50));
+            if matches!(result, Ok(None)) && !is_over {
                 continue;
             }
-            // A board whose source or line has failed falls silent or disconnects: its own failure is the first cause.
-            if !matches!(polled, Ok(Some(_)))
+            // A board whose source or line has failed falls silent or disconnects. Its own failure is then the cause.
+            if !matches!(result, Ok(Some(_)))
                 && let Some(reason) = self.board.failure()
             {
                 return Err(format!("the emulated board sends no more frames: {reason}").into());
             }
-            let event = polled?.unwrap_or(SourceEvent::End);
+            let event = result?.unwrap_or(SourceEvent::End);
             if event == SourceEvent::Frame {
                 frame.truth = self.truth(frame.sequence);
             }

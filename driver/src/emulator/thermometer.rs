@@ -16,32 +16,33 @@ const SLOPE_V_PER_C: f64 = 0.002_86;
 /// Temperature rise of a powered board, degrees Celsius, and its time constant.
 const WARM_UP_C: f64 = 3.0;
 const WARM_UP_S: f64 = 120.0;
-const SWAY_C: f64 = 0.5;
-const SWAY_S: f64 = 300.0;
+/// Amplitude and period of the drift.
+const DRIFT_C: f64 = 0.5;
+const DRIFT_PERIOD_S: f64 = 300.0;
 /// Largest noise of a conversion.
 const NOISE_C: f64 = 0.4;
 
 pub(super) struct Thermometer {
     seed: u64,
     /// Time at which the board got power.
-    began: Instant,
+    start: Instant,
 }
 
 impl Thermometer {
     pub fn new(seed: u64) -> Self {
-        Thermometer { seed, began: Instant::now() }
+        Thermometer { seed, start: Instant::now() }
     }
 
     /// Code of a conversion made now. The number of the conversion selects its noise.
     pub fn code(&self, conversion: u64) -> u32 {
-        code(self.celsius(self.began.elapsed().as_secs_f64(), conversion))
+        code(self.celsius(self.start.elapsed().as_secs_f64(), conversion))
     }
 
     fn celsius(&self, elapsed_s: f64, conversion: u64) -> f64 {
-        let board = 34.0 + 4.0 * unit(self.seed, u64::MAX);
-        let warm_up = WARM_UP_C * (1.0 - (-elapsed_s / WARM_UP_S).exp());
-        let sway = SWAY_C * (TAU * (elapsed_s / SWAY_S + unit(self.seed, u64::MAX - 1))).sin();
-        board + warm_up + sway + NOISE_C * (2.0 * unit(self.seed, conversion) - 1.0)
+        let offset_c = 34.0 + 4.0 * unit(self.seed, u64::MAX);
+        let warm_up_c = WARM_UP_C * (1.0 - (-elapsed_s / WARM_UP_S).exp());
+        let drift_c = DRIFT_C * (TAU * (elapsed_s / DRIFT_PERIOD_S + unit(self.seed, u64::MAX - 1))).sin();
+        offset_c + warm_up_c + drift_c + NOISE_C * (2.0 * unit(self.seed, conversion) - 1.0)
     }
 }
 
@@ -65,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn readings_are_those_of_a_chip_at_work_and_no_two_boards_are_alike() {
+    fn readings_are_plausible_and_differ_between_boards() {
         let mut first = Vec::new();
         for seed in 0..100 {
             let thermometer = Thermometer::new(seed);
@@ -92,10 +93,10 @@ mod tests {
     }
 
     #[test]
-    fn a_code_is_read_back_within_half_of_itself() {
+    fn temperatures_round_trip_within_half_a_code() {
         for tenths in 300..450_u32 {
-            let wanted = f64::from(tenths) / 10.0;
-            assert!((celsius(code(wanted)) - wanted).abs() < 0.21, "{wanted}");
+            let expected = f64::from(tenths) / 10.0;
+            assert!((celsius(code(expected)) - expected).abs() < 0.21, "{expected}");
         }
     }
 }

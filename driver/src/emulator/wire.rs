@@ -12,9 +12,9 @@ use super::{EmulatorOptions, Fault, Shared};
 use crate::transport::usb::Setup;
 
 /// Longest time in which a stopping board completes the slice that it is sending.
-const FINISH: Duration = Duration::from_millis(500);
-/// Pieces of requests that are under way at once: a host that sends more has to wait.
-const MOST_UNDER_WAY: usize = 256;
+const FINISH_TIMEOUT: Duration = Duration::from_millis(500);
+/// Largest number of pieces of requests in transit. A host that sends more has to wait.
+const MAX_IN_TRANSIT: usize = 256;
 
 /// Firmware of a board: it answers requests and sends data.
 pub(super) trait Firmware {
@@ -31,7 +31,7 @@ pub(super) trait Firmware {
     /// Resets the firmware after a loss of power; the source of samples goes on.
     fn power_up(&mut self);
     /// Stops after the last client has left, perhaps within a request or a stream, and waits for another.
-    fn abandon(&mut self);
+    fn client_left(&mut self);
     /// Returns whether the host needs another data message to interpret the last one.
     fn is_within_data(&self) -> bool {
         false
@@ -48,19 +48,19 @@ pub(super) struct Wire {
     port: Port,
     line: HostLine,
     faults: Vec<Fault>,
-    /// A message to be sent after its successor.
-    held: Vec<u8>,
+    /// Message that is sent after its successor.
+    reordered: Vec<u8>,
     out: Vec<u8>,
     written: usize,
     /// Duration for which the board has to be unplugged.
-    unplugged: Option<Duration>,
+    unplug_duration: Option<Duration>,
     has_client: bool,
     /// Time until which the host reads nothing.
-    host_reads_from: Option<Instant>,
+    host_is_slow_until: Option<Instant>,
     /// Delay of the host's bytes to the firmware.
     latency: Duration,
     /// Bytes on their way to the firmware, with their times of arrival.
-    under_way: VecDeque<(Instant, Vec<u8>)>,
+    in_transit: VecDeque<(Instant, Vec<u8>)>,
     pub shared: Arc<Shared>,
 }
 
@@ -82,20 +82,21 @@ impl Wire {
             port: line.open()?,
             line,
             faults: options.faults.clone(),
-            held: Vec::new(),
+            reordered: Vec::new(),
             out: Vec::new(),
             written: 0,
-            unplugged: None,
+            unplug_duration: None,
             has_client: false,
-            host_reads_from: None,
+            host_is_slow_until: None,
             latency: options.latency,
-            under_way: VecDeque::new(),
+            in_transit: VecDeque::new(),
             shared,
         };
         wire.make_link()?;
         Ok(wire)
     }
 
+    /// Makes the link to the terminal.
     fn make_link(&self) -> std::io::Result<()> {
         match &self.line {
             HostLine::Pseudoterminal { link: Some(path) } => link(self.port.path(), path),
@@ -115,23 +116,23 @@ impl Wire {
     /// not send it.
     pub fn next_number(&mut self) -> (u64, Vec<FaultAction>) {
         let number = self.shared.packets.fetch_add(1, Ordering::Relaxed);
-        let mut before = Vec::new();
+        let mut actions = Vec::new();
         for fault in &self.faults {
             match *fault {
-                Fault::Overflow(n) if n == number => before.push(FaultAction::Overflow),
-                Fault::Stall(n) if n == number => before.push(FaultAction::Stall),
-                Fault::SkipCounter { packet, by } if packet == number => before.push(FaultAction::Skip(by)),
+                Fault::Overflow(n) if n == number => actions.push(FaultAction::Overflow),
+                Fault::Stall(n) if n == number => actions.push(FaultAction::Stall),
+                Fault::SkipCounter { packet, by } if packet == number => actions.push(FaultAction::Skip(by)),
                 Fault::Unplug { packet, duration } if packet == number => {
-                    self.unplugged = Some(duration);
-                    before.push(FaultAction::Stall);
+                    self.unplug_duration = Some(duration);
+                    actions.push(FaultAction::Stall);
                 }
                 Fault::SlowHost { packet, duration } if packet == number => {
-                    self.host_reads_from = Some(Instant::now() + duration);
+                    self.host_is_slow_until = Some(Instant::now() + duration);
                 }
                 _ => {}
             }
         }
-        (number, before)
+        (number, actions)
     }
 
     /// Sends a message without faults.
@@ -139,9 +140,9 @@ impl Wire {
         encode(&mut self.out);
     }
 
-    /// Discards the held message when the board starts anew.
-    pub fn discard_held(&mut self) {
-        self.held.clear();
+    /// Discards the message that is sent after its successor, when the board restarts.
+    pub fn discard_reordered(&mut self) {
+        self.reordered.clear();
     }
 
     /// Sends the data message of this number, changed by its faults.
@@ -159,8 +160,8 @@ impl Wire {
                     }
                 }
                 Fault::TruncatePacket { packet, bytes } if packet == number => self.out.truncate(start + bytes),
-                Fault::ReorderPacket(n) if n == number => self.held.extend(self.out.drain(start..)),
-                Fault::ReorderPacket(n) if n + 1 == number => self.out.append(&mut self.held),
+                Fault::ReorderPacket(n) if n == number => self.reordered.extend(self.out.drain(start..)),
+                Fault::ReorderPacket(n) if n + 1 == number => self.out.append(&mut self.reordered),
                 _ => {}
             }
         }
@@ -173,7 +174,7 @@ impl Wire {
             self.port.watch_clients();
         }
         while !self.shared.stop.load(Ordering::Acquire) {
-            if let Some(duration) = self.unplugged.take() {
+            if let Some(duration) = self.unplug_duration.take() {
                 self.unplug(duration, firmware)?;
             }
             if self.port.is_hung_up() {
@@ -217,8 +218,8 @@ impl Wire {
                 self.restart(firmware);
             }
         }
-        self.host_reads_from = self.host_reads_from.filter(|moment| Instant::now() < *moment);
-        Ok(self.host_reads_from.is_none())
+        self.host_is_slow_until = self.host_is_slow_until.filter(|moment| Instant::now() < *moment);
+        Ok(self.host_is_slow_until.is_none())
     }
 
     /// Takes bytes of the host from a terminal, or answers a control transfer; returns whether one was answered.
@@ -232,13 +233,13 @@ impl Wire {
                     return Ok(true);
                 }
             }
-            Port::Terminal(terminal) if !is_sending && self.under_way.len() < MOST_UNDER_WAY => {
+            Port::Terminal(terminal) if !is_sending && self.in_transit.len() < MAX_IN_TRANSIT => {
                 let count = terminal.read(&mut buffer)?;
                 if let Some(bytes) = buffer.get(..count).filter(|bytes| !bytes.is_empty()) {
-                    self.under_way.push_back((Instant::now() + self.latency, bytes.to_vec()));
+                    self.in_transit.push_back((Instant::now() + self.latency, bytes.to_vec()));
                 }
             }
-            Port::Terminal(_) | Port::Gone => {}
+            Port::Terminal(_) | Port::Unplugged => {}
         }
         Ok(false)
     }
@@ -246,32 +247,32 @@ impl Wire {
     /// Gives the firmware the bytes that have arrived by now.
     fn deliver(&mut self, firmware: &mut dyn Firmware) {
         while self.until_delivery().is_zero() {
-            let Some((_, bytes)) = self.under_way.pop_front() else { return };
+            let Some((_, bytes)) = self.in_transit.pop_front() else { return };
             firmware.receive(&bytes, &mut self.out);
         }
     }
 
     /// Time until the next bytes arrive.
     fn until_delivery(&self) -> Duration {
-        self.under_way.front().map_or(Duration::MAX, |(due, _)| due.saturating_duration_since(Instant::now()))
+        self.in_transit.front().map_or(Duration::MAX, |(due, _)| due.saturating_duration_since(Instant::now()))
     }
 
     /// Checks whether the last client has left, and resets the board for the next one.
     fn check_departure(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut received = Vec::new();
-        if self.port.was_abandoned(&mut received)? {
-            firmware.abandon();
-            self.forget();
+        if self.port.has_disconnected(&mut received)? {
+            firmware.client_left();
+            self.discard_data();
             self.shared.departures.fetch_add(1, Ordering::Relaxed);
         } else if !received.is_empty() {
-            self.under_way.push_back((Instant::now() + self.latency, received));
+            self.in_transit.push_back((Instant::now() + self.latency, received));
         }
         Ok(())
     }
 
     /// Completes the current message, and those that belong to it, for a host that reads.
     fn finish(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
-        let end = Instant::now() + FINISH;
+        let end = Instant::now() + FINISH_TIMEOUT;
         while Instant::now() < end {
             if self.written >= self.out.len() {
                 self.out.clear();
@@ -285,9 +286,9 @@ impl Wire {
         }
         // The host loses data that it has not read when the line closes. The system may still hold more than it has
         // handed over.
-        let mut quiet = 0;
-        while Instant::now() < end && quiet < 5 {
-            quiet = if self.port.holds_unread() { 0 } else { quiet + 1 };
+        let mut idle_checks = 0;
+        while Instant::now() < end && idle_checks < 5 {
+            idle_checks = if self.port.holds_unread() { 0 } else { idle_checks + 1 };
             thread::sleep(Duration::from_millis(1));
         }
         Ok(())
@@ -295,28 +296,28 @@ impl Wire {
 
     /// Unplugs the board and plugs it in later at the same place: a terminal under another name.
     fn unplug(&mut self, duration: Duration, firmware: &mut dyn Firmware) -> std::io::Result<()> {
-        let mut is_back = None;
+        let mut new_port = None;
         match &self.line {
             HostLine::Pseudoterminal { .. } => {
-                // Opened before the old one is closed, so that it has another name.
-                is_back = Some(self.line.open()?);
+                // The new port is opened before the old one is closed, so that it has another name.
+                new_port = Some(self.line.open()?);
                 self.remove_link()?;
             }
             HostLine::Terminal(_) | HostLine::Endpoints(_) => {}
         }
-        self.port = Port::Gone;
+        self.port = Port::Unplugged;
         let end = Instant::now() + duration;
         let mut is_stopped = false;
-        while (Instant::now() < end || is_back.is_none()) && !is_stopped {
+        while (Instant::now() < end || new_port.is_none()) && !is_stopped {
             thread::sleep(Duration::from_millis(5));
             firmware.advance();
             is_stopped = self.shared.stop.load(Ordering::Acquire);
-            if Instant::now() >= end && is_back.is_none() {
+            if Instant::now() >= end && new_port.is_none() {
                 // The terminal of a gadget may be absent for a while.
-                is_back = self.line.open().ok();
+                new_port = self.line.open().ok();
             }
         }
-        if let Some(mut port) = is_back {
+        if let Some(mut port) = new_port {
             if firmware.restarts_when_opened() {
                 port.watch_clients();
             }
@@ -327,17 +328,18 @@ impl Wire {
         if is_stopped { Ok(()) } else { self.make_link() }
     }
 
+    /// Resets the firmware and discards all data.
     fn restart(&mut self, firmware: &mut dyn Firmware) {
         firmware.power_up();
-        self.forget();
+        self.discard_data();
     }
 
-    /// Discards the data under way in both directions.
-    fn forget(&mut self) {
+    /// Discards the data in transit in both directions.
+    fn discard_data(&mut self) {
         self.out.clear();
         self.written = 0;
-        self.held.clear();
-        self.under_way.clear();
+        self.reordered.clear();
+        self.in_transit.clear();
     }
 
     /// Path for the host.
@@ -350,7 +352,7 @@ impl Wire {
 }
 
 impl Drop for Wire {
-    /// The system will use the terminal's name again: no link may point to it.
+    /// Removes the link, because the system will use the terminal's name again.
     fn drop(&mut self) {
         if let Err(error) = self.remove_link() {
             tracing::warn!(%error, line = %self.line.description(), "the link could not be removed");

@@ -68,8 +68,8 @@ fn io_error(error: rusb::Error) -> io::Error {
 pub(super) fn bulk(bus: u8, address: u8) -> io::Result<Box<dyn Packets>> {
     let open = || {
         let devices = Context::new()?.devices()?;
-        let is_meant = |device: &Device<Context>| (device.bus_number(), device.address()) == (bus, address);
-        let device = devices.iter().find(is_meant).ok_or(rusb::Error::NotFound)?;
+        let is_wanted = |device: &Device<Context>| (device.bus_number(), device.address()) == (bus, address);
+        let device = devices.iter().find(is_wanted).ok_or(rusb::Error::NotFound)?;
         let handle = device.open()?;
         let (interface, to_probe, from_probe) = endpoints(&device, &handle)?.ok_or(rusb::Error::NotFound)?;
         // Not every system has drivers to detach.

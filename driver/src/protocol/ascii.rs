@@ -13,7 +13,7 @@ const BYTES_PER_CODE: usize = 6;
 const PREFIX: &[u8] = b"Frame ";
 const WAVEFORM_PREFIX: &[u8] = b"Waveform: ";
 /// Longest line that is not a frame.
-const LONGEST_TALK: usize = 1024;
+const LONGEST_OTHER_LINE: usize = 1024;
 
 /// Parsed line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,9 +98,9 @@ pub struct LineParser {
     /// Length beyond which a line is given up, bytes.
     limit: usize,
     buffer: Vec<u8>,
-    /// Position at which the next line begins.
-    begin: usize,
-    /// Number of bytes from `begin` on that hold no end of line.
+    /// Start of the next line in `buffer`.
+    line_start: usize,
+    /// Number of bytes from `line_start` on that hold no end of line.
     searched: usize,
     /// Whether the next bytes are the rest of a line that is being skipped.
     skipping: bool,
@@ -110,12 +110,12 @@ pub struct LineParser {
 impl LineParser {
     /// Creates a parser of frames of `codes_per_frame` codes.
     pub fn new(codes_per_frame: usize) -> Self {
-        let limit = (codes_per_frame * BYTES_PER_CODE + 64).max(LONGEST_TALK);
+        let limit = (codes_per_frame * BYTES_PER_CODE + 64).max(LONGEST_OTHER_LINE);
         LineParser {
             codes_per_frame,
             limit,
             buffer: Vec::new(),
-            begin: 0,
+            line_start: 0,
             searched: 0,
             skipping: false,
             codes: Vec::with_capacity(codes_per_frame),
@@ -124,8 +124,8 @@ impl LineParser {
 
     /// Adds received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
-        self.buffer.drain(..self.begin);
-        self.begin = 0;
+        self.buffer.drain(..self.line_start);
+        self.line_start = 0;
         self.buffer.extend_from_slice(bytes);
     }
 
@@ -135,35 +135,35 @@ impl LineParser {
     /// [`LineError`] for a line that begins like a frame but is not one.
     pub fn next_line(&mut self) -> Option<Result<Line<'_>, LineError>> {
         loop {
-            let rest = self.buffer.get(self.begin + self.searched..).unwrap_or(&[]);
+            let rest = self.buffer.get(self.line_start + self.searched..).unwrap_or(&[]);
             let Some(end) = rest.iter().position(|&b| b == b'\n') else {
                 self.searched += rest.len();
                 if self.searched <= self.limit {
                     return None;
                 }
-                self.begin += self.searched;
+                self.line_start += self.searched;
                 self.searched = 0;
                 if !std::mem::replace(&mut self.skipping, true) {
                     return Some(Err(LineError::TooLong { limit: self.limit }));
                 }
                 return None;
             };
-            let (begin, end) = (self.begin, self.begin + self.searched + end);
-            self.begin = end + 1;
+            let (line_start, end) = (self.line_start, self.line_start + self.searched + end);
+            self.line_start = end + 1;
             self.searched = 0;
             if std::mem::take(&mut self.skipping) {
                 continue;
             }
-            if end - begin > self.limit {
+            if end - line_start > self.limit {
                 return Some(Err(LineError::TooLong { limit: self.limit }));
             }
-            let line = self.buffer.get(begin..end).unwrap_or(&[]);
+            let line = self.buffer.get(line_start..end).unwrap_or(&[]);
             let line = line.strip_suffix(b"\r").unwrap_or(line);
             if !line.starts_with(PREFIX) {
                 return Some(Ok(Line::Log(line)));
             }
             return Some(
-                frame(line, self.codes_per_frame, &mut self.codes)
+                parse_frame(line, self.codes_per_frame, &mut self.codes)
                     .map(|number| Line::Frame { number, codes: &self.codes }),
             );
         }
@@ -171,16 +171,17 @@ impl LineParser {
 }
 
 /// Parses the number and the codes of a line that begins with [`PREFIX`].
-fn frame(line: &[u8], expected: usize, codes: &mut Vec<u16>) -> Result<u64, LineError> {
+fn parse_frame(line: &[u8], expected: usize, codes: &mut Vec<u16>) -> Result<u64, LineError> {
     codes.clear();
-    let mut at = PREFIX.len();
-    let syntax = |at: usize| LineError::Syntax { column: at + 1, byte: line.get(at).copied().unwrap_or(0) };
-    let number = decimal(line, &mut at).ok_or_else(|| syntax(at))?;
-    at = literal(line, at, b": [").ok_or_else(|| syntax(at))?;
+    let mut position = PREFIX.len();
+    let syntax =
+        |position: usize| LineError::Syntax { column: position + 1, byte: line.get(position).copied().unwrap_or(0) };
+    let number = decimal(line, &mut position).ok_or_else(|| syntax(position))?;
+    position = literal(line, position, b": [").ok_or_else(|| syntax(position))?;
     let mut got = 0;
-    if literal(line, at, b"]").is_none() {
+    if literal(line, position, b"]").is_none() {
         loop {
-            let code = decimal(line, &mut at).ok_or_else(|| syntax(at))?;
+            let code = decimal(line, &mut position).ok_or_else(|| syntax(position))?;
             if code > u64::from(MAX_CODE) {
                 return Err(LineError::Code { number, index: got });
             }
@@ -188,34 +189,34 @@ fn frame(line: &[u8], expected: usize, codes: &mut Vec<u16>) -> Result<u64, Line
             if got <= expected {
                 codes.push(code as u16);
             }
-            match literal(line, at, b",") {
-                Some(next) => at = literal(line, next, b" ").unwrap_or(next),
+            match literal(line, position, b",") {
+                Some(next) => position = literal(line, next, b" ").unwrap_or(next),
                 None => break,
             }
         }
     }
-    match literal(line, at, b"]") {
+    match literal(line, position, b"]") {
         Some(end) if end == line.len() => {}
         Some(end) => return Err(syntax(end)),
-        None => return Err(syntax(at)),
+        None => return Err(syntax(position)),
     }
     if got == expected { Ok(number) } else { Err(LineError::Length { number, got, expected }) }
 }
 
-/// Returns the position behind a literal that stands at `at`.
-fn literal(line: &[u8], at: usize, text: &[u8]) -> Option<usize> {
-    line.get(at..)?.starts_with(text).then_some(at + text.len())
+/// Returns the position behind the literal `text` at `position`; `None` if it is not there.
+fn literal(line: &[u8], position: usize, text: &[u8]) -> Option<usize> {
+    line.get(position..)?.starts_with(text).then_some(position + text.len())
 }
 
-/// Parses a decimal number at `at` and moves `at` behind it; `None` if there is no number or it exceeds 64 bits.
-fn decimal(line: &[u8], at: &mut usize) -> Option<u64> {
-    let begin = *at;
+/// Parses a decimal number at `position` and moves `position` behind it; `None` if there is no number or it exceeds 64 bits.
+fn decimal(line: &[u8], position: &mut usize) -> Option<u64> {
+    let start = *position;
     let mut value = 0u64;
-    while let Some(digit) = line.get(*at).filter(|b| b.is_ascii_digit()) {
+    while let Some(digit) = line.get(*position).filter(|b| b.is_ascii_digit()) {
         value = value.checked_mul(10)?.checked_add(u64::from(digit - b'0'))?;
-        *at += 1;
+        *position += 1;
     }
-    (*at > begin).then_some(value)
+    (*position > start).then_some(value)
 }
 
 #[cfg(test)]
@@ -249,7 +250,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_written_is_read_whatever_the_pieces(
+        fn lines_round_trip_in_any_pieces(
             codes in prop::collection::vec(0u16..=4095, 1..50),
             number: u64,
             piece in 1usize..40,
@@ -260,7 +261,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_are_survived_in_bounded_memory(bytes in prop::collection::vec(any::<u8>(), 0..4000), piece in 1usize..300) {
+        fn any_bytes_need_bounded_memory(bytes in prop::collection::vec(any::<u8>(), 0..4000), piece in 1usize..300) {
             let mut parser = LineParser::new(8);
             for piece in bytes.chunks(piece) {
                 parser.push(piece);
@@ -271,14 +272,14 @@ mod tests {
     }
 
     #[test]
-    fn a_waveform_is_told_and_understood_and_talk_to_a_parser_of_frames() {
+    fn a_waveform_line_round_trips_and_is_a_log_line_among_frames() {
         let request = WaveformRequest::paper();
         let mut bytes = Vec::new();
         encode_waveform(&request, &mut bytes);
         encode(0, &[1, 2], &mut bytes);
         let line = bytes.split(|b| *b == b'\n').next().expect("a line");
-        assert_eq!(decode_waveform(line).expect("says so").expect("JSON"), request);
-        assert!(decode_waveform(b"Waveform: {}").expect("says so").is_err());
+        assert_eq!(decode_waveform(line).expect("a waveform line").expect("JSON"), request);
+        assert!(decode_waveform(b"Waveform: {}").expect("a waveform line").is_err());
         assert!(decode_waveform(b"Frame 1: [1]").is_none());
         assert_eq!(frames(2, &bytes, 7), [Ok((0, vec![1, 2]))]);
     }
@@ -287,7 +288,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn damage_is_named_and_costs_its_own_line() {
+        fn a_damaged_line_is_named_and_alone_is_lost() {
             let good = b"Frame 9: [1, 2]\n";
             for (bad, error) in [
                 (&b"Frame 1: [1, 4096]\n"[..], LineError::Code { number: 1, index: 1 }),
@@ -306,7 +307,7 @@ mod tests {
 
         /// Found by fuzzing: a line of any length was read if it came at once, but was given up if it came in pieces.
         #[test]
-        fn a_line_is_too_long_whatever_pieces_it_comes_in() {
+        fn a_line_is_too_long_in_any_pieces() {
             let line = |zeros: usize| [b"Frame 1: [1, ", &[b'0'; 1100][..zeros], b"2]\nFrame 9: [1, 2]\n"].concat();
             for piece in [1, 60, 1024, 1025, 4000] {
                 // Lines of 1024 bytes and of 1025 bytes.

@@ -3,7 +3,8 @@
 const POLYNOMIAL: u16 = 0x1021;
 const INITIAL: u16 = 0xFFFF;
 
-const fn shifted(mut crc: u16) -> u16 {
+/// CRC register after eight further zero bits.
+const fn shift_byte(mut crc: u16) -> u16 {
     let mut bit = 0;
     while bit < 8 {
         crc = if crc & 0x8000 != 0 { (crc << 1) ^ POLYNOMIAL } else { crc << 1 };
@@ -17,10 +18,10 @@ static TABLES: [[u16; 256]; 8] = {
     let mut tables = [[0; 256]; 8];
     let mut i = 0;
     while i < 256 {
-        tables[0][i] = shifted((i as u16) << 8);
+        tables[0][i] = shift_byte((i as u16) << 8);
         let mut n = 1;
         while n < 8 {
-            tables[n][i] = shifted(tables[n - 1][i]);
+            tables[n][i] = shift_byte(tables[n - 1][i]);
             n += 1;
         }
         i += 1;
@@ -47,7 +48,7 @@ mod tests {
 
     /// Computes the CRC of these bytes, bit by bit from the definition.
     fn crc16_bitwise(bytes: &[u8]) -> u16 {
-        bytes.iter().fold(INITIAL, |crc, &byte| shifted(crc ^ (u16::from(byte) << 8)))
+        bytes.iter().fold(INITIAL, |crc, &byte| shift_byte(crc ^ (u16::from(byte) << 8)))
     }
 
     /// The check value of the CRC catalogue.

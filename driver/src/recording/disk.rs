@@ -26,7 +26,7 @@ pub(super) fn append(mut file: &File, path: &Path, at: u64, bytes: &[u8]) -> io:
     file.write_all(bytes)
 }
 
-/// Fails for a file that is shorter than what was written to it: somebody has cut it, and more data would only follow a
+/// Fails for a file that is shorter than what was written to it. Another program has cut it, and more data would follow a
 /// hole.
 pub(super) fn check_length(file: &File, written: u64) -> io::Result<()> {
     let metadata = file.metadata()?;
@@ -68,13 +68,13 @@ pub(super) fn reserve(file: &File, at: u64, bytes: u64) -> io::Result<()> {
 }
 
 /// Waits until all data written to a file or folder are on the disk. Returns at once for a device or a pipe. Fails for a
-/// file that somebody has removed: its data would vanish when it is closed.
+/// file that was removed, because its data would vanish when it is closed.
 pub(super) fn sync(file: &File, path: &Path) -> io::Result<()> {
     let metadata = file.metadata()?;
     if !metadata.is_file() && !metadata.is_dir() {
         return Ok(());
     }
-    // Some file systems do not count names, so the path is looked at, too.
+    // Some file systems do not count names, so the path is checked, too.
     let has_path = || std::fs::metadata(path).is_ok_and(|found| found.ino() == metadata.ino());
     if metadata.nlink() == 0 && !has_path() {
         return Err(io::Error::new(io::ErrorKind::NotFound, "it was removed while it was written"));

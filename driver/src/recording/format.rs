@@ -6,7 +6,7 @@ use std::path::Path;
 use super::input::open_file;
 use super::{RecordingError, infineon, text};
 
-/// Length of the beginning of a file that tells its format, bytes.
+/// Length of the beginning of a file that identifies its format, bytes.
 const HEAD_BYTES: u64 = 16;
 
 /// Kinds of recordings.
@@ -84,9 +84,9 @@ impl Format {
 mod tests {
     use super::*;
 
-    /// Datasets took text recordings with other names and folders with other files than the reader did.
+    /// Regression test: datasets took text recordings with other names and folders with other files than the reader did.
     #[test]
-    fn a_recording_is_told_from_its_neighbours_by_its_content() {
+    fn a_recording_is_recognised_by_its_content() {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
         let write = |name: &str, content: &str| {

@@ -95,11 +95,16 @@ impl InfineonReader {
         };
         // A count beyond any waveform's cannot match the configuration.
         let count = |n: u64| usize::try_from(n).unwrap_or(usize::MAX);
-        let of_data = FrameShape { rx: count(rx), chirps: count(chirps), samples: count(samples) };
-        let waveform = read_waveform(&config, Some(of_data))?;
+        let data_shape = FrameShape { rx: count(rx), chirps: count(chirps), samples: count(samples) };
+        let waveform = read_waveform(&config, Some(data_shape))?;
         let shape = waveform.shape();
-        if of_data != shape {
-            return Err(RecordingError::Shape { data, got: of_data.to_string(), config, expected: shape.to_string() });
+        if data_shape != shape {
+            return Err(RecordingError::Shape {
+                data,
+                got: data_shape.to_string(),
+                config,
+                expected: shape.to_string(),
+            });
         }
         let available = length.saturating_sub(header.data_offset);
         let surplus = available.saturating_sub(frames.saturating_mul(2 * shape.codes() as u64));
@@ -114,13 +119,13 @@ impl InfineonReader {
         for reason in &left_out {
             warn_once(format!("{reason}; the times of all frames are made of the frame interval"));
         }
-        let of_times = left_out.len();
+        let time_reasons = left_out.len();
         let temperatures = read_temperatures(&folder, &mut left_out)?;
         if timestamps_ns.is_none() && !temperatures.is_empty() {
             let path = folder.join(TEMPERATURES);
             left_out.push(format!("{}: the frames have no times by the clock of the temperatures", path.display()));
         }
-        for reason in left_out.iter().skip(of_times) {
+        for reason in left_out.iter().skip(time_reasons) {
             warn_once(format!("{reason}; the temperatures are left out"));
         }
         Ok(InfineonReader {
@@ -144,7 +149,7 @@ impl InfineonReader {
         &self.folder
     }
 
-    /// Why times or temperatures of the folder are left out, with file and line. Without them the times are made of the frame
+    /// Reasons why times or temperatures of the folder are left out, with file and line. Without times, they follow from the frame
     /// interval.
     pub fn left_out(&self) -> &[String] {
         &self.left_out
@@ -226,11 +231,11 @@ impl InfineonReader {
         let stamp = usize::try_from(self.next).ok().and_then(|i| self.timestamps_ns.as_ref()?.get(i).copied());
         frame.host_time_ns = stamp.filter(|at| *at >= FIRST_UNIX_NS).unwrap_or(0);
         // The last temperature known at the time of the frame.
-        let known = stamp.and_then(|now| {
+        let temperature = stamp.and_then(|now| {
             let after = self.temperatures.partition_point(|(at, _)| *at <= now);
             self.temperatures.get(after.checked_sub(1)?)
         });
-        frame.temperature_millicelsius = known.map(|(_, celsius)| (celsius * 1e3).round() as i32);
+        frame.temperature_millicelsius = temperature.map(|(_, celsius)| (celsius * 1e3).round() as i32);
         self.next += 1;
         Ok(SourceEvent::Frame)
     }
@@ -266,7 +271,8 @@ impl FrameSource for InfineonReader {
 /// # Errors
 /// [`RecordingError`] if the folder cannot be listed.
 pub fn radar_folders(path: &Path) -> Result<Vec<PathBuf>, RecordingError> {
-    // Either is enough: if the other is absent, the error names it. A config.json is not: other tools write one, too.
+    // Either file is enough, because an error names the other one if it is absent. A config.json is not enough, because other
+    // tools write one, too.
     if [DATA, VERSION].iter().any(|name| path.join(name).exists()) {
         return Ok(vec![path.to_owned()]);
     }
@@ -339,7 +345,7 @@ impl NpyHeader {
             return Err(corrupt(format!("the NPY header claims {length} bytes, expected at most {MAX_HEADER}")));
         }
         let io = |e: std::io::Error| corrupt(format!("the NPY header cannot be read: {e}"));
-        // The time of the parser doubles with each nested bracket: plain numbers need one dictionary and one tuple.
+        // The time of the parser doubles with each nested bracket. Plain numbers need only one dictionary and one tuple.
         let mut text = vec![c, d];
         file.by_ref().take(length.saturating_sub(already_read)).read_to_end(&mut text).map_err(io)?;
         let count = |bracket: u8| text.iter().filter(|b| **b == bracket).count();
@@ -361,8 +367,8 @@ impl NpyHeader {
     }
 }
 
-/// Reads one time in seconds per line; returns nanoseconds. If one of them cannot be used, none is: `left_out` then says
-/// why.
+/// Reads one time in seconds per line; returns nanoseconds. If one time cannot be used, all are left out, and the reason is
+/// added to `left_out`.
 fn read_timestamps(
     path: &Path,
     expected: Option<u64>,
@@ -402,7 +408,7 @@ fn parse_timestamps(text: &str) -> Result<Vec<u64>, String> {
     Ok(stamps)
 }
 
-/// Parses decimal seconds to nanoseconds, exactly: an f64 resolves a Unix time to a quarter of a microsecond only.
+/// Parses decimal seconds to nanoseconds, exactly. An f64 would resolve a Unix time to a quarter of a microsecond only.
 fn parse_time_ns(text: &str) -> Option<u64> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
     let digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
@@ -416,8 +422,8 @@ fn parse_time_ns(text: &str) -> Option<u64> {
     whole.parse::<u64>().ok()?.checked_mul(1_000_000_000)?.checked_add(nanoseconds)
 }
 
-/// Reads times on the frames' clock, ns, and temperatures, degrees Celsius. If they cannot be used, there are none:
-/// `left_out` then says why.
+/// Reads times on the frames' clock, ns, and temperatures, degrees Celsius. If they cannot be used, all are left
+/// out, and the reason is added to `left_out`.
 fn read_temperatures(folder: &Path, left_out: &mut Vec<String>) -> Result<Vec<(u64, f64)>, RecordingError> {
     let path = folder.join(TEMPERATURES);
     let times = read_timestamps(&folder.join(TEMPERATURE_TIMES), None, left_out)?;

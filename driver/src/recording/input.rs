@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::RecordingError;
 
-/// Opens a regular file. Others are refused beforehand: they cannot be sought in, and opening a pipe waits for its writer.
+/// Opens a regular file. Other files are refused first, because they cannot be sought and opening a pipe waits for its writer.
 pub(super) fn open_file(path: &Path) -> Result<File, RecordingError> {
     let cannot = || RecordingError::io(path, "cannot be opened");
     if !std::fs::metadata(path).map_err(cannot())?.is_file() {
@@ -19,6 +19,7 @@ pub(super) fn read(path: &Path, limit_bytes: u64) -> Result<Vec<u8>, RecordingEr
     radome_files::read(path, limit_bytes).map_err(RecordingError::io(path, "cannot be read"))
 }
 
+/// Reads a text file of at most `limit_bytes`.
 pub(super) fn read_text(path: &Path, limit_bytes: u64) -> Result<String, RecordingError> {
     String::from_utf8(read(path, limit_bytes)?).map_err(|e| RecordingError::Corrupt {
         path: path.to_owned(),

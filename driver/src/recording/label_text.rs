@@ -29,12 +29,12 @@ pub fn to_audacity(spans: &[LabelSpan]) -> String {
         let label = span.label.replace(['\t', '\r', '\n'], " ");
         format!("{}\t{}\t{label}\n", seconds_text(span.start_s), seconds_text(span.end_s))
     };
-    spans.iter().filter(|span| is_held(span)).map(line).collect()
+    spans.iter().filter(|span| has_duration_in_file(span)).map(line).collect()
 }
 
 /// Returns whether a span has a duration in a file, where times have at most nine decimals. A class for less than that covers
 /// no frame.
-fn is_held(span: &LabelSpan) -> bool {
+fn has_duration_in_file(span: &LabelSpan) -> bool {
     let has_length = seconds_text(span.end_s - span.start_s) != seconds_text(0.0);
     span.occupancy().is_none() || has_length && seconds_text(span.start_s) != seconds_text(span.end_s)
 }
@@ -61,7 +61,7 @@ pub fn from_audacity(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
 /// confidence has 1 there, since other programs always write a number.
 pub fn to_deepcraft(spans: &[LabelSpan]) -> String {
     let mut text = format!("{DEEPCRAFT_HEADER}\n");
-    for span in spans.iter().filter(|span| is_held(span)) {
+    for span in spans.iter().filter(|span| has_duration_in_file(span)) {
         let (start, length) = (seconds_text(span.start_s), seconds_text(span.end_s - span.start_s));
         let (label, note) = (quoted(&span.label), quoted(span.note.as_deref().unwrap_or("")));
         text += &format!("{start},{length},{label},{},{note}\n", span.confidence.unwrap_or(1.0));
@@ -75,15 +75,15 @@ pub fn to_deepcraft(spans: &[LabelSpan]) -> String {
 /// [`LabelTextError`] for another header, a row of other than five fields, an invalid number, a negative length, or a confidence
 /// beyond 0 to 1.
 pub fn from_deepcraft(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
-    let fault = |line: usize, what: String| LabelTextError { line, what };
+    let error = |line: usize, what: String| LabelTextError { line, what };
     let mut rows = rows(text.strip_prefix('\u{feff}').unwrap_or(text))?.into_iter();
     match rows.next() {
         Some((_, header)) if header.join(",") == DEEPCRAFT_HEADER => {}
-        _ => return Err(fault(1, format!("expected the header {DEEPCRAFT_HEADER}"))),
+        _ => return Err(error(1, format!("expected the header {DEEPCRAFT_HEADER}"))),
     }
     rows.map(|(index, fields)| {
         let [start, length, label, confidence, note] = fields.as_slice() else {
-            return Err(fault(index + 1, format!("{} fields, expected 5", fields.len())));
+            return Err(error(index + 1, format!("{} fields, expected 5", fields.len())));
         };
         let start_s = seconds(index, "time", Some(start))?;
         let length_s = seconds(index, "length", Some(length))?;
@@ -91,7 +91,7 @@ pub fn from_deepcraft(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
         if !confidence.trim().is_empty() {
             let number = seconds(index, "confidence", Some(confidence))?;
             if !(0.0..=1.0).contains(&number) {
-                return Err(fault(index + 1, format!("confidence is {number}, expected 0 to 1")));
+                return Err(error(index + 1, format!("confidence is {number}, expected 0 to 1")));
             }
             span.confidence = Some(number);
         }
@@ -101,19 +101,21 @@ pub fn from_deepcraft(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
     .collect()
 }
 
+/// Formats a time with six to nine decimals.
 fn seconds_text(time_s: f64) -> String {
     let text = format!("{time_s:.9}");
-    let least = text.len().saturating_sub(3);
-    let (kept, last) = text.split_at(least);
-    kept.to_owned() + last.trim_end_matches('0')
+    let (six_decimals, further_decimals) = text.split_at(text.len().saturating_sub(3));
+    six_decimals.to_owned() + further_decimals.trim_end_matches('0')
 }
 
+/// Parses a number of a line.
 fn seconds(index: usize, name: &str, field: Option<&str>) -> Result<f64, LabelTextError> {
     let field = field.unwrap_or("").trim();
     let number = field.parse::<f64>().ok().filter(|number| number.is_finite());
     number.ok_or_else(|| LabelTextError { line: index + 1, what: format!("{name} is '{field}', expected a number") })
 }
 
+/// Creates a span; it must not end before its start.
 fn span(index: usize, start_s: f64, end_s: f64, label: &str) -> Result<LabelSpan, LabelTextError> {
     if end_s < start_s {
         let what = format!("ends at {end_s} s, before its start at {start_s} s");
@@ -122,6 +124,7 @@ fn span(index: usize, start_s: f64, end_s: f64, label: &str) -> Result<LabelSpan
     Ok(LabelSpan::new(start_s, end_s, label.trim()))
 }
 
+/// Quotes a field if necessary.
 fn quoted(field: &str) -> String {
     if field.contains([',', '"', '\n', '\r']) || field.trim() != field {
         format!("\"{}\"", field.replace('"', "\"\""))
@@ -189,7 +192,7 @@ mod tests {
     proptest! {
         /// Round trips are exact to the nanosecond, with every character that the format can hold.
         #[test]
-        fn what_is_written_is_read(
+        fn labels_round_trip(
             parts in prop::collection::vec((0u64..1 << 45, 0u64..1 << 45, "\\PC{0,12}|[ -~\n]{0,12}", 0u8..=100, "[ -~\n]{0,8}"), 0..8),
         ) {
             let spans: Vec<LabelSpan> = parts
@@ -217,7 +220,7 @@ mod tests {
         }
 
         #[test]
-        fn any_text_is_survived(text in "\\PC{0,200}|[0-9,\t\n\"]{0,200}") {
+        fn any_text_is_read_without_panic(text in "\\PC{0,200}|[0-9,\t\n\"]{0,200}") {
             let _ = (from_audacity(&text), from_deepcraft(&text), from_deepcraft(&format!("{DEEPCRAFT_HEADER}\n{text}")));
         }
     }
@@ -226,7 +229,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn what_is_wrong_is_named_with_its_line() {
+        fn errors_name_their_line() {
             for (text, line, what) in [
                 ("0\t1\ta\nx\t2\tb\n", 2, "start is 'x'"),
                 ("0\n", 1, "end is ''"),

@@ -7,9 +7,9 @@ use std::time::Duration;
 
 use super::RecordingError;
 
-/// Longest wait of a program that changes labels for another writer. One that changes labels has finished by then; one that
-/// records has not.
-pub(super) const LABELS_PATIENCE: Duration = Duration::from_secs(2);
+/// Longest wait of a program that changes labels for another writer. Another change of labels has finished by then, a recorder
+/// has not.
+pub(super) const LABELS_LOCK_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Open file that is locked against other processes and other parts of this one.
 #[derive(Debug)]
@@ -32,15 +32,15 @@ impl Drop for Locked {
 /// Opens and locks the file of this name as [`radome_files::lock`] does.
 ///
 /// # Errors
-/// [`RecordingError::Locked`] if another writer holds the file for longer than `patience`; [`RecordingError::Io`] otherwise.
+/// [`RecordingError::Locked`] if another writer holds the file for longer than `timeout`; [`RecordingError::Io`] otherwise.
 pub(super) fn lock(
     path: &Path,
-    patience: Duration,
+    timeout: Duration,
     open: impl Fn() -> io::Result<File>,
 ) -> Result<Locked, RecordingError> {
     let open = || open().map_err(RecordingError::io(path, "cannot be opened"));
-    let refused = |source| RecordingError::Io { path: path.to_owned(), what: "cannot be locked", source };
-    let locked = radome_files::lock(path, patience, open, File::try_lock, refused)?;
+    let convert_error = |source| RecordingError::Io { path: path.to_owned(), what: "cannot be locked", source };
+    let locked = radome_files::lock(path, timeout, open, File::try_lock, convert_error)?;
     locked.map(Locked).ok_or_else(|| RecordingError::Locked { path: path.to_owned() })
 }
 
@@ -52,14 +52,14 @@ mod tests {
     fn a_second_writer_is_refused_until_the_first_has_gone() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("a");
-        let opened =
+        let try_lock =
             || lock(&path, Duration::ZERO, || File::options().write(true).create(true).truncate(false).open(&path));
-        let first = opened().expect("locks");
-        assert!(matches!(opened(), Err(RecordingError::Locked { .. })));
+        let first = try_lock().expect("locks");
+        assert!(matches!(try_lock(), Err(RecordingError::Locked { .. })));
         // A copy of the file that outlives the lock does not keep it.
         let copy = first.file().try_clone().expect("copies");
         drop(first);
-        opened().expect("locks");
+        try_lock().expect("locks");
         drop(copy);
     }
 }

@@ -140,7 +140,7 @@ impl LabelSpan {
 }
 
 /// Takes a message of the channel of labels, which adds one label or replaces all of them.
-fn take_labels(message: &[u8], labels: &mut Vec<LabelSpan>) -> serde_json::Result<()> {
+fn apply_label_message(message: &[u8], labels: &mut Vec<LabelSpan>) -> serde_json::Result<()> {
     if message.first() == Some(&b'[') {
         *labels = serde_json::from_slice(message)?;
     } else {
@@ -173,15 +173,15 @@ fn decode_frame(bytes: &[u8], expected: FrameShape, frame: &mut Frame) -> Result
     if version != 1 {
         return Err(format!("frame format {version}, expected 1"));
     }
-    let word = |i: usize| usize::from(u16::from_le_bytes([header[i], header[i + 1]]));
-    let shape = FrameShape { rx: word(4), chirps: word(6), samples: word(8) };
+    let u16_at = |i: usize| usize::from(u16::from_le_bytes([header[i], header[i + 1]]));
+    let shape = FrameShape { rx: u16_at(4), chirps: u16_at(6), samples: u16_at(8) };
     if shape != expected {
         return Err(format!("a frame is {shape}, the recording's waveform says {expected}"));
     }
     if codes.len() != 2 * shape.codes() {
         return Err(format!("a frame has {} bytes of codes, expected {}", codes.len(), 2 * shape.codes()));
     }
-    let long = |i: usize| header.get(i..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
+    let u64_at = |i: usize| header.get(i..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
     let truth = match (flags & 1 != 0, Occupancy::from_index(usize::from(class))) {
         (false, _) => None,
         (true, Some(occupancy)) => Some(Truth { occupancy, transition: transition != 0 }),
@@ -190,11 +190,11 @@ fn decode_frame(bytes: &[u8], expected: FrameShape, frame: &mut Frame) -> Result
     frame.codes.clear();
     frame.codes.extend(codes.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)));
     if let Some(code) = frame.codes.iter().find(|code| **code > radome_dsp::MAX_CODE) {
-        return Err(format!("code {code} in frame {}, largest possible is 4095", long(12)));
+        return Err(format!("code {code} in frame {}, largest possible is 4095", u64_at(12)));
     }
     let temperature = i32::from_le_bytes([header[36], header[37], header[38], header[39]]);
     frame.shape = shape;
-    (frame.sequence, frame.time_ns, frame.host_time_ns) = (long(12), long(20), long(28));
+    (frame.sequence, frame.time_ns, frame.host_time_ns) = (u64_at(12), u64_at(20), u64_at(28));
     frame.truth = truth;
     frame.temperature_millicelsius = (flags & 2 != 0).then_some(temperature);
     Ok(())
@@ -203,6 +203,6 @@ fn decode_frame(bytes: &[u8], expected: FrameShape, frame: &mut Frame) -> Result
 /// Reads the position of a frame without decoding it; `None` if it is shorter than a header.
 fn frame_position(bytes: &[u8]) -> Option<Position> {
     let header: &[u8; FRAME_HEADER] = bytes.first_chunk()?;
-    let long = |i: usize| header.get(i..).and_then(|b| b.first_chunk()).map(|b| u64::from_le_bytes(*b));
-    Some(Position { sequence: long(12)?, time_ns: long(20)? })
+    let u64_at = |i: usize| header.get(i..).and_then(|b| b.first_chunk()).map(|b| u64::from_le_bytes(*b));
+    Some(Position { sequence: u64_at(12)?, time_ns: u64_at(20)? })
 }

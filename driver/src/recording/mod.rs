@@ -35,7 +35,7 @@ pub use report::WriteReport;
 use report::{Tally, check_frame};
 pub use writer::RecordingWriter;
 
-/// Warns once a process: a command opens a recording several times.
+/// Logs a warning once in a process, because a command opens a recording several times.
 fn warn_once(message: String) {
     static WARNED: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     let mut warned = WARNED.lock().unwrap_or_else(PoisonError::into_inner);

@@ -6,7 +6,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::lock::{LABELS_PATIENCE, Locked, lock};
+use super::lock::{LABELS_LOCK_TIMEOUT, Locked, lock};
 use super::{RecordingError, disk};
 
 /// Policy for an output whose file exists already.
@@ -25,7 +25,7 @@ pub struct Partial {
     partial: PathBuf,
     target: PathBuf,
     existing: Existing,
-    has_name: bool,
+    is_published: bool,
     /// Lock of the file or folder, until it is handed out.
     lock: Option<Locked>,
     /// Lock of the file that will be replaced, against other writers.
@@ -39,7 +39,7 @@ impl Partial {
     /// [`RecordingError::Occupied`] if the file exists and must not be replaced, [`RecordingError::Locked`] if another
     /// writer has or creates it, and [`RecordingError::Io`].
     pub fn file(target: &Path, existing: Existing) -> Result<Self, RecordingError> {
-        Self::file_within(Duration::ZERO, target, existing)
+        Self::file_with_timeout(Duration::ZERO, target, existing)
     }
 
     /// Starts a file of labels beside a recording, which replaces an earlier one. Waits for another writer as long as
@@ -48,14 +48,14 @@ impl Partial {
     /// # Errors
     /// Those of [`Partial::file`].
     pub fn labels(target: &Path) -> Result<Self, RecordingError> {
-        Self::file_within(LABELS_PATIENCE, target, Existing::Replace)
+        Self::file_with_timeout(LABELS_LOCK_TIMEOUT, target, Existing::Replace)
     }
 
-    fn file_within(patience: Duration, target: &Path, existing: Existing) -> Result<Self, RecordingError> {
+    fn file_with_timeout(timeout: Duration, target: &Path, existing: Existing) -> Result<Self, RecordingError> {
         let partial = hidden(target, ".partial")?;
-        let replaced = claim(target, existing, patience)?;
+        let replaced = lock_replaced(target, existing, timeout)?;
         let open = || File::options().read(true).write(true).create(true).truncate(false).open(&partial);
-        let locked = lock(&partial, patience, open).map_err(about(target))?;
+        let locked = lock(&partial, timeout, open).map_err(with_name_of(target))?;
         let file = locked.file();
         #[cfg(test)]
         disk::trial::before(&partial, || disk::trial::Change::Create {
@@ -68,7 +68,7 @@ impl Partial {
             partial,
             target: target.to_owned(),
             existing,
-            has_name: false,
+            is_published: false,
             lock: Some(locked),
             _replaced: replaced,
         })
@@ -86,8 +86,8 @@ impl Partial {
             }
             _ => {}
         }
-        let lock = Some(lock(&partial, Duration::ZERO, || File::open(&partial)).map_err(about(target))?);
-        let empty = || -> io::Result<()> {
+        let lock = Some(lock(&partial, Duration::ZERO, || File::open(&partial)).map_err(with_name_of(target))?);
+        let remove_content = || -> io::Result<()> {
             for entry in std::fs::read_dir(&partial)? {
                 let entry = entry?;
                 match entry.file_type()?.is_dir() {
@@ -97,9 +97,9 @@ impl Partial {
             }
             Ok(())
         };
-        empty().map_err(RecordingError::cannot_write(target))?;
+        remove_content().map_err(RecordingError::cannot_write(target))?;
         let (target, existing) = (target.to_owned(), Existing::Replace);
-        Ok(Partial { partial, target, existing, has_name: false, lock, _replaced: None })
+        Ok(Partial { partial, target, existing, is_published: false, lock, _replaced: None })
     }
 
     /// Name that the output will have.
@@ -136,17 +136,17 @@ impl Partial {
         if let Some(lock) = &self.lock {
             disk::sync(lock.file(), &self.partial).map_err(cannot())?;
         }
-        let renamed = match self.existing {
+        let result = match self.existing {
             Existing::Refuse => disk::rename_new(&self.partial, &self.target),
             Existing::Replace => disk::rename(&self.partial, &self.target),
         };
-        match renamed {
+        match result {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
                 return Err(RecordingError::Occupied { path: self.target.clone() });
             }
-            renamed => renamed.map_err(cannot())?,
+            result => result.map_err(cannot())?,
         }
-        self.has_name = true;
+        self.is_published = true;
         disk::sync_folder(&self.target).map_err(RecordingError::cannot_write(&self.target))?;
         Ok(self.lock.take())
     }
@@ -154,7 +154,7 @@ impl Partial {
 
 impl Drop for Partial {
     fn drop(&mut self) {
-        if !self.has_name {
+        if !self.is_published {
             // A file that cannot be removed does no harm.
             let _ = match self.partial.is_dir() {
                 true => std::fs::remove_dir_all(&self.partial),
@@ -167,7 +167,7 @@ impl Drop for Partial {
 /// Longest name of a file on most file systems, bytes.
 const LONGEST_NAME: usize = 255;
 
-/// Returns the path `.NAME` with an ending, beside NAME. If that is too long for a file, a hash stands for the end of NAME.
+/// Returns the path `.NAME` with an ending, beside NAME. If that name is too long, a hash replaces the end of NAME.
 pub(super) fn hidden(target: &Path, ending: &str) -> Result<PathBuf, RecordingError> {
     let Some(name) = target.file_name() else {
         let source = io::Error::new(io::ErrorKind::InvalidInput, "the path names no file");
@@ -188,7 +188,7 @@ pub(super) fn hidden(target: &Path, ending: &str) -> Result<PathBuf, RecordingEr
 }
 
 /// Locks a file that will be replaced, if there is one.
-fn claim(target: &Path, existing: Existing, patience: Duration) -> Result<Option<Locked>, RecordingError> {
+fn lock_replaced(target: &Path, existing: Existing, timeout: Duration) -> Result<Option<Locked>, RecordingError> {
     let not_a_file = |what: &str| {
         let source = io::Error::new(io::ErrorKind::InvalidInput, format!("it is {what}, expected a file"));
         RecordingError::cannot_write(target)(source)
@@ -208,15 +208,15 @@ fn claim(target: &Path, existing: Existing, patience: Duration) -> Result<Option
     if existing == Existing::Refuse {
         return Err(RecordingError::Occupied { path: target.to_owned() });
     }
-    match lock(target, patience, || File::open(target)) {
+    match lock(target, timeout, || File::open(target)) {
         // A file that may not be read may still be replaced.
         Err(RecordingError::Io { source, .. }) if source.kind() == io::ErrorKind::PermissionDenied => Ok(None),
         locked => locked.map(Some),
     }
 }
 
-/// Returns a function that puts the output's own name into an error.
-fn about(target: &Path) -> impl FnOnce(RecordingError) -> RecordingError {
+/// Returns a function that replaces the path in an error by the output's own name.
+fn with_name_of(target: &Path) -> impl FnOnce(RecordingError) -> RecordingError {
     let path = target.to_owned();
     move |error| match error {
         RecordingError::Locked { .. } => RecordingError::Locked { path },
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_there_is_replaced_only_on_demand() {
+    fn an_existing_file_is_replaced_only_on_demand() {
         let folder = tempfile::tempdir().expect("folder");
         let path = folder.path().join("a.bin");
         let early = Partial::file(&path, Existing::Refuse).expect("starts");
@@ -292,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_killed_writer_left_is_written_over() {
+    fn remains_of_a_killed_writer_are_overwritten() {
         let folder = tempfile::tempdir().expect("folder");
         std::fs::write(folder.path().join(".a.bin.partial"), "left over and longer").expect("writes");
         let path = folder.path().join("a.bin");

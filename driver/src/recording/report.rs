@@ -55,7 +55,7 @@ pub(super) fn check_frame(path: &Path, offset: u64, shape: FrameShape, frame: &F
     }
 }
 
-/// Relative difference between two chirp intervals above which they are not the same one.
+/// Relative difference above which two chirp intervals differ.
 const ROUNDING: f64 = 1e-9;
 
 /// Counts of a writer whose format holds frames alone.
@@ -63,15 +63,15 @@ const ROUNDING: f64 = 1e-9;
 pub(super) struct Tally {
     pub report: WriteReport,
     truths: u64,
-    renumbered: bool,
+    is_renumbered: bool,
 }
 
 impl Tally {
     /// Checks and counts a frame.
-    pub fn frame(&mut self, path: &Path, shape: FrameShape, frame: &Frame) -> Result<(), RecordingError> {
+    pub fn count_frame(&mut self, path: &Path, shape: FrameShape, frame: &Frame) -> Result<(), RecordingError> {
         let frames = &mut self.report.frames;
         check_frame(path, *frames * 2 * shape.codes() as u64, shape, frame)?;
-        self.renumbered |= frame.sequence != *frames;
+        self.is_renumbered |= frame.sequence != *frames;
         *frames += 1;
         self.truths += u64::from(frame.truth.is_some());
         Ok(())
@@ -80,26 +80,26 @@ impl Tally {
     /// Descriptions of the information that the vendor's formats cannot hold, with those of the waveform.
     pub fn omitted(&self, waveform: &Waveform) -> Vec<String> {
         let WriteReport { gaps, frames_lost, unknown_gaps, labels, results, .. } = self.report;
-        let counted = |count: u64, noun: &str| format!("{count} {noun}{}", if count == 1 { "" } else { "s" });
+        let count_text = |count: u64, noun: &str| format!("{count} {noun}{}", if count == 1 { "" } else { "s" });
         let mut omitted = Vec::new();
         if gaps > 0 {
-            let more = match unknown_gaps {
+            let unknown_text = match unknown_gaps {
                 0 => String::new(),
                 unknown => format!("; gaps of unknown length: {unknown}"),
             };
-            omitted.push(format!("{}, lost frames: {frames_lost}{more}", counted(gaps, "gap")));
+            omitted.push(format!("{}, lost frames: {frames_lost}{unknown_text}", count_text(gaps, "gap")));
         }
-        if self.renumbered {
+        if self.is_renumbered {
             omitted.push("the numbers of the frames (they count from 0 without gaps)".into());
         }
         if self.truths > 0 {
-            omitted.push(format!("the truth of {}", counted(self.truths, "frame")));
+            omitted.push(format!("the truth of {}", count_text(self.truths, "frame")));
         }
         if labels > 0 {
-            omitted.push(counted(labels, "label"));
+            omitted.push(count_text(labels, "label"));
         }
         if results > 0 {
-            omitted.push(format!("the answers of {}", counted(results, "frame")));
+            omitted.push(format!("the answers of {}", count_text(results, "frame")));
         }
         // The configuration states the requested waveform, from which the registers of a board may differ.
         if let Ok(read) = Waveform::realise(waveform.request.clone())

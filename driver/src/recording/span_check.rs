@@ -41,13 +41,13 @@ pub enum SpanError {
     },
 }
 
-/// Time to the microsecond, as files have it: sums of times have more digits.
+/// Time rounded to the microsecond, as in files; sums of times have more digits.
 fn rounded(time_s: f64) -> f64 {
     (time_s * 1e6).round() / 1e6
 }
 
-/// Checks that spans run forwards, those of classes for some time, lie within `extent_s` if it is given, and that spans of two classes do not overlap.
-/// Free text may overlap anything.
+/// Checks that spans do not end before they start, lie within `extent_s` if it is given, and that spans of classes have a duration
+/// and do not overlap. Free text may overlap anything.
 ///
 /// # Errors
 /// [`SpanError`] for the first inconsistency by time.
@@ -71,7 +71,7 @@ pub fn check_spans(spans: &[LabelSpan], extent_s: Option<(f64, f64)>) -> Result<
     }
     let mut classes: Vec<&LabelSpan> = spans.iter().filter(|span| span.occupancy().is_some()).collect();
     classes.sort_by(|a, b| a.start_s.total_cmp(&b.start_s).then(a.end_s.total_cmp(&b.end_s)));
-    // The earlier span that ends last: a long span may cover several.
+    // The earlier span that ends last, because a long span may cover several.
     let mut latest: Option<&LabelSpan> = None;
     for span in classes {
         if let Some(first) = latest.filter(|first| span.start_s < first.end_s - ROUNDING_S) {
@@ -95,17 +95,17 @@ mod tests {
     use crate::recording::label_text::{from_audacity, from_deepcraft, to_audacity, to_deepcraft};
     use proptest::prelude::*;
 
-    /// Spans one behind the other, with holes, in any order.
+    /// Spans one behind the other, with pauses, in any order.
     fn spans() -> impl Strategy<Value = Vec<LabelSpan>> {
         let one = (0u32..4_000_000, 1u32..4_000_000, "empty|one|two|\\PC{0,8}");
         prop::collection::vec(one, 0..12).prop_map(|parts| {
             let mut at_us = 0u64;
-            let place = |(hole, length, label): (u32, u32, String)| {
-                let start_us = at_us + u64::from(hole);
+            let append = |(pause, length, label): (u32, u32, String)| {
+                let start_us = at_us + u64::from(pause);
                 at_us = start_us + u64::from(length);
                 LabelSpan::new(start_us as f64 * 1e-6, at_us as f64 * 1e-6, label.trim())
             };
-            let mut spans: Vec<LabelSpan> = parts.into_iter().map(place).collect();
+            let mut spans: Vec<LabelSpan> = parts.into_iter().map(append).collect();
             spans.reverse();
             spans
         })
@@ -113,7 +113,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sound_spans_stay_sound_through_the_formats_of_other_tools(spans in spans()) {
+        fn consistent_spans_stay_consistent_in_the_formats_of_other_tools(spans in spans()) {
             let end_s = spans.iter().map(|s| s.end_s).fold(0.0, f64::max);
             prop_assert_eq!(check_spans(&spans, Some((0.0, end_s))), Ok(()));
             for read in [from_audacity(&to_audacity(&spans)), from_deepcraft(&to_deepcraft(&spans))] {
@@ -123,7 +123,7 @@ mod tests {
 
         /// Compares with the definition: any two spans of different classes that share more than a rounding.
         #[test]
-        fn overlaps_are_found_as_pairs_would_find_them(parts in prop::collection::vec((0u8..40, 1u8..12, 0usize..4), 0..8)) {
+        fn overlaps_agree_with_a_comparison_of_all_pairs(parts in prop::collection::vec((0u8..40, 1u8..12, 0usize..4), 0..8)) {
             let names = ["empty", "one", "two", "sofa"];
             let spans: Vec<LabelSpan> = parts
                 .iter()
@@ -140,26 +140,26 @@ mod tests {
         use super::*;
 
         #[test]
-        fn what_is_wrong_is_said_by_name() {
-            let said = |spans: &[(f64, f64, &str)]| {
+        fn inconsistent_spans_are_named() {
+            let message_of = |spans: &[(f64, f64, &str)]| {
                 let spans: Vec<LabelSpan> = spans.iter().map(|&(a, b, label)| LabelSpan::new(a, b, label)).collect();
                 check_spans(&spans, Some((0.0, 10.0))).expect_err("wrong").to_string()
             };
-            assert!(said(&[(3.0, 2.0, "one")]).contains("'one' is reversed"));
-            assert!(said(&[(9.0, 10.5, "two")]).contains("'two' from 9 to 10.5 s is out of range"));
-            assert!(said(&[(-0.1, 1.0, "sofa")]).contains("'sofa'"));
-            assert!(said(&[(1.9000000000000001, 10.6, "one")]).contains("'one' from 1.9 to 10.6 s is out"));
-            assert!(said(&[(f64::NAN, 1.0, "one")]).contains("finite"));
-            assert!(said(&[(5.0, 5.0, "one")]).contains("'one' at 5 s has no duration"));
+            assert!(message_of(&[(3.0, 2.0, "one")]).contains("'one' is reversed"));
+            assert!(message_of(&[(9.0, 10.5, "two")]).contains("'two' from 9 to 10.5 s is out of range"));
+            assert!(message_of(&[(-0.1, 1.0, "sofa")]).contains("'sofa'"));
+            assert!(message_of(&[(1.9000000000000001, 10.6, "one")]).contains("'one' from 1.9 to 10.6 s is out"));
+            assert!(message_of(&[(f64::NAN, 1.0, "one")]).contains("finite"));
+            assert!(message_of(&[(5.0, 5.0, "one")]).contains("'one' at 5 s has no duration"));
             // A long span covers several others; the one in between does not hide it.
-            let text = said(&[(0.0, 8.0, "empty"), (8.0, 9.0, "two"), (2.0, 3.0, "one")]);
+            let text = message_of(&[(0.0, 8.0, "empty"), (8.0, 9.0, "two"), (2.0, 3.0, "one")]);
             assert!(text.contains("'empty' (0 to 8 s) and 'one' (2 to 3 s) overlap"), "{text}");
-            let text = said(&[(0.0, 8.0, "one"), (2.0, 3.0, "sofa"), (5.0, 6.0, "one")]);
+            let text = message_of(&[(0.0, 8.0, "one"), (2.0, 3.0, "sofa"), (5.0, 6.0, "one")]);
             assert!(text.contains("overlap"), "{text}");
         }
 
         #[test]
-        fn free_text_may_lie_over_anything_and_neighbours_may_touch() {
+        fn free_text_may_overlap_and_neighbours_may_touch() {
             let spans = [
                 (0.0, 5.0, "one"),
                 (5.0 - 1e-6, 10.0 + 1e-6, "two"),

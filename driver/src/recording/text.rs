@@ -18,7 +18,7 @@ use super::vendor_config::{read_waveform, write_waveform};
 use super::{Existing, Extent, Position, RecordingError, Tally, WriteReport, disk, first_index, time_ns};
 
 /// Characters of a value: `0.123456`.
-const VALUE: usize = 8;
+const VALUE_BYTES: usize = 8;
 /// Units of the last decimal in the value one.
 const SCALE: u32 = 1_000_000;
 
@@ -34,19 +34,19 @@ pub fn config_path(path: &Path) -> Option<PathBuf> {
     [config_name(path), config_name(&path.with_extension(""))].into_iter().find(|path| path.is_file())
 }
 
-/// Returns whether a file that begins with `head` is a text recording. `NAME_config.json` makes one of `NAME` and of
-/// `NAME.txt`. Of a file with another ending it makes one only if that begins with a value: labels and pictures of a
+/// Returns whether a file that begins with `head` is a text recording. With `NAME_config.json` beside them, `NAME` and
+/// `NAME.txt` are. `NAME` with another ending is one only if it begins with a value, because labels and pictures of a
 /// recording have its name, too.
 pub(super) fn is_recording(path: &Path, head: &[u8]) -> bool {
     let is_txt = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("txt"));
-    let begins_with_value = || line_end(head).is_some() && head.get(..VALUE).and_then(parse_code).is_some();
+    let begins_with_value = || line_end(head).is_some() && head.get(..VALUE_BYTES).and_then(parse_code).is_some();
     config_name(path).is_file() || (config_path(path).is_some() && (is_txt || begins_with_value()))
 }
 
 /// Number of characters that end a file's first line: 1, or 2 in a file from Windows. `None` if the line is not as long
 /// as a value.
 fn line_end(head: &[u8]) -> Option<usize> {
-    match head.get(VALUE..)? {
+    match head.get(VALUE_BYTES..)? {
         [b'\r', b'\n', ..] => Some(2),
         [b'\n', ..] => Some(1),
         _ => None,
@@ -78,7 +78,7 @@ impl TextReader {
         let mut file = BufReader::new(open_file(path)?);
         let length = file.get_ref().metadata().map_err(RecordingError::io(path, "cannot be read"))?.len();
         let mut line = Vec::new();
-        let prelude = VALUE as u64 + 2;
+        let prelude = VALUE_BYTES as u64 + 2;
         file.by_ref().take(prelude).read_to_end(&mut line).map_err(RecordingError::io(path, "cannot be read"))?;
         file.seek(SeekFrom::Start(0)).map_err(RecordingError::io(path, "cannot be read"))?;
         let line_end = match line_end(&line) {
@@ -91,17 +91,17 @@ impl TextReader {
         };
         let path = path.to_owned();
         let mut reader = TextReader { path, file, length, line_end, waveform, next: 0, bytes: Vec::new() };
-        reader.leave_out_blank_end()?;
+        reader.ignore_trailing_line_ends()?;
         Ok(reader)
     }
 
-    /// Leaves out line ends behind the last whole frame, which editors add. They are no part of a frame: that begins with a value.
-    fn leave_out_blank_end(&mut self) -> Result<(), RecordingError> {
-        let whole = self.whole_frames() * self.frame_bytes() as u64;
-        self.file.seek(SeekFrom::Start(whole)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+    /// Ignores line ends behind the last whole frame, which editors add. They cannot begin a frame, which begins with a value.
+    fn ignore_trailing_line_ends(&mut self) -> Result<(), RecordingError> {
+        let whole_bytes = self.whole_frames() * self.frame_bytes() as u64;
+        self.file.seek(SeekFrom::Start(whole_bytes)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
         let other = self.file.by_ref().bytes().find(|byte| !matches!(byte, Ok(b'\r' | b'\n'))).transpose();
         if other.map_err(RecordingError::io(&self.path, "cannot be read"))?.is_none() {
-            self.length = whole;
+            self.length = whole_bytes;
         }
         self.file.seek(SeekFrom::Start(0)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
         Ok(())
@@ -109,7 +109,7 @@ impl TextReader {
 
     fn frame_bytes(&self) -> usize {
         let shape = self.waveform.shape();
-        shape.codes() * (VALUE + self.line_end) + shape.rx * shape.chirps * self.line_end
+        shape.codes() * (VALUE_BYTES + self.line_end) + shape.rx * shape.chirps * self.line_end
     }
 
     /// Returns whether the file ends behind a whole frame.
@@ -170,8 +170,8 @@ impl TextReader {
         self.file.read_exact(&mut self.bytes).map_err(RecordingError::io(&self.path, "cannot be read"))?;
         frame.shape = self.waveform.shape();
         frame.codes.clear();
-        let end: &[u8] = if self.line_end == 2 { b"\r\n" } else { b"\n" };
-        let chirp_bytes = frame.shape.samples * (VALUE + self.line_end) + self.line_end;
+        let expected_end: &[u8] = if self.line_end == 2 { b"\r\n" } else { b"\n" };
+        let chirp_bytes = frame.shape.samples * (VALUE_BYTES + self.line_end) + self.line_end;
         let corrupt = |offset: usize, reason: &str| RecordingError::Corrupt {
             path: self.path.clone(),
             offset: start + offset as u64,
@@ -179,15 +179,15 @@ impl TextReader {
         };
         for (index, chirp) in self.bytes.chunks_exact(chirp_bytes.max(1)).enumerate() {
             let (values, blank) = chirp.split_at(chirp.len() - self.line_end);
-            for (line, value) in values.chunks_exact(VALUE + self.line_end).enumerate() {
-                let (number, line_end) = value.split_at(VALUE);
-                let code = parse_code(number).filter(|_| line_end == end).ok_or_else(|| {
+            for (line, value) in values.chunks_exact(VALUE_BYTES + self.line_end).enumerate() {
+                let (number, line_end) = value.split_at(VALUE_BYTES);
+                let code = parse_code(number).filter(|_| line_end == expected_end).ok_or_else(|| {
                     let offset = index * chirp_bytes + line * value.len();
                     corrupt(offset, "expected a line such as 0.512332: a code of 0 to 4095, divided by 4095")
                 })?;
                 frame.codes.push(code);
             }
-            if blank != end {
+            if blank != expected_end {
                 return Err(corrupt(index * chirp_bytes + values.len(), "expected an empty line after each chirp"));
             }
         }
@@ -242,11 +242,11 @@ pub(super) struct TextWriter {
     path: PathBuf,
     header: RecordingHeader,
     /// Text line of every code, by code.
-    lines: Vec<[u8; VALUE + 1]>,
+    lines: Vec<[u8; VALUE_BYTES + 1]>,
     /// Counts of the frames, and of the items that the format cannot hold.
     pub tally: Tally,
-    timed: bool,
-    temperatures: bool,
+    has_times: bool,
+    has_temperatures: bool,
 }
 
 impl TextWriter {
@@ -277,8 +277,8 @@ impl TextWriter {
             header: header.clone(),
             lines: (0..=MAX_CODE).map(line).collect(),
             tally: Tally::default(),
-            timed: false,
-            temperatures: false,
+            has_times: false,
+            has_temperatures: false,
         })
     }
 
@@ -289,10 +289,10 @@ impl TextWriter {
     /// [`RecordingError::Io`].
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
         let shift_ns = frame.time_ns.abs_diff(self.header.waveform.frame_time_ns(self.tally.report.frames));
-        self.tally.frame(&self.path, self.header.waveform.shape(), frame)?;
+        self.tally.count_frame(&self.path, self.header.waveform.shape(), frame)?;
         self.tally.report.time_shift_ns = self.tally.report.time_shift_ns.max(shift_ns);
-        self.timed |= frame.host_time_ns > 0 || shift_ns > 0;
-        self.temperatures |= frame.temperature_millicelsius.is_some();
+        self.has_times |= frame.host_time_ns > 0 || shift_ns > 0;
+        self.has_temperatures |= frame.temperature_millicelsius.is_some();
         for chirp in frame.codes.chunks(frame.shape.samples.max(1)) {
             for line in chirp.iter().filter_map(|code| self.lines.get(usize::from(*code))) {
                 self.file.write_all(line).map_err(RecordingError::cannot_write(&self.path))?;
@@ -311,10 +311,10 @@ impl TextWriter {
         self.file.flush().and_then(|()| disk::sync(self.file.get_ref(), self.partial.path())).map_err(cannot())?;
         let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
         let mut omitted = self.tally.omitted(&self.header.waveform);
-        if self.timed {
+        if self.has_times {
             omitted.push("the times of the frames".into());
         }
-        if self.temperatures {
+        if self.has_temperatures {
             omitted.push("temperatures".into());
         }
         if !self.header.registers.is_empty() {
@@ -333,7 +333,7 @@ mod tests {
 
     /// Compares with the formula, in f64 and in the single precision of a C program.
     #[test]
-    fn every_code_survives_six_decimals() {
+    fn every_code_round_trips_in_six_decimals() {
         for code in 0..=MAX_CODE {
             for value in [f64::from(code) / 4095.0, f64::from(f32::from(code) / 4095.0)] {
                 assert_eq!(parse_code(format!("{value:.6}").as_bytes()), Some(code));
@@ -352,9 +352,9 @@ mod tests {
         use super::*;
         use crate::pattern::waveform;
 
-        /// A line end that an editor had added made a whole recording a cut one.
+        /// Regression test: a line end that an editor had added made a whole recording a cut one.
         #[test]
-        fn line_ends_behind_the_last_frame_cut_nothing_short() {
+        fn line_ends_behind_the_last_frame_are_ignored() {
             let folder = tempfile::tempdir().expect("folder");
             let path = folder.path().join("a.txt");
             let header = RecordingHeader::new(waveform(&[1], 8, 64, 0.1));

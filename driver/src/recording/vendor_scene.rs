@@ -3,7 +3,7 @@
 //! The SDK derives a bandwidth of `c / 2 range_resolution_m` about the centre and a chirp interval of
 //! `lambda / 4 max_speed_m_s`. It derives `2 max_range_m / range_resolution_m` samples and
 //! `2 max_speed_m_s / speed_resolution_m_s` chirps. Its recorder rounds both counts up to powers of two, other tools do
-//! not; the data beside the file tell which. Sample rate and centre may be left to the SDK. The file does not hold the
+//! not; the data beside the file show which. Sample rate and centre may be left to the SDK. The file does not hold the
 //! derived values, so that the reader logs that they were derived again.
 
 use radome_dsp::{FrameShape, SPEED_OF_LIGHT_M_PER_S, WaveformRequest};
@@ -74,9 +74,9 @@ fn count(exact: f64, data: Option<usize>) -> usize {
     // The limit is beyond any waveform; such a waveform is refused later.
     let exact = exact.min(1e6);
     // 4.8 m over 0.15 m are 64 samples, not 65.
-    let up = (exact - 1e-6).ceil().max(1.0) as usize;
-    let ways = [up.next_power_of_two(), up, exact.round().max(1.0) as usize];
-    data.filter(|data| ways.contains(data)).unwrap_or(ways[0])
+    let rounded_up = (exact - 1e-6).ceil().max(1.0) as usize;
+    let roundings = [rounded_up.next_power_of_two(), rounded_up, exact.round().max(1.0) as usize];
+    data.filter(|data| roundings.contains(data)).unwrap_or(roundings[0])
 }
 
 #[cfg(test)]
@@ -84,7 +84,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn data_say_how_a_number_was_rounded() {
+    fn data_show_how_a_number_was_rounded() {
         // The SDK's own metrics, and those of its examples.
         let samples = 2.0 * 9.59 / 0.15;
         assert_eq!([count(samples, None), count(samples, Some(128)), count(samples, Some(127))], [128, 128, 128]);
@@ -100,7 +100,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn numbers_without_sense_overflow_nothing() {
+        fn absurd_numbers_do_not_overflow() {
             for exact in [0.0, 1e-300, 1e300, f64::INFINITY] {
                 assert!((1..=1 << 20).contains(&count(exact, Some(usize::MAX))), "{exact}");
             }

@@ -16,19 +16,19 @@ enum Writer {
 }
 
 /// Destination of gaps, labels and results.
-enum Others<'a> {
+enum OtherData<'a> {
     /// The format holds them.
-    Held(&'a mut Recorder),
-    /// The format holds frames alone: the others are counted.
+    Stored(&'a mut Recorder),
+    /// The format holds only frames; other data are counted.
     Counted(&'a mut WriteReport),
 }
 
 impl Writer {
-    fn others(&mut self) -> Others<'_> {
+    fn other_data(&mut self) -> OtherData<'_> {
         match self {
-            Writer::Mcap(writer) => Others::Held(&mut writer.recorder),
-            Writer::Infineon(writer) => Others::Counted(&mut writer.tally.report),
-            Writer::Text(writer) => Others::Counted(&mut writer.tally.report),
+            Writer::Mcap(writer) => OtherData::Stored(&mut writer.recorder),
+            Writer::Infineon(writer) => OtherData::Counted(&mut writer.tally.report),
+            Writer::Text(writer) => OtherData::Counted(&mut writer.tally.report),
         }
     }
 }
@@ -104,9 +104,9 @@ impl RecordingWriter {
     /// # Errors
     /// [`RecordingError::Io`].
     pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
-        match self.writer.others() {
-            Others::Held(recorder) => recorder.gap(gap)?,
-            Others::Counted(report) => report.count_gap(gap),
+        match self.writer.other_data() {
+            OtherData::Stored(recorder) => recorder.gap(gap)?,
+            OtherData::Counted(report) => report.count_gap(gap),
         }
         Ok(())
     }
@@ -116,9 +116,9 @@ impl RecordingWriter {
     /// # Errors
     /// [`RecordingError::Io`].
     pub fn label(&mut self, label: &LabelSpan) -> Result<(), RecordingError> {
-        match self.writer.others() {
-            Others::Held(recorder) => recorder.label(label)?,
-            Others::Counted(report) => report.labels += 1,
+        match self.writer.other_data() {
+            OtherData::Stored(recorder) => recorder.label(label)?,
+            OtherData::Counted(report) => report.labels += 1,
         }
         Ok(())
     }
@@ -128,9 +128,9 @@ impl RecordingWriter {
     /// # Errors
     /// [`RecordingError::Io`].
     pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
-        match self.writer.others() {
-            Others::Held(recorder) => recorder.result(result)?,
-            Others::Counted(report) => report.results += 1,
+        match self.writer.other_data() {
+            OtherData::Stored(recorder) => recorder.result(result)?,
+            OtherData::Counted(report) => report.results += 1,
         }
         Ok(())
     }

@@ -53,7 +53,7 @@ impl Drop for OpenPort {
 }
 
 fn descriptor(port: &TTYPort) -> BorrowedFd<'_> {
-    // SAFETY: the port is borrowed, and so its descriptor open, for as long as this one lives.
+    // SAFETY: the port is borrowed for the lifetime of the result, so its descriptor stays open.
     unsafe { BorrowedFd::borrow_raw(port.as_raw_fd()) }
 }
 
@@ -61,13 +61,13 @@ fn descriptor(port: &TTYPort) -> BorrowedFd<'_> {
 pub(crate) fn open_port(path: &Path) -> Result<OpenPort, OpenError> {
     let name = path.to_string_lossy();
     trace::opened(&path.display());
-    let opened = serialport::new(name, BAUD_RATE).timeout(Duration::from_millis(20)).open_native();
-    opened.map(OpenPort::from).map_err(|e| {
+    let result = serialport::new(name, BAUD_RATE).timeout(Duration::from_millis(20)).open_native();
+    result.map(OpenPort::from).map_err(|e| {
         // The crate reports `NoDevice` for a port that another program holds, and `Io` for one that does not exist.
-        let is_held = e.kind() == serialport::ErrorKind::NoDevice;
+        let is_busy = e.kind() == serialport::ErrorKind::NoDevice;
         let source = std::io::Error::from(e);
         match source.kind() {
-            _ if is_held => OpenError::Busy,
+            _ if is_busy => OpenError::Busy,
             ErrorKind::PermissionDenied => OpenError::PermissionDenied,
             _ if is_no_port(path) => {
                 OpenError::Other(std::io::Error::new(ErrorKind::InvalidInput, "it is not a serial port"))
@@ -83,13 +83,13 @@ fn is_no_port(path: &Path) -> bool {
     File::options().read(true).custom_flags(flags).open(path).is_ok_and(|file| !file.is_terminal())
 }
 
-/// Reads bytes, waiting at most `timeout`, and a millisecond at least; returns 0 if none came. A plain read of the port
-/// waits too, but makes an error each time that nothing comes, which allocates.
+/// Reads bytes, waiting at most `timeout` and at least a millisecond; returns 0 if none came. A plain read of the port waits
+/// too, but allocates an error each time that nothing comes.
 pub(crate) fn read_within(port: &mut TTYPort, timeout: Duration, buffer: &mut [u8]) -> std::io::Result<usize> {
     let timeout = timeout.max(Duration::from_millis(1));
     let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: i64::from(timeout.subsec_nanos()) };
-    let polled = poll(&mut [PollFd::from_borrowed_fd(descriptor(port), PollFlags::IN)], Some(&timeout));
-    match polled {
+    let result = poll(&mut [PollFd::from_borrowed_fd(descriptor(port), PollFlags::IN)], Some(&timeout));
+    match result {
         Ok(0) | Err(rustix::io::Errno::INTR) => Ok(0),
         Ok(_) => read(port, buffer),
         Err(e) => Err(e.into()),
@@ -106,10 +106,10 @@ pub(crate) fn read(port: &mut TTYPort, buffer: &mut [u8]) -> std::io::Result<usi
 }
 
 /// Appends the bytes that come within some milliseconds.
-pub(crate) fn read_more(port: &mut TTYPort, heard: &mut Vec<u8>) -> std::io::Result<()> {
+pub(crate) fn read_more(port: &mut TTYPort, received: &mut Vec<u8>) -> std::io::Result<()> {
     let mut buffer = [0; 4096];
     let count = read(port, &mut buffer)?;
-    heard.extend_from_slice(buffer.get(..count).unwrap_or(&[]));
+    received.extend_from_slice(buffer.get(..count).unwrap_or(&[]));
     Ok(())
 }
 

@@ -18,7 +18,7 @@ const BOARDS: [(Board, &str); 5] = [
 ];
 
 /// Whether the firmware sends frames of this shape, without joining hundreds of them into one message.
-fn takes(board: Board, (antennas, chirps, samples): (&[u8], usize, usize)) -> bool {
+fn can_send(board: Board, (antennas, chirps, samples): (&[u8], usize, usize)) -> bool {
     let codes = antennas.len() * chirps * samples;
     board != Board::Deepcraft || (codes.is_multiple_of(2) && codes >= 256)
 }
@@ -109,15 +109,17 @@ const SHAPES: [(&[u8], usize, usize); 9] = [
     (&[1], 67, 67),
 ];
 
+/// Draws a waveform that the board can send.
 fn waveform(random: &mut Random, board: Board, kind: Kind) -> Waveform {
     let (antennas, chirps, samples) = match kind {
         // Frames large enough to fill the board's memory soon.
         Kind::SlowHost => (&[1u8, 2, 3][..], 64, 128),
-        _ => std::iter::repeat_with(|| random.one_of(&SHAPES)).find(|s| takes(board, *s)).expect("one of them"),
+        _ => std::iter::repeat_with(|| random.one_of(&SHAPES)).find(|s| can_send(board, *s)).expect("one of them"),
     };
     common::realised(&common::waveform(antennas, chirps, samples, 500e-6 * chirps as f64 + 5e-3))
 }
 
+/// Draws the details of a fault.
 fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f64, u64)) -> Fault {
     match kind {
         Kind::Drop => Fault::DropPacket(packet),
@@ -125,13 +127,13 @@ fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f6
         Kind::Reorder => Fault::ReorderPacket(packet),
         // Cuts in the header as often as after it; the message is never complete.
         Kind::Truncate => {
-            let most = random.one_of(&[2, 12, 200, 5000]).min(shortest);
-            Fault::TruncatePacket { packet, bytes: random.below(most) as usize }
+            let byte_limit = random.one_of(&[2, 12, 200, 5000]).min(shortest);
+            Fault::TruncatePacket { packet, bytes: random.below(byte_limit) as usize }
         }
         // Headers are hit more often than their share of the length.
         Kind::Flip => {
-            let most = random.one_of(&[8 * 12, 8 * 12, 400, 40_000]);
-            Fault::FlipBit { packet, bit: random.below(most) as usize }
+            let bit_limit = random.one_of(&[8 * 12, 8 * 12, 400, 40_000]);
+            Fault::FlipBit { packet, bit: random.below(bit_limit) as usize }
         }
         // Skips part of a slice, slices or frames, or counts backwards.
         Kind::Skip => {
@@ -154,9 +156,9 @@ fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f6
         Kind::Version => Fault::WrongVersion(random.one_of(&[0, 1, 5, 0xFFFF])),
         Kind::Chip => Fault::ForeignChip(random.one_of(&[0, 0x504, 0x606, 0x60B, 0x707, 0x80C, 0x1234, 0xFF_FFFF])),
         Kind::Mixed => {
-            let wire =
+            let link_faults =
                 [Kind::Drop, Kind::Double, Kind::Reorder, Kind::Truncate, Kind::Flip, Kind::Skip, Kind::Overflow];
-            let kind = if random.below(25) == 0 { Kind::Unplug } else { random.one_of(&wire) };
+            let kind = if random.below(25) == 0 { Kind::Unplug } else { random.one_of(&link_faults) };
             fault(random, kind, packet, (messages, shortest))
         }
     }
@@ -169,19 +171,19 @@ fn draw(seed: u64, board: Board, kind: Kind, faults: u64) -> (Waveform, Vec<Faul
     let waveform = waveform(&mut random, board, kind);
     let (shortest, messages) = messages(board, &waveform);
     // The data in a port's buffer are lost when its board is unplugged, so that some frames must pass first.
-    let apart = match kind {
+    let spacing = match kind {
         Kind::Unplug => (40.0 + 6.0 * messages) as u64,
         Kind::Mixed => 2 + messages as u64,
         _ => (3.0 + 4.0 * messages) as u64,
     };
     let mut packet = (3.0 * messages).ceil() as u64;
-    let mut all = Vec::new();
+    let mut drawn = Vec::new();
     for _ in 0..faults {
-        packet += 1 + random.below(apart) + if kind == Kind::Mixed { 0 } else { apart / 2 };
-        all.push(fault(&mut random, kind, packet, (messages, shortest)));
+        packet += 1 + random.below(spacing) + if kind == Kind::Mixed { 0 } else { spacing / 2 };
+        drawn.push(fault(&mut random, kind, packet, (messages, shortest)));
     }
     let frames = (packet as f64 / messages) as u64 + 10;
-    (waveform, all, frames)
+    (waveform, drawn, frames)
 }
 
 /// Jobs with this number of faults in total, divided evenly among the boards.
@@ -189,17 +191,17 @@ pub fn jobs(seed: u64, faults: u64) -> Vec<Job> {
     let mut random = Random(seed);
     let mut jobs = Vec::new();
     for (board, board_name) in BOARDS {
-        for (kind, kind_name, weight, at_most) in Kind::ALL {
+        for (kind, kind_name, weight, max_faults) in Kind::ALL {
             if board == Board::Esp32 && kind == Kind::Version {
                 // An ESP32 does not report a protocol version.
                 continue;
             }
-            let mut left = (weight * faults).div_ceil(10_000 * BOARDS.len() as u64);
-            while left > 0 {
-                let now = left.min(at_most);
+            let mut remaining = (weight * faults).div_ceil(10_000 * BOARDS.len() as u64);
+            while remaining > 0 {
+                let count = remaining.min(max_faults);
                 let (seed, names) = (random.next(), (board_name, kind_name));
-                let (waveform, faults, frames) = draw(seed, board, kind, now);
-                left -= now;
+                let (waveform, faults, frames) = draw(seed, board, kind, count);
+                remaining -= count;
                 jobs.push(Job { seed, board, kind, names, waveform, faults, frames });
             }
         }

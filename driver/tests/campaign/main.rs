@@ -20,11 +20,12 @@ use std::thread;
 
 use report::Report;
 
-fn campaign(seed: u64, faults: u64, at_once: usize) -> Report {
+/// Runs a campaign on this number of threads.
+fn campaign(seed: u64, faults: u64, threads: usize) -> Report {
     let jobs = draw::jobs(seed, faults);
     let (next, report) = (AtomicUsize::new(0), Mutex::new(Report::default()));
     thread::scope(|scope| {
-        for _ in 0..at_once {
+        for _ in 0..threads {
             scope.spawn(|| {
                 while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
                     let outcome = play::play(job);
@@ -37,12 +38,13 @@ fn campaign(seed: u64, faults: u64, at_once: usize) -> Report {
 }
 
 #[test]
-fn no_fault_of_a_small_draw_costs_more_than_it_must() {
+fn a_small_campaign_has_no_failures() {
     let report = campaign(1, 300, 12);
     assert!(report.injected() >= 300);
     assert!(report.failures().is_empty(), "{}\n{:#?}", report.table(), report.failures());
 }
 
+/// Number from an environment variable.
 fn setting(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().expect("a whole number"))
 }

@@ -9,6 +9,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceEvent, Waveform, source_fr
 use crate::common::{POLICY, Random, open};
 use crate::draw::{Job, Kind};
 
+/// Makes the codes of a frame.
 fn fill(seed: u64, sequence: u64, codes: &mut [u16]) {
     let mut random = Random(seed ^ sequence.wrapping_mul(0x2545_F491_4F6C_DD1D));
     for five in codes.chunks_mut(5) {
@@ -22,15 +23,16 @@ fn fill(seed: u64, sequence: u64, codes: &mut [u16]) {
 
 /// Endless source of frames. The first two codes of a frame are its number, the others resemble noise.
 fn source(seed: u64, waveform: Waveform) -> impl FrameSource {
-    let (of_frames, mut next) = (waveform.clone(), 0);
+    let (frame_waveform, mut next) = (waveform.clone(), 0);
     source_from_fn(waveform, move |frame| {
         fill(seed, next, &mut frame.codes);
-        (frame.sequence, frame.time_ns) = (next, of_frames.frame_time_ns(next));
+        (frame.sequence, frame.time_ns) = (next, frame_waveform.frame_time_ns(next));
         next += 1;
         Ok(SourceEvent::Frame)
     })
 }
 
+/// Counts of a job, or of several.
 #[derive(Debug, Clone, Default)]
 pub struct Outcome {
     pub injected: u64,
@@ -57,6 +59,7 @@ impl Outcome {
     }
 }
 
+/// Runs a job.
 pub fn play(job: &Job) -> Outcome {
     let folder = tempfile::tempdir().expect("folder");
     let options = EmulatorOptions {
@@ -75,11 +78,11 @@ pub fn play(job: &Job) -> Outcome {
         open(job.board, &board, &job.waveform, POLICY)
     };
     let mut attempts = std::iter::repeat_with(attempt).take(100);
-    let is_late = |client: &Result<Box<dyn FrameSource>, BoardError>| {
+    let is_transient = |client: &Result<Box<dyn FrameSource>, BoardError>| {
         use BoardError::{Absent, Disconnected, NoAnswer, Open};
         matches!(client, Err(NoAnswer { .. } | Disconnected { .. } | Open { .. } | Absent { .. }))
     };
-    let client = attempts.find(|client| !is_late(client)).unwrap_or_else(attempt);
+    let client = attempts.find(|client| !is_transient(client)).unwrap_or_else(attempt);
     match (job.kind, client) {
         (Kind::Version, Err(BoardError::Protocol { .. })) => {}
         (Kind::Version | Kind::Chip, Err(BoardError::Deepcraft { .. })) => {}
@@ -87,7 +90,7 @@ pub fn play(job: &Job) -> Outcome {
         (Kind::Chip, Err(BoardError::OtherChip { .. } | BoardError::ChipSilent { .. }))
             if job.board != Board::Esp32 => {}
         (Kind::Version | Kind::Chip, Ok(_)) if job.board != Board::Esp32 => {
-            outcome.failures.push("a board that is not ours was driven".into());
+            outcome.failures.push("a board of another version or chip was driven".into());
         }
         (_, Ok(client)) => {
             // Reads until every fault has been injected.
@@ -99,6 +102,7 @@ pub fn play(job: &Job) -> Outcome {
     outcome
 }
 
+/// Number of the packet that a fault changes.
 fn packet(fault: &Fault) -> u64 {
     match *fault {
         Fault::DropPacket(packet)
@@ -123,7 +127,7 @@ struct Check<'a> {
     /// Number that the next frame or gap must have.
     next_sequence: u64,
     /// Smallest source number that the next frame may have.
-    next_of_source: u64,
+    next_source: u64,
     /// Sequence number less the source's number, once known. It may change after a gap that only the host's clock could
     /// count.
     offset: Option<i128>,
@@ -131,7 +135,7 @@ struct Check<'a> {
     skips: u64,
     last_event: Instant,
     /// Whether the board was opened again, so that a restart is still expected.
-    restarts: bool,
+    is_restart_expected: bool,
     expected: Vec<u16>,
 }
 
@@ -148,15 +152,16 @@ impl<'a> Check<'a> {
             client,
             outcome,
             next_sequence: 0,
-            next_of_source: 0,
+            next_source: 0,
             offset: None,
             skips: skips.sum(),
             last_event: Instant::now(),
-            restarts: false,
+            is_restart_expected: false,
             expected: vec![0; job.waveform.shape().codes()],
         }
     }
 
+    /// Notes a failure.
     fn fail(&mut self, what: String) {
         // The first few failures suffice.
         if self.outcome.failures.len() < 3 {
@@ -164,12 +169,12 @@ impl<'a> Check<'a> {
         }
     }
 
-    /// Reads until the source's last frame has come and the board is `done`.
-    fn run(&mut self, done: impl Fn() -> bool) {
+    /// Reads until the source's last frame has come and the board `is_done`.
+    fn run(&mut self, is_done: impl Fn() -> bool) {
         let mut frame = Frame::zeroed(self.job.waveform.shape());
-        while self.next_of_source < self.job.frames || !done() {
+        while self.next_source < self.job.frames || !is_done() {
             match self.client.next_frame(&mut frame) {
-                Ok(SourceEvent::Frame) => self.frame(&frame),
+                Ok(SourceEvent::Frame) => self.check_frame(&frame),
                 Ok(SourceEvent::Gap(gap)) => {
                     if gap.first_sequence != self.next_sequence {
                         self.fail(format!("{gap:?} where {} should follow", self.next_sequence));
@@ -183,17 +188,17 @@ impl<'a> Check<'a> {
                         let was_silent = self.last_event.elapsed() > Duration::from_secs(1);
                         // One flipped flag turns a bulk packet into a report of the board's failure.
                         let may_report = self.job.board == Board::Mcu7Bulk && self.job.kind == Kind::Flip;
-                        let is_known = self.job.board == Board::Deepcraft
+                        let is_explained = self.job.board == Board::Deepcraft
                             || may_report
                             || self.job.kind.interrupts()
                             || self.may_be_renumbered()
                             || was_silent;
-                        if !is_known && !std::mem::take(&mut self.restarts) {
+                        if !is_explained && !std::mem::take(&mut self.is_restart_expected) {
                             self.fail(format!("{gap:?}, but the board was never away"));
                         }
                         // A printing board restarts when its port is opened, after the lines that it had printed
                         // before.
-                        self.restarts |= was_silent && self.job.board == Board::Esp32;
+                        self.is_restart_expected |= was_silent && self.job.board == Board::Esp32;
                         self.offset = None;
                     }
                     // After damage a DEEPCRAFT board is restarted, and only the host's clock can count the lost frames.
@@ -219,39 +224,46 @@ impl<'a> Check<'a> {
         self.job.board == Board::Esp32 && matches!(self.job.kind, Kind::Flip | Kind::Skip)
     }
 
-    fn frame(&mut self, frame: &Frame) {
+    /// Checks numbers and samples of a frame.
+    fn check_frame(&mut self, frame: &Frame) {
         self.outcome.delivered += 1;
         self.last_event = Instant::now();
         if frame.sequence != self.next_sequence {
             self.fail(format!("frame {} where {} should follow", frame.sequence, self.next_sequence));
         }
         self.next_sequence = frame.sequence + 1;
-        let (of_source, wrong) = self.identify(frame);
+        let (source_number, wrong) = self.identify(frame);
         if wrong > 0 {
             self.outcome.wrong += wrong;
             // Without a check sum, one changed digit of one code cannot be detected.
             let has_checksum = matches!(self.job.board, Board::Mcu7V4 | Board::Mcu7V3);
-            let may_be = !has_checksum && matches!(self.job.kind, Kind::Flip | Kind::Mixed);
-            if may_be && wrong == 1 {
+            let is_undetectable = !has_checksum && matches!(self.job.kind, Kind::Flip | Kind::Mixed);
+            if is_undetectable && wrong == 1 {
                 self.outcome.undetectable += 1;
             } else {
-                self.fail(format!("{wrong} samples of frame {} (the source's {of_source}) are wrong", frame.sequence));
+                self.fail(format!(
+                    "{wrong} samples of frame {} (the source's {source_number}) are wrong",
+                    frame.sequence
+                ));
             }
         }
-        if of_source < self.next_of_source {
-            self.fail(format!("the source's frame {of_source} after {}", self.next_of_source - 1));
+        if source_number < self.next_source {
+            self.fail(format!("the source's frame {source_number} after {}", self.next_source - 1));
         }
-        self.next_of_source = of_source + 1;
+        self.next_source = source_number + 1;
 
-        let offset = i128::from(frame.sequence) - i128::from(of_source);
-        let before = *self.offset.get_or_insert(offset);
-        let skipped = offset - before;
+        let offset = i128::from(frame.sequence) - i128::from(source_number);
+        let previous = *self.offset.get_or_insert(offset);
+        let skipped = offset - previous;
         if skipped != 0 {
             // Only numbers that the firmware skipped may be missing.
             if skipped > 0 && skipped <= i128::from(self.skips) {
                 self.skips -= skipped as u64;
             } else {
-                self.fail(format!("frame {} is the source's {of_source}: {skipped} counted too many", frame.sequence));
+                self.fail(format!(
+                    "frame {} is the source's {source_number}: {skipped} counted too many",
+                    frame.sequence
+                ));
             }
             self.offset = Some(offset);
         }
@@ -263,16 +275,16 @@ impl<'a> Check<'a> {
             fill(self.job.seed, sequence, &mut self.expected);
             self.expected.iter().zip(&frame.codes).filter(|(a, b)| a != b).count() as u64
         };
-        let told = match frame.codes.as_slice() {
+        let stated = match frame.codes.as_slice() {
             [low, high, ..] => u64::from(*low) | u64::from(*high) << 12,
             _ => 0,
         };
-        match wrong(told) {
-            0 => (told, 0),
+        match wrong(stated) {
+            0 => (stated, 0),
             // The number itself may be wrong.
-            so_many => {
-                let near = (self.next_of_source..self.next_of_source + 200).map(|n| (n, wrong(n)));
-                near.chain([(told, so_many)]).min_by_key(|(_, wrong)| *wrong).unwrap_or((told, so_many))
+            wrong_codes => {
+                let near = (self.next_source..self.next_source + 200).map(|n| (n, wrong(n)));
+                near.chain([(stated, wrong_codes)]).min_by_key(|(_, wrong)| *wrong).unwrap_or((stated, wrong_codes))
             }
         }
     }

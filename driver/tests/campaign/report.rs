@@ -41,12 +41,12 @@ impl Report {
                 row.injected, row.delivered, row.lost, row.wrong, row.undetectable, row.not_resumed
             );
         };
-        let mut all = Outcome::default();
+        let mut total = Outcome::default();
         for ((protocol, kind), row) in &self.rows {
             line(protocol, kind, row);
-            all.add(row);
+            total.add(row);
         }
-        line("all", "", &all);
+        line("all", "", &total);
         text
     }
 

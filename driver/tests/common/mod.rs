@@ -18,13 +18,14 @@ use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent, Waveform};
 
 pub use self::pattern::*;
 
-/// Reconnection policy with a patience for slow machines.
+/// Reconnection policy with a timeout for slow machines.
 pub const POLICY: Reconnect = Reconnect {
     first_wait: Duration::from_millis(10),
     longest_wait: Duration::from_millis(50),
     give_up_after: Duration::from_secs(60),
 };
 
+/// Parses hexadecimal digits.
 pub fn unhex(digits: &str) -> Vec<u8> {
     (0..digits.len()).step_by(2).map(|i| u8::from_str_radix(&digits[i..i + 2], 16).expect("hex")).collect()
 }
@@ -55,10 +56,10 @@ pub fn realised(waveform: &Waveform) -> Waveform {
 
 /// Options of an emulated board with these faults that sends as fast as it is read.
 pub fn options(kind: Kind, faults: &[Fault]) -> EmulatorOptions {
-    let usual = EmulatorOptions::default();
+    let default = EmulatorOptions::default();
     // Faults of DEEPCRAFT are counted in messages, whose number must not depend on the time of a request.
-    let latency = if kind == Kind::Deepcraft { Duration::ZERO } else { usual.latency };
-    EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), latency, ..usual }
+    let latency = if kind == Kind::Deepcraft { Duration::ZERO } else { default.latency };
+    EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), latency, ..default }
 }
 
 /// The same with the board's link in this folder, since the terminal number of a closed board is soon reused.
@@ -106,7 +107,7 @@ pub fn read(source: &mut dyn FrameSource) -> (Vec<Frame>, Vec<Gap>, Option<Sourc
     }
 }
 
-/// A new folder, which vanishes when it is dropped, and the path of a file in it.
+/// Creates a folder, which is removed when it is dropped, and returns the path of a file in it.
 pub fn in_folder(name: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join(name);
@@ -123,11 +124,13 @@ pub fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
     chunks
 }
 
+/// Creates a named pipe.
 pub fn make_pipe(path: &Path) {
-    let made = std::process::Command::new("mkfifo").arg(path).status().expect("mkfifo");
-    assert!(made.success());
+    let status = std::process::Command::new("mkfifo").arg(path).status().expect("mkfifo");
+    assert!(status.success());
 }
 
+/// Records all events of a source, then a label.
 pub fn record(mut source: Pattern, label: &LabelSpan, path: &Path) {
     let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
     let mut frame = Frame::zeroed(source.waveform.shape());

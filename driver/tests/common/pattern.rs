@@ -11,18 +11,21 @@ use radome_dsp::{
 pub struct Random(pub u64);
 
 impl Random {
+    /// Next number.
     pub fn next(&mut self) -> u64 {
-        let drawn = split_mix_64(self.0);
+        let number = split_mix_64(self.0);
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        drawn
+        number
     }
 
+    /// Number below `end`.
     pub fn below(&mut self, end: u64) -> u64 {
         self.next() % end.max(1)
     }
 
-    pub fn one_of<T: Copy>(&mut self, all: &[T]) -> T {
-        all[self.below(all.len() as u64) as usize]
+    /// One of some values.
+    pub fn one_of<T: Copy>(&mut self, values: &[T]) -> T {
+        values[self.below(values.len() as u64) as usize]
     }
 }
 
@@ -33,6 +36,7 @@ pub struct Pattern {
     pub next: u64,
     /// Gap to report before the frame that follows it.
     pub gap: Option<Gap>,
+    /// Truth of every frame.
     pub truth: Option<Truth>,
 }
 
@@ -41,6 +45,7 @@ impl Pattern {
         Pattern { waveform, frames, next: 0, gap: None, truth: None }
     }
 
+    /// Makes the frame with this number.
     pub fn fill(&self, sequence: u64, frame: &mut Frame) {
         frame.shape = self.waveform.shape();
         frame.codes.resize(frame.shape.codes(), 0);
@@ -93,6 +98,7 @@ pub fn waveform(antennas: &[u8], chirps: usize, samples: usize, frame_interval_s
     .expect("valid")
 }
 
+/// Waveform of the captured session.
 pub fn captured_waveform() -> Waveform {
     Waveform::realise(WaveformRequest {
         start_frequency_hz: 58e9,
@@ -110,7 +116,7 @@ pub fn captured_waveform() -> Waveform {
 }
 
 /// Reads this number of frames of a board that measures a [`Pattern`]. Asserts that each is a whole frame of the
-/// pattern, later than the one before, and that sequence numbers have no hole except the gaps. Returns the gaps.
+/// pattern, later than the one before, and that sequence numbers have no holes other than the gaps. Returns the gaps.
 pub fn read_frames(stream: &mut dyn FrameSource, frames: usize, check: impl Fn(&Frame)) -> Vec<Gap> {
     let pattern = Pattern::new(stream.waveform().clone(), 0);
     let mut frame = Frame::zeroed(pattern.waveform.shape());

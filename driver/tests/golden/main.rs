@@ -18,8 +18,9 @@ use radome_driver::{FrameResult, McapReader, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth};
 
 /// Judged recording by an earlier version, whose channel of frames had no description of their layout.
-const EARLIER: &str = "judged-without-layout.mcap";
+const EARLIER_VERSION: &str = "judged-without-layout.mcap";
 
+/// Path of a golden file.
 fn golden(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/formats").join(name)
 }
@@ -70,11 +71,11 @@ fn remake() {
 }
 
 #[test]
-fn todays_writers_make_the_same_bytes() {
+fn writers_make_the_bytes_of_the_golden_files() {
     let folder = tempfile::tempdir().expect("folder");
     make::make(folder.path());
     let made = files(folder.path());
-    let is_made = |name: &PathBuf| name != Path::new("README.md") && name != Path::new(EARLIER);
+    let is_made = |name: &PathBuf| name != Path::new("README.md") && name != Path::new(EARLIER_VERSION);
     let kept: Vec<_> = files(&golden("")).into_iter().filter(is_made).collect();
     assert_eq!(made, kept);
     for name in made {
@@ -84,7 +85,7 @@ fn todays_writers_make_the_same_bytes() {
 }
 
 #[test]
-fn the_native_recording_holds_what_it_held() {
+fn the_native_recording_has_its_content() {
     let mut reader = McapReader::open(&golden("recording.mcap")).expect("opens");
     assert!(reader.is_complete());
     assert_eq!(reader.frame_count(), Some(8));
@@ -111,18 +112,18 @@ fn the_native_recording_holds_what_it_held() {
 }
 
 #[test]
-fn the_judged_recording_holds_what_it_held() {
+fn the_judged_recording_has_its_content() {
     check_judged("judged.mcap");
     // A recording that was not judged has no results; the vendor's formats cannot hold any.
-    let mut without =
+    let mut no_results =
         Recording::open(&golden("recording.mcap")).expect("opens").results().expect("none").expect("mcap");
-    assert!(without.next().is_none());
+    assert!(no_results.next().is_none());
     assert!(Recording::open(&golden("infineon")).expect("opens").results().expect("none").is_none());
 }
 
 #[test]
-fn a_recording_of_an_earlier_version_holds_what_it_held() {
-    check_judged(EARLIER);
+fn a_recording_of_an_earlier_version_has_its_content() {
+    check_judged(EARLIER_VERSION);
 }
 
 #[test]
@@ -137,14 +138,14 @@ fn frames_can_be_read_by_the_schema_alone() {
         let schema = message.channel.schema.as_ref().expect("a schema");
         assert_eq!((schema.name.as_str(), schema.encoding.as_str()), ("radome.frame", "radome.layout"));
         let layout = std::str::from_utf8(&schema.data).expect("text");
-        found.push(by_layout(layout, &message.data));
+        found.push(decode_by_layout(layout, &message.data));
     }
     let expected: Vec<_> = frames().into_iter().map(|f| (f.sequence, f.time_ns, f.host_time_ns, f.codes)).collect();
     assert_eq!(found, expected);
 }
 
 /// Decodes a message by the lines of a layout: sequence, time, host time and codes.
-fn by_layout(layout: &str, mut rest: &[u8]) -> (u64, u64, u64, Vec<u16>) {
+fn decode_by_layout(layout: &str, mut rest: &[u8]) -> (u64, u64, u64, Vec<u16>) {
     let mut fields: Vec<(&str, u64)> = Vec::new();
     let mut codes = Vec::new();
     for line in layout.lines().skip(1) {
@@ -157,14 +158,15 @@ fn by_layout(layout: &str, mut rest: &[u8]) -> (u64, u64, u64, Vec<u16>) {
             continue;
         }
         let bytes = kind[1..].parse::<usize>().expect("bits") / 8;
-        let (field, behind) = rest.split_at(bytes);
+        let (field, after) = rest.split_at(bytes);
         fields.push((name, field.iter().rev().fold(0u64, |sum, byte| sum << 8 | u64::from(*byte))));
-        rest = behind;
+        rest = after;
     }
     let value = |name: &str| fields.iter().find(|(n, _)| *n == name).expect("a field").1;
     (value("sequence"), value("time"), value("host_time"), codes)
 }
 
+/// Checks the content of a judged recording.
 fn check_judged(name: &str) {
     let mut reader = Recording::open(&golden(name)).expect("opens");
     assert_eq!(reader.header(), RecordingHeader { judge: Some(judge()), ..header() });
@@ -204,7 +206,7 @@ fn results_of_an_unfinished_recording_are_found() {
 }
 
 /// Part of a frame that the vendor's formats hold: samples, a new number, and in the folder also time and temperature.
-fn without(mut frame: Frame, index: usize, keeps_times: bool) -> Frame {
+fn as_stored(mut frame: Frame, index: usize, keeps_times: bool) -> Frame {
     frame.sequence = index as u64;
     frame.truth = None;
     if !keeps_times {
@@ -216,12 +218,12 @@ fn without(mut frame: Frame, index: usize, keeps_times: bool) -> Frame {
 }
 
 #[test]
-fn the_vendors_formats_hold_what_they_held() {
+fn the_vendors_formats_have_their_content() {
     for (name, keeps_times) in [("infineon", true), ("sdk.txt", false)] {
         let mut reader = Recording::open(&golden(name)).expect("opens");
         assert_eq!(reader.waveform(), &waveform());
         let (all, gap, error) = read(&mut reader);
-        let expected: Vec<_> = frames().into_iter().enumerate().map(|(i, f)| without(f, i, keeps_times)).collect();
+        let expected: Vec<_> = frames().into_iter().enumerate().map(|(i, f)| as_stored(f, i, keeps_times)).collect();
         assert_eq!((all.as_slice(), gap, error), (expected.as_slice(), None, None), "{name}");
         // The sixth frame has number 7; checks the last sample of RX3's second chirp.
         assert_eq!(all[5].codes[31], 7 * 37 + 1000 + 100 + 7);
@@ -233,7 +235,7 @@ fn the_vendors_formats_hold_what_they_held() {
 }
 
 #[test]
-fn label_files_hold_what_they_held() {
+fn label_files_have_their_content() {
     let text = String::from_utf8(golden_bytes("labels-audacity.txt")).expect("text");
     assert_eq!(text, "0.000000\t1.600000\tone\n1.600000\t3.600000\ttwo, or \"more\"\n");
     let spans = from_audacity(&text).expect("reads");
@@ -284,7 +286,7 @@ mod hard_cases {
 
     /// Result of reading a recording: its frames, and the error if there is one. Asserts that an error names a file of
     /// the recording and a position in it: a byte, a field, or the two files that disagree.
-    fn said(folder: &Path, recording: &str) -> (Vec<Frame>, Option<String>) {
+    fn read_damaged(folder: &Path, recording: &str) -> (Vec<Frame>, Option<String>) {
         let path = folder.join(recording);
         let (frames, error) = match Recording::open(&path) {
             Ok(mut source) => {
@@ -295,13 +297,14 @@ mod hard_cases {
         };
         if let Some(text) = &error {
             assert!(text.contains(&path.display().to_string()), "{text}");
-            let places = ["byte ", "field `", "config.json says", "impossible", "format version", "not a recording"];
-            assert!(places.iter().any(|place| text.contains(place)), "{text}");
+            let positions = ["byte ", "field `", "config.json says", "impossible", "format version", "not a recording"];
+            assert!(positions.iter().any(|position| text.contains(position)), "{text}");
         }
         (frames, error)
     }
 
-    fn as_held(recording: &str) -> Vec<Frame> {
+    /// Frames of a golden recording.
+    fn golden_frames(recording: &str) -> Vec<Frame> {
         read(&mut Recording::open(&golden(recording)).expect("opens")).0
     }
 
@@ -309,13 +312,13 @@ mod hard_cases {
     fn a_recording_cut_anywhere_gives_its_beginning_and_says_so() {
         let folder = copy();
         for (recording, files) in RECORDINGS {
-            let whole = as_held(recording);
+            let whole = golden_frames(recording);
             for file in files {
                 let bytes = golden_bytes(file);
                 for cut in 0..bytes.len() {
                     std::fs::write(folder.path().join(file), &bytes[..cut]).expect("writes");
-                    let (frames, error) = said(folder.path(), recording);
-                    // Times and temperatures that cannot be used are left out, and that is said.
+                    let (frames, error) = read_damaged(folder.path(), recording);
+                    // Times and temperatures that cannot be used are left out and reported.
                     let has_left_out = || {
                         let reader = InfineonReader::open(&folder.path().join(recording));
                         reader.is_ok_and(|reader| !reader.left_out().is_empty())
@@ -336,7 +339,7 @@ mod hard_cases {
                         _ if *file == "sdk.txt" && cut % (bytes.len() / whole.len()) == 0 => false,
                         _ => error.is_none() && !bytes[cut..].trim_ascii().is_empty(),
                     };
-                    assert!(!is_complete, "{file} cut at {cut} passes for whole");
+                    assert!(!is_complete, "{file} cut at {cut} counts as complete");
                 }
                 std::fs::write(folder.path().join(file), &bytes).expect("writes");
             }
@@ -348,7 +351,7 @@ mod hard_cases {
         let folder = copy();
         let (broken, fixed) = (folder.path().join("recording.mcap"), folder.path().join("fixed.mcap"));
         let bytes = golden_bytes("recording.mcap");
-        let mut most = 0;
+        let mut max_frames = 0;
         for cut in 0..bytes.len() {
             std::fs::write(&broken, &bytes[..cut]).expect("writes");
             let readable = Recording::open(&broken).map(|mut source| read(&mut source).0);
@@ -359,14 +362,14 @@ mod hard_cases {
                     let (frames, _, error) = read(&mut fixed);
                     assert_eq!((frames.len() as u64, error), (report.frames, None));
                     assert!(readable.is_ok_and(|readable| readable == frames) || frames.is_empty());
-                    most = most.max(frames.len());
+                    max_frames = max_frames.max(frames.len());
                 }
                 Err(error) => {
                     assert!(error.to_string().contains("recording.mcap") && readable.is_err(), "{error}");
                 }
             }
         }
-        assert_eq!(most, 8);
+        assert_eq!(max_frames, 8);
     }
 
     /// Selects bits to flip, identically in each run.
@@ -383,21 +386,21 @@ mod hard_cases {
     fn a_flipped_bit_is_an_error_or_does_no_harm() {
         let folder = copy();
         for (recording, files) in RECORDINGS {
-            let whole = as_held(recording);
+            let whole = golden_frames(recording);
             for file in files {
                 let bytes = golden_bytes(file);
                 for bit in sample(1500, 8 * bytes.len()) {
                     let mut bytes = bytes.clone();
                     bytes[bit / 8] ^= 1 << (bit % 8);
                     std::fs::write(folder.path().join(file), bytes).expect("writes");
-                    let (frames, _) = said(folder.path(), recording);
+                    let (frames, _) = read_damaged(folder.path(), recording);
                     if recording.ends_with(".mcap") {
                         assert!(whole.starts_with(&frames), "bit {bit}");
                     } else {
                         let codes =
                             |frames: &[Frame]| -> Vec<u16> { frames.iter().flat_map(|f| f.codes.clone()).collect() };
-                        let (found, held) = (codes(&frames), codes(&whole));
-                        let wrong = found.iter().zip(&held).filter(|(a, b)| a != b).count();
+                        let (found, expected) = (codes(&frames), codes(&whole));
+                        let wrong = found.iter().zip(&expected).filter(|(a, b)| a != b).count();
                         assert!(
                             wrong <= 1 || frames.len() != whole.len() || file.ends_with(".json"),
                             "{file} bit {bit}"
@@ -420,7 +423,7 @@ mod hard_cases {
         std::fs::write(folder.path().join("recording.mcap"), bytes).expect("writes");
         std::fs::write(folder.path().join("infineon/RadarIfxAvian_00/format.version"), "1.1.0\n").expect("writes");
         for (recording, version, known) in [("recording.mcap", "version 2,", "to 1;"), ("infineon", "1.1.0", "1.0.0")] {
-            let (_, error) = said(folder.path(), recording);
+            let (_, error) = read_damaged(folder.path(), recording);
             let error = error.expect("refused");
             assert!(error.contains(version) && error.contains(known), "{error}");
         }

@@ -35,8 +35,8 @@ pub fn frames() -> Vec<Frame> {
     let waveform = waveform();
     let frame = |number: u64| {
         let mut frame = Frame::zeroed(waveform.shape());
-        let places = (0..2).flat_map(|rx| (0..2).flat_map(move |chirp| (0..8).map(move |sample| (rx, chirp, sample))));
-        frame.codes = places.map(|(rx, chirp, sample)| code(number, rx, chirp, sample)).collect();
+        let indices = (0..2).flat_map(|rx| (0..2).flat_map(move |chirp| (0..8).map(move |sample| (rx, chirp, sample))));
+        frame.codes = indices.map(|(rx, chirp, sample)| code(number, rx, chirp, sample)).collect();
         frame.sequence = number;
         frame.time_ns = number * 400_000_000;
         frame.host_time_ns = HOST_NS + frame.time_ns;
@@ -147,6 +147,7 @@ pub fn commands() -> Vec<Command> {
     ]
 }
 
+/// Line of a message: its sender and its hexadecimal digits.
 fn hex(who: char, bytes: &[u8]) -> String {
     let digits: String = bytes.iter().map(|b| format!("{b:02x}")).collect();
     format!("{who} {digits}\n")
@@ -187,6 +188,7 @@ fn esp32() -> Vec<u8> {
     lines
 }
 
+/// Makes all golden files.
 pub fn make(folder: &Path) {
     recording(&folder.join("recording.mcap"), Format::Mcap, None);
     recording(&folder.join("judged.mcap"), Format::Mcap, Some(judge()));

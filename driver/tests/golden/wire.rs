@@ -15,7 +15,7 @@ fn messages(name: &str, who: &str) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn requests_mean_what_they_meant() {
+fn requests_keep_their_meaning() {
     for (name, protocol) in [("wire-mcu7-4.txt", Protocol::V4), ("wire-mcu7-3.txt", Protocol::V3)] {
         let is_known = |command: &Command| match command {
             Command::BoardInfoFixed { .. } | Command::ComponentImplementation { .. } => protocol == Protocol::V3,
@@ -44,7 +44,7 @@ fn requests_mean_what_they_meant() {
 }
 
 #[test]
-fn answers_and_packets_mean_what_they_meant() {
+fn answers_and_packets_keep_their_meaning() {
     for (name, kind, major) in [("wire-mcu7-4.txt", 0x43, 4), ("wire-mcu7-3.txt", 0xE1, 3)] {
         let mut parser = BoardParser::default();
         parser.push(&messages(name, "D").concat());
@@ -72,14 +72,14 @@ fn answers_and_packets_mean_what_they_meant() {
 }
 
 #[test]
-fn lines_mean_what_they_meant() {
+fn lines_keep_their_meaning() {
     let bytes = golden_bytes("wire-esp32.txt");
     let mut parser = LineParser::new(3);
     let mut frames = Vec::new();
     // A line that is not a frame may be longer than a frame.
     for line in bytes.split_inclusive(|b| *b == b'\n') {
-        if let Some(told) = decode_waveform(line.trim_ascii_end()) {
-            assert_eq!(told.expect("JSON"), waveform().request);
+        if let Some(request) = decode_waveform(line.trim_ascii_end()) {
+            assert_eq!(request.expect("JSON"), waveform().request);
             continue;
         }
         parser.push(line);

@@ -17,9 +17,9 @@ pub const RECEIVER_SPACING_M: f64 = 2.5e-3;
 /// Baseline between two receivers whose phases are compared.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Baseline {
-    /// Index in the frame of the receiver at its end.
+    /// Index in the frame of the receiver at the end of the baseline.
     pub to: usize,
-    /// Index in the frame of the receiver at its beginning.
+    /// Index in the frame of the receiver at the start of the baseline.
     pub from: usize,
     /// Length, m.
     pub length_m: f64,
@@ -100,10 +100,10 @@ impl Receivers {
         let left = self.azimuth.and_then(|_| cosines.next().flatten());
         let up = self.elevation.and_then(|_| cosines.next().flatten());
         let ahead = (1.0 - up.unwrap_or(0.0).powi(2) - left.unwrap_or(0.0).powi(2)).max(0.0).sqrt();
-        let is_possible = up.unwrap_or(0.0).powi(2) + left.unwrap_or(0.0).powi(2) <= 1.0;
+        let is_direction = up.unwrap_or(0.0).powi(2) + left.unwrap_or(0.0).powi(2) <= 1.0;
         Direction {
-            azimuth_rad: left.filter(|_| is_possible).map(|left| left.atan2(ahead)),
-            elevation_rad: up.filter(|_| is_possible).map(f64::asin),
+            azimuth_rad: left.filter(|_| is_direction).map(|left| left.atan2(ahead)),
+            elevation_rad: up.filter(|_| is_direction).map(f64::asin),
         }
     }
 
@@ -141,15 +141,15 @@ fn direction_cosine(cross: Complex64, baseline_m: f64, wavelength_m: f64) -> Opt
 mod tests {
     use super::*;
 
-    /// Two receivers 2.5 mm apart, a target far off to either side: the difference of two ways, in closed form.
+    /// Two receivers 2.5 mm apart and a distant target: the path difference in closed form.
     #[test]
-    fn phase_between_receivers_tells_the_side_and_the_angle() {
+    fn phase_between_receivers_gives_side_and_angle() {
         let (wavelength_m, baseline_m) = (5e-3, 2.5e-3);
         for degrees in [-80.0, -30.0, -1.0, 0.0, 12.5, 45.0, 85.0f64] {
             let target = (1e4 * degrees.to_radians().cos(), 1e4 * degrees.to_radians().sin());
             let beat = |y: f64| {
-                let way = target.0.hypot(target.1) + target.0.hypot(target.1 - y);
-                Complex64::from_polar(1.0, TAU * (way / wavelength_m).fract())
+                let path_m = target.0.hypot(target.1) + target.0.hypot(target.1 - y);
+                Complex64::from_polar(1.0, TAU * (path_m / wavelength_m).fract())
             };
             let cross = beat(baseline_m) * beat(0.0).conj();
             let cosine = direction_cosine(cross, baseline_m, wavelength_m).expect("a direction");
@@ -162,43 +162,52 @@ mod tests {
     }
 
     /// Cosines of a far target by the definition of the phase, with phase offsets between the receivers.
-    fn cosines(of: &Receivers, direction: (f64, f64), unlike: AngleCalibration, wavelength_m: f64) -> Vec<Option<f64>> {
+    fn cosines(
+        receivers: &Receivers,
+        direction: (f64, f64),
+        offsets: AngleCalibration,
+        wavelength_m: f64,
+    ) -> Vec<Option<f64>> {
         let (azimuth, elevation) = direction;
-        let along = [elevation.cos() * azimuth.sin(), elevation.sin()];
-        let phases = [unlike.azimuth_phase_rad, unlike.elevation_phase_rad];
-        let told = of.baselines().into_iter().zip(along).zip(phases).map(|((baseline, along), unlike)| {
-            let phase = unlike - TAU * RECEIVER_SPACING_M / wavelength_m * along;
+        let true_cosines = [elevation.cos() * azimuth.sin(), elevation.sin()];
+        let offsets = [offsets.azimuth_phase_rad, offsets.elevation_phase_rad];
+        let baselines = receivers.baselines().into_iter().zip(true_cosines).zip(offsets);
+        let measured = baselines.map(|((baseline, cosine), offset)| {
+            let phase = offset - TAU * RECEIVER_SPACING_M / wavelength_m * cosine;
             baseline.cosine(Complex64::from_polar(2.0, phase), wavelength_m)
         });
-        told.collect()
+        measured.collect()
     }
 
     #[test]
     fn azimuth_is_to_the_left_and_elevation_up() {
-        let like = receivers(AngleCalibration::default());
+        let identical = receivers(AngleCalibration::default());
         for (azimuth_deg, elevation_deg) in [(0.0, 0.0), (40.0, 0.0), (-25.0, 10.0), (10.0, -35.0), (60.0, 20.0f64)] {
             let truth = (f64::to_radians(azimuth_deg), elevation_deg.to_radians());
-            let told = like.direction(&cosines(&like, truth, AngleCalibration::default(), 5e-3));
-            assert!((told.azimuth_rad.expect("told") - truth.0).abs() < 1e-12, "{azimuth_deg}: {told:?}");
-            assert!((told.elevation_rad.expect("told") - truth.1).abs() < 1e-12, "{elevation_deg}: {told:?}");
+            let measured = identical.direction(&cosines(&identical, truth, AngleCalibration::default(), 5e-3));
+            assert!((measured.azimuth_rad.expect("measured") - truth.0).abs() < 1e-12, "{azimuth_deg}: {measured:?}");
+            assert!(
+                (measured.elevation_rad.expect("measured") - truth.1).abs() < 1e-12,
+                "{elevation_deg}: {measured:?}"
+            );
         }
     }
 
     #[test]
     fn one_reflector_calibrates_all_directions() {
-        let unlike = AngleCalibration { azimuth_phase_rad: 0.7, elevation_phase_rad: -1.1 };
+        let offsets = AngleCalibration { azimuth_phase_rad: 0.7, elevation_phase_rad: -1.1 };
         let uncalibrated = receivers(AngleCalibration::default());
-        let known = (0.2, -0.1);
-        let told = cosines(&uncalibrated, known, unlike, 4.95e-3);
-        let calibration = uncalibrated.calibrate(&told, known, 4.95e-3);
+        let truth = (0.2, -0.1);
+        let measured = cosines(&uncalibrated, truth, offsets, 4.95e-3);
+        let calibration = uncalibrated.calibrate(&measured, truth, 4.95e-3);
         assert!((calibration.azimuth_phase_rad - 0.7).abs() < 1e-12, "{calibration:?}");
         assert!((calibration.elevation_phase_rad + 1.1).abs() < 1e-12, "{calibration:?}");
         let calibrated = receivers(calibration);
-        let direction = calibrated.direction(&cosines(&calibrated, (-0.5, 0.3), unlike, 4.95e-3));
-        assert!((direction.azimuth_rad.expect("told") + 0.5).abs() < 1e-12);
-        assert!((direction.elevation_rad.expect("told") - 0.3).abs() < 1e-12);
-        // A second reflector, seen through the calibration, changes nothing.
-        let again = calibrated.calibrate(&cosines(&calibrated, known, unlike, 4.95e-3), known, 4.95e-3);
+        let direction = calibrated.direction(&cosines(&calibrated, (-0.5, 0.3), offsets, 4.95e-3));
+        assert!((direction.azimuth_rad.expect("measured") + 0.5).abs() < 1e-12);
+        assert!((direction.elevation_rad.expect("measured") - 0.3).abs() < 1e-12);
+        // A second calibration gives the same result.
+        let again = calibrated.calibrate(&cosines(&calibrated, truth, offsets, 4.95e-3), truth, 4.95e-3);
         assert!((again.azimuth_phase_rad - 0.7).abs() < 1e-12, "{again:?}");
     }
 
@@ -206,7 +215,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn fewer_receivers_tell_fewer_angles() {
+        fn fewer_receivers_measure_fewer_angles() {
             let pair = |antennas: &[u8]| {
                 Receivers::new(RxMask::from_antennas(antennas).expect("valid"), AngleCalibration::default())
             };
@@ -214,7 +223,7 @@ mod tests {
             let side = pair(&[1, 3]);
             assert_eq!(side.baselines().iter().map(|b| (b.to, b.from)).collect::<Vec<_>>(), [(0, 1)]);
             let direction = side.direction(&[Some(0.5)]);
-            assert!((direction.azimuth_rad.expect("told") - 30f64.to_radians()).abs() < 1e-12);
+            assert!((direction.azimuth_rad.expect("measured") - 30f64.to_radians()).abs() < 1e-12);
             assert_eq!(direction.elevation_rad, None);
             assert_eq!(pair(&[2, 3]).direction(&[Some(0.5)]).azimuth_rad, None);
             assert_eq!(side.direction(&[]), Direction { azimuth_rad: None, elevation_rad: None });
@@ -222,15 +231,15 @@ mod tests {
 
         #[test]
         fn cosines_of_no_direction_are_none() {
-            let told = receivers(AngleCalibration::default()).direction(&[Some(0.9), Some(0.8)]);
-            assert_eq!(told, Direction { azimuth_rad: None, elevation_rad: None });
+            let direction = receivers(AngleCalibration::default()).direction(&[Some(0.9), Some(0.8)]);
+            assert_eq!(direction, Direction { azimuth_rad: None, elevation_rad: None });
         }
 
         #[test]
-        fn silence_and_what_comes_from_nowhere_have_no_direction() {
+        fn zero_power_and_impossible_phases_have_no_direction() {
             assert_eq!(direction_cosine(Complex64::new(0.0, 0.0), 2.5e-3, 5e-3), None);
             assert_eq!(direction_cosine(Complex64::new(f64::NAN, 0.0), 2.5e-3, 5e-3), None);
-            // Receivers closer than half a wavelength cannot be more than so far apart in phase.
+            // The phase between receivers closer than half a wavelength is limited.
             assert_eq!(direction_cosine(Complex64::new(-1.0, 0.1), 2e-3, 5e-3), None);
         }
     }

@@ -137,9 +137,10 @@ impl Cfar {
             return Err(CfarError::NoTraining { reach: training });
         }
         let width = |guard: usize, training: usize| guard.saturating_add(training).saturating_mul(2).saturating_add(1);
-        let (across, along) = (width(guard.doppler, training.doppler), width(guard.range, training.range));
-        let too_wide = CfarError::TooWide { doppler: across, range: along, of_doppler: doppler, of_range: range };
-        if across > doppler || along.saturating_sub(1) / 2 > range {
+        let (doppler_width, range_width) = (width(guard.doppler, training.doppler), width(guard.range, training.range));
+        let too_wide =
+            CfarError::TooWide { doppler: doppler_width, range: range_width, of_doppler: doppler, of_range: range };
+        if doppler_width > doppler || range_width.saturating_sub(1) / 2 > range {
             return Err(too_wide);
         }
         let mut plan: Vec<RangePlan> = Vec::with_capacity(range);
@@ -149,14 +150,15 @@ impl Cfar {
             let to = (cell + guard.range + 1).min(range);
             let low = from.saturating_sub(training.range)..from;
             let high = to..(to + training.range).min(range);
-            // Ranges beyond the guard cells count with all of the window's Doppler rows, those between with the outer rows.
-            let cells = (low.len() + high.len()) * across + (to - from) * 2 * training.doppler;
+            // Ranges beyond the guard cells count with all Doppler rows of the window, ranges between with the outer rows only.
+            let cells = (low.len() + high.len()) * doppler_width + (to - from) * 2 * training.doppler;
             if cells == 0 {
                 return Err(too_wide);
             }
-            let order = order_of(&spec, cells);
-            let known = factors.iter().find(|(n, _)| *n == cells).map(|(_, factor)| *factor);
-            let factor = known.unwrap_or_else(|| ordered_factor(cells, order, spec.looks, spec.false_alarm_rate));
+            let order = level_order(&spec, cells);
+            let cached_factor = factors.iter().find(|(n, _)| *n == cells).map(|(_, factor)| *factor);
+            let factor =
+                cached_factor.unwrap_or_else(|| ordered_factor(cells, order, spec.looks, spec.false_alarm_rate));
             factors.push((cells, factor));
             plan.push(RangePlan { low, middle: from..to, high, factor, order: order - 1 });
         }
@@ -171,9 +173,9 @@ impl Cfar {
             return None;
         }
         let mut cells = Vec::new();
-        let all =
+        let thresholds =
             (0..power.len()).map(|index| self.threshold(power, index / self.range, index % self.range, &mut cells));
-        all.collect()
+        thresholds.collect()
     }
 
     /// Cells of one channel of a map that exceed their threshold, in order of Doppler and range; none if the map has another size.
@@ -183,7 +185,7 @@ impl Cfar {
         let Some(db) = map.db.get(rx * plane..(rx + 1) * plane).filter(|_| fits) else { return Vec::new() };
         let power: Vec<f64> = db.iter().map(|&db| 10f64.powf(f64::from(db) / 10.0)).collect();
         let mut cells = Vec::new();
-        let exact = self.candidates(&power).into_iter().filter_map(|index| {
+        let detections = self.candidates(&power).into_iter().filter_map(|index| {
             let (doppler, range) = (index / self.range, index % self.range);
             let threshold = self.threshold(&power, doppler, range, &mut cells)?;
             (power.get(index)? > &threshold).then(|| CellDetection {
@@ -193,7 +195,7 @@ impl Cfar {
                 threshold_db: (10.0 * threshold.log10()) as f32,
             })
         });
-        exact.collect()
+        detections.collect()
     }
 
     /// Indices of the cells that may exceed their threshold, including all that do. A cell exceeds its threshold if
@@ -252,14 +254,14 @@ impl Cfar {
 }
 
 /// 1-based order of the level among this number of training cells.
-fn order_of(spec: &CfarSpec, cells: usize) -> usize {
+fn level_order(spec: &CfarSpec, cells: usize) -> usize {
     ((spec.rank * cells as f64).ceil() as usize).clamp(1, cells)
 }
 
 /// Factor on the `order`-th smallest (from 1) of `cells` training cells of `looks` looks each.
 fn ordered_factor(cells: usize, order: usize, looks: usize, false_alarm_rate: f64) -> f64 {
     if looks == 1 {
-        return solve(false_alarm_rate, |factor| {
+        return factor_at_rate(false_alarm_rate, |factor| {
             (0..order).map(|i| (cells - i) as f64).map(|left| left / (left + factor)).product()
         });
     }
@@ -286,7 +288,7 @@ fn ordered_factor_by_integral(cells: usize, order: usize, looks: usize, false_al
         })
         .collect();
     let total: f64 = weights.iter().map(|(_, weight)| weight).sum();
-    solve(false_alarm_rate, |factor| {
+    factor_at_rate(false_alarm_rate, |factor| {
         weights.iter().map(|(x, weight)| weight * erlang(looks, factor * x).0).sum::<f64>() / total
     })
 }
@@ -299,7 +301,7 @@ fn erlang(shape: usize, x: f64) -> (f64, f64) {
         term *= x / k as f64;
         above += term;
     }
-    // The remainder of the series: a difference from one would lose all digits where x is small.
+    // The remainder of the series, because a difference from one would lose all digits where x is small.
     let (mut below, mut k) = (0.0, shape);
     while k < shape + 500 {
         term *= x / k as f64;
@@ -312,8 +314,8 @@ fn erlang(shape: usize, x: f64) -> (f64, f64) {
     (above, if x > 50.0 { 1.0 - above } else { below })
 }
 
-/// Factor at which a falling probability has the given value, by bisection.
-fn solve(false_alarm_rate: f64, rate: impl Fn(f64) -> f64) -> f64 {
+/// Factor at which the rate, which falls with the factor, is the given one; by bisection.
+fn factor_at_rate(false_alarm_rate: f64, rate: impl Fn(f64) -> f64) -> f64 {
     let (mut low, mut high) = (-40.0f64, 40.0f64);
     for _ in 0..100 {
         let middle = 0.5 * (low + high);

@@ -28,7 +28,7 @@ const LEAST_CELLS: usize = 3;
 const APART_M: f64 = 0.8;
 /// Difference of level, corrected for range, above which a weaker group is a multipath ghost of the strongest, dB.
 const GHOST_DB: f64 = 12.0;
-/// Length of slow time for people who sit still, s. A breath of four seconds is then two cells from zero, outside of
+/// Length of slow time for people who sit still, s. The rate of a breath of four seconds is then two cells from zero, outside of
 /// the window's main lobe.
 const BREATH_S: f64 = 8.0;
 /// Least share of energy in motion in the echo of a person who breathes. Walls and furniture, whose echo only drifts and jitters,
@@ -73,8 +73,10 @@ pub struct Observation {
 /// # Ok::<(), radome_dsp::detect::CounterError>(())
 /// ```
 pub struct CfarCounter {
-    moving: RdmProcessor,
-    still: RdmProcessor,
+    /// Processor of maps over the chirps of a frame.
+    chirp_processor: RdmProcessor,
+    /// Processor of maps over the frames of slow time.
+    slow_processor: RdmProcessor,
     cfar: Cfar,
     energy_cfar: Cfar,
     map: Rdm,
@@ -95,22 +97,22 @@ impl CfarCounter {
     /// [`CounterError::Spec`] if frames of the waveform have no map, as those of one chirp, and [`CounterError::Cfar`] if the
     /// window of training cells does not fit their maps, as with fewer than 20 samples.
     pub fn new(waveform: &Waveform) -> Result<Self, CounterError> {
-        let moving_spec = RdmSpec {
+        let chirp_spec = RdmSpec {
             channels: Channels::IncoherentSum,
             chirp_mean_removal: true,
             static_removal: StaticRemoval::SlowTimeMean,
             ..RdmSpec::default()
         };
         let slow_frames = (BREATH_S / waveform.frame_interval_s()).round().clamp(8.0, 256.0) as usize;
-        let still_spec = RdmSpec {
+        let slow_spec = RdmSpec {
             slow_time: SlowTime::Frames { frames: slow_frames },
             static_removal: StaticRemoval::None,
-            ..moving_spec
+            ..chirp_spec
         };
         let looks = waveform.shape().rx;
-        let moving = RdmProcessor::new(&moving_spec, waveform)?;
-        let still = RdmProcessor::new(&still_spec, waveform)?;
-        let shape = moving.shape();
+        let chirp_processor = RdmProcessor::new(&chirp_spec, waveform)?;
+        let slow_processor = RdmProcessor::new(&slow_spec, waveform)?;
+        let shape = chirp_processor.shape();
         let cfar = Cfar::new(cfar_spec(looks, shape.doppler, shape.range), shape.doppler, shape.range)?;
         // The sum over slow time has as many looks as there are frames: far more than a threshold needs, and not independent.
         let energy_spec = CfarSpec {
@@ -120,11 +122,11 @@ impl CfarCounter {
             ..cfar_spec(looks, 1, shape.range)
         };
         let energy_cfar = Cfar::new(energy_spec, 1, shape.range)?;
-        let (map, slow_map) = (moving.empty_map(), still.empty_map());
+        let (map, slow_map) = (chirp_processor.empty_map(), slow_processor.empty_map());
         let walked = VecDeque::with_capacity(slow_frames);
         Ok(CfarCounter {
-            moving,
-            still,
+            chirp_processor,
+            slow_processor,
             cfar,
             energy_cfar,
             map,
@@ -152,8 +154,8 @@ impl CfarCounter {
 
     /// Resets the state between frames. Call it where frames are missing.
     pub fn reset(&mut self) {
-        self.moving.reset();
-        self.still.reset();
+        self.chirp_processor.reset();
+        self.slow_processor.reset();
         self.walked.clear();
     }
 
@@ -163,10 +165,11 @@ impl CfarCounter {
     /// [`CounterError::Frame`] if the frame's shape is not the waveform's, or if the number of its codes is not that of its
     /// shape.
     pub fn observe(&mut self, frame: &Frame) -> Result<Observation, CounterError> {
-        let is_map = self.moving.process(frame, &mut self.map)? == MapStatus::Ready;
-        let walking = if is_map { count(&self.cfar.detect(&self.map, 0), &self.map, self.max_range_m) } else { 0 };
-        let is_slow_map = self.still.process(frame, &mut self.slow_map)? == MapStatus::Ready;
-        let breathes = is_slow_map && breathes(&self.energy_cfar, &self.slow_map, self.max_range_m);
+        let is_map = self.chirp_processor.process(frame, &mut self.map)? == MapStatus::Ready;
+        let walking =
+            if is_map { count_people(&self.cfar.detect(&self.map, 0), &self.map, self.max_range_m) } else { 0 };
+        let is_slow_map = self.slow_processor.process(frame, &mut self.slow_map)? == MapStatus::Ready;
+        let breathes = is_slow_map && has_breathing(&self.energy_cfar, &self.slow_map, self.max_range_m);
         if self.walked.len() == self.slow_frames {
             self.walked.pop_front();
         }
@@ -177,9 +180,9 @@ impl CfarCounter {
     /// Number of people in the room, at most 2, from this observation and the previous frames. A person who breathes
     /// counts as one if nobody walks and few of the previous frames contained a walker.
     pub fn people(&self, observation: Observation) -> usize {
-        let walked = self.walked.iter().filter(|walked| **walked).count();
-        let is_calm = walked as f64 <= MOST_WALKED_SHARE * self.walked.len() as f64;
-        observation.walking.max(usize::from(observation.breathes && is_calm)).min(2)
+        let frames_walked = self.walked.iter().filter(|walked| **walked).count();
+        let few_walked = frames_walked as f64 <= MOST_WALKED_SHARE * self.walked.len() as f64;
+        observation.walking.max(usize::from(observation.breathes && few_walked)).min(2)
     }
 }
 
@@ -189,61 +192,75 @@ fn reach(doppler: usize, range: usize) -> CellReach {
 
 fn cfar_spec(looks: usize, doppler: usize, range: usize) -> CfarSpec {
     // The window fits small maps too.
-    let (across, along) = ((doppler.saturating_sub(1) / 2).min(6), (range / 4).min(8));
-    let guard = reach(across / 3, along / 4);
+    let (doppler_reach, range_reach) = ((doppler.saturating_sub(1) / 2).min(6), (range / 4).min(8));
+    let guard = reach(doppler_reach / 3, range_reach / 4);
     CfarSpec {
         rank: RANK,
         guard,
-        training: reach(across - guard.doppler, along.max(1) - guard.range.min(along.max(1) - 1)),
+        training: reach(doppler_reach - guard.doppler, range_reach.max(1) - guard.range.min(range_reach.max(1) - 1)),
         false_alarm_rate: FALSE_ALARM_RATE,
         looks: looks.clamp(1, 16),
     }
 }
 
+/// Detections that are close in range, as of one person.
+struct Group {
+    /// Range of the farthest cell, m.
+    last_range_m: f64,
+    /// Level of the strongest cell, corrected for range, dB.
+    level_db: f64,
+    /// Number of cells.
+    cells: usize,
+}
+
 /// Counts people among the detections of a frame, up to a range.
-fn count(detections: &[CellDetection], map: &Rdm, max_range_m: f64) -> usize {
+fn count_people(detections: &[CellDetection], map: &Rdm, max_range_m: f64) -> usize {
     let zero = map.shape.doppler / 2;
     let is_in_range = |range: usize| (CfarCounter::NEAREST_M..=max_range_m).contains(&map.range_m(range));
     let moves = |d: &&CellDetection| d.doppler.abs_diff(zero) > RESIDUE_CELLS && is_in_range(d.range);
-    let mut cells: Vec<(f64, f64)> = detections
+    // Groups of one cell each, with the level corrected for range.
+    let mut cells: Vec<Group> = detections
         .iter()
         .filter(moves)
         .map(|d| {
             let range_m = map.range_m(d.range);
-            (range_m, f64::from(d.power_db) + 40.0 * range_m.log10())
+            Group { last_range_m: range_m, level_db: f64::from(d.power_db) + 40.0 * range_m.log10(), cells: 1 }
         })
         .collect();
     if cells.len() < LEAST_CELLS {
         return 0;
     }
-    cells.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // Groups by range: last range, strongest cell, cells.
-    let mut groups: Vec<(f64, f64, usize)> = Vec::new();
-    for (range_m, level_db) in cells {
-        match groups.last_mut().filter(|(last_m, ..)| range_m - *last_m <= APART_M) {
-            Some(group) => *group = (range_m, group.1.max(level_db), group.2 + 1),
-            None => groups.push((range_m, level_db, 1)),
+    cells.sort_by(|a, b| a.last_range_m.total_cmp(&b.last_range_m));
+    let mut groups: Vec<Group> = Vec::new();
+    for cell in cells {
+        match groups.last_mut().filter(|group| cell.last_range_m - group.last_range_m <= APART_M) {
+            Some(group) => {
+                group.last_range_m = cell.last_range_m;
+                group.level_db = group.level_db.max(cell.level_db);
+                group.cells += 1;
+            }
+            None => groups.push(cell),
         }
     }
-    groups.retain(|group| group.2 >= LEAST_CELLS);
-    let strongest_db = groups.iter().map(|group| group.1).fold(f64::NEG_INFINITY, f64::max);
-    groups.iter().filter(|group| group.1 >= strongest_db - GHOST_DB).count()
+    groups.retain(|group| group.cells >= LEAST_CELLS);
+    let strongest_db = groups.iter().map(|group| group.level_db).fold(f64::NEG_INFINITY, f64::max);
+    groups.iter().filter(|group| group.level_db >= strongest_db - GHOST_DB).count()
 }
 
 /// Returns whether the energy over slow time, without static echoes, exceeds its threshold and its least share at some range up to
 /// the greatest one.
-fn breathes(cfar: &Cfar, map: &Rdm, max_range_m: f64) -> bool {
+fn has_breathing(cfar: &Cfar, map: &Rdm, max_range_m: f64) -> bool {
     let (range, zero) = (map.shape.range, map.shape.doppler / 2);
-    let (mut energy, mut still) = (vec![0.0; range], vec![0.0; range]);
+    let (mut energy, mut static_energy) = (vec![0.0; range], vec![0.0; range]);
     for (doppler, row) in map.db.chunks_exact(range.max(1)).enumerate() {
-        let sums = if doppler.abs_diff(zero) > 1 { &mut energy } else { &mut still };
+        let sums = if doppler.abs_diff(zero) > 1 { &mut energy } else { &mut static_energy };
         sums.iter_mut().zip(row).for_each(|(sum, db)| *sum += 10f64.powf(f64::from(*db) / 10.0));
     }
     let Some(thresholds) = cfar.thresholds(&energy) else { return false };
-    let mut cells = energy.iter().zip(&thresholds).zip(&still).enumerate();
-    cells.any(|(index, ((energy, threshold), still))| {
+    let mut cells = energy.iter().zip(&thresholds).zip(&static_energy).enumerate();
+    cells.any(|(index, ((energy, threshold), static_energy))| {
         energy > threshold
-            && *energy > LEAST_MOVING_SHARE * (energy + still)
+            && *energy > LEAST_MOVING_SHARE * (energy + static_energy)
             && (CfarCounter::NEAREST_M..=max_range_m).contains(&map.range_m(index))
     })
 }
@@ -255,7 +272,7 @@ mod tests {
     use super::*;
     use crate::{SPEED_OF_LIGHT_M_PER_S, WaveformRequest};
 
-    /// Codes of bodies, each a range, a speed and an amplitude in codes, over seeded noise of one code.
+    /// Frame of bodies `(range_m, speed_m_per_s, amplitude_lsb)` over seeded noise of 1 LSB.
     fn frame(waveform: &Waveform, number: u64, bodies: &[(f64, f64, f64)]) -> Frame {
         let shape = waveform.shape();
         let mut frame = Frame::zeroed(shape);
@@ -278,10 +295,10 @@ mod tests {
             let noise = (-2.0 * uniform().max(1e-12).ln()).sqrt() * (TAU * uniform()).cos();
             let echo: f64 = bodies
                 .iter()
-                .map(|(range_m, speed_m_per_s, codes)| {
+                .map(|(range_m, speed_m_per_s, amplitude_lsb)| {
                     let delay_s = 2.0 * (range_m + speed_m_per_s * slow_s) / SPEED_OF_LIGHT_M_PER_S;
                     let phase = waveform.centre_frequency_hz() * delay_s + waveform.slope_hz_per_s * delay_s * t;
-                    codes * (TAU * phase.fract()).cos()
+                    amplitude_lsb * (TAU * phase.fract()).cos()
                 })
                 .sum();
             *code = (2048.0 + noise + echo).round() as u16;
@@ -313,11 +330,11 @@ mod tests {
         let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
         let count = |max_range_m: f64, bodies: &[(f64, f64, f64)], frames: u64| {
             let mut counter = CfarCounter::new(&waveform).expect("fits").up_to(max_range_m);
-            let seen = (0..frames).map(|number| {
+            let counts = (0..frames).map(|number| {
                 let observation = counter.observe(&frame(&waveform, number, bodies)).expect("a frame");
                 counter.people(observation)
             });
-            seen.last().expect("frames")
+            counts.last().expect("frames")
         };
         let two = [(2.0, 0.8, 20.0), (4.5, -0.6, 4.0)];
         assert_eq!([6.0, 3.5, 1.0].map(|max_range_m| count(max_range_m, &two, 5)), [2, 1, 0]);
@@ -341,14 +358,14 @@ mod tests {
         }
 
         #[test]
-        fn frames_too_small_for_a_window_are_refused_and_the_least_is_said() {
+        fn frames_too_small_for_a_window_are_refused_with_the_least_size() {
             let sizes = (8..40).flat_map(|samples| (1..12).map(move |chirps| (samples, chirps)));
             for (samples_per_chirp, chirps_per_frame) in sizes {
                 let request = WaveformRequest { samples_per_chirp, chirps_per_frame, ..WaveformRequest::paper() };
                 let waveform = Waveform::realise(request).expect("valid");
                 match CfarCounter::new(&waveform) {
                     Ok(_) => assert!(samples_per_chirp >= 20 && chirps_per_frame >= 2, "{}", waveform.shape()),
-                    // Of one chirp there is no map.
+                    // Frames of one chirp have no map.
                     Err(CounterError::Spec(_)) => assert_eq!(chirps_per_frame, 1),
                     Err(error) => {
                         assert!(samples_per_chirp < 20, "{}: {error}", waveform.shape());

@@ -19,8 +19,7 @@ use crate::{Frame, FrameMismatch, Waveform, Window};
 /// Points of the range FFT for each sample. Padding lets the offset of a peak from its bin be interpolated.
 const RANGE_PADDING: usize = 2;
 /// Least level of a local maximum over the mean noise of its range, dB. Noise of one receiver alone reaches it once in about five
-/// hundred million cells, that of several receivers together still less often. The rounding of a strong echo's codes, which is no
-/// noise, comes to 12 dB.
+/// hundred million cells; the summed noise of several receivers does so less often. Rounding of a strong echo's codes reaches 12 dB.
 const LEAST_SNR_DB: f64 = 13.0;
 /// Largest number of detections of a frame; the strongest are kept.
 const MOST_DETECTIONS: usize = 12;
@@ -51,6 +50,13 @@ pub struct Detection {
     pub cosines: Vec<Option<f64>>,
     /// Whether it was found by its change between frames, not by motion within a frame.
     pub is_still: bool,
+}
+
+/// Local maximum of the power of a map.
+struct Peak {
+    power: f64,
+    range: usize,
+    doppler: usize,
 }
 
 /// Range profiles of the mean chirp of a frame, `[rx][range]`, for [`Detector::detect_still`].
@@ -123,7 +129,7 @@ impl Detector {
         let at = |range: usize, d: usize| self.power.get(range * doppler + d).copied().unwrap_or(0.0);
         let zero = doppler / 2;
         let least = 10f64.powf(0.1 * LEAST_SNR_DB);
-        let mut peaks: Vec<(f64, usize, usize)> = Vec::new();
+        let mut peaks: Vec<Peak> = Vec::new();
         for range in (RANGE_PADDING * LEAKAGE_BINS)..bins.saturating_sub(1) {
             for d in 0..doppler {
                 let cell = at(range, d);
@@ -132,26 +138,28 @@ impl Detector {
                     continue;
                 }
                 let (before, after) = ((d + doppler - 1) % doppler, (d + 1) % doppler);
-                let higher = [before, d, after].iter().any(|&d| at(range - 1, d) > cell || at(range + 1, d) > cell)
-                    || at(range, before) > cell
-                    || at(range, after) > cell;
-                if !higher {
-                    peaks.push((cell, range, d));
+                let has_higher_neighbour =
+                    [before, d, after].iter().any(|&d| at(range - 1, d) > cell || at(range + 1, d) > cell)
+                        || at(range, before) > cell
+                        || at(range, after) > cell;
+                if !has_higher_neighbour {
+                    peaks.push(Peak { power: cell, range, doppler: d });
                 }
             }
         }
-        peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+        peaks.sort_by(|a, b| b.power.total_cmp(&a.power));
         let mut detections: Vec<Detection> = Vec::new();
-        for (power, range, d) in peaks {
-            let detection = self.detection_at(range, d, ratio_db(power, noise.get(range).copied().unwrap_or(power)));
+        for Peak { power, range, doppler } in peaks {
+            let detection =
+                self.moving_detection(range, doppler, ratio_db(power, noise.get(range).copied().unwrap_or(power)));
             let span = 2.0 * self.waveform.max_velocity_m_per_s();
-            let is_known = detections.iter().any(|other| {
-                let apart = other.velocity_m_per_s - detection.velocity_m_per_s;
-                let apart = apart - span * (apart / span).round();
+            let is_duplicate = detections.iter().any(|other| {
+                let difference = other.velocity_m_per_s - detection.velocity_m_per_s;
+                let difference = difference - span * (difference / span).round();
                 (other.range_m - detection.range_m).abs() < SAME_RANGE * self.waveform.range_resolution_m()
-                    && apart.abs() < SAME_VELOCITY_M_PER_S
+                    && difference.abs() < SAME_VELOCITY_M_PER_S
             });
-            if !is_known {
+            if !is_duplicate {
                 detections.push(detection);
             }
             if detections.len() == MOST_DETECTIONS {
@@ -169,32 +177,36 @@ impl Detector {
             return Vec::new();
         }
         let count = profiles.len() as f64;
-        let row = |profile: &&RangeProfile, cell: usize| profile.0.get(cell).copied().unwrap_or_default();
+        let value = |profile: &&RangeProfile, cell: usize| profile.0.get(cell).copied().unwrap_or_default();
         // Each cell less its mean over the frames.
         let changes: Vec<Vec<Complex64>> = (0..rx * self.bins)
             .map(|cell| {
-                let mean = profiles.iter().map(|p| row(p, cell)).sum::<Complex64>() / count;
-                profiles.iter().map(|p| row(p, cell) - mean).collect()
+                let mean = profiles.iter().map(|p| value(p, cell)).sum::<Complex64>() / count;
+                profiles.iter().map(|p| value(p, cell) - mean).collect()
             })
             .collect();
         let power_of = |cell: usize| changes.get(cell).map_or(0.0, |c| c.iter().map(Complex64::norm_sqr).sum::<f64>());
         let power: Vec<f64> =
             (0..self.bins).map(|range| (0..rx).map(|rx| power_of(rx * self.bins + range)).sum()).collect();
         let noise = noise_power(power.iter().skip(RANGE_PADDING * LEAKAGE_BINS).copied(), rx * (profiles.len() - 1));
-        let mean_power = |cell: usize| profiles.iter().map(|p| row(p, cell)).sum::<Complex64>().norm_sqr() / count;
+        let mean_power = |cell: usize| profiles.iter().map(|p| value(p, cell)).sum::<Complex64>().norm_sqr() / count;
         let mut detections = Vec::new();
         for range in (RANGE_PADDING * LEAKAGE_BINS)..self.bins.saturating_sub(1) {
             let [before, cell, after] = [range - 1, range, range + 1].map(|i| power.get(i).copied().unwrap_or(0.0));
             let snr_db = ratio_db(cell, noise);
-            let still = (0..rx).map(|rx| mean_power(rx * self.bins + range)).sum::<f64>();
-            if before > cell || after > cell || snr_db < LEAST_SNR_DB || cell < LEAST_CHANGING * (cell + still) {
+            let static_power = (0..rx).map(|rx| mean_power(rx * self.bins + range)).sum::<f64>();
+            if before > cell || after > cell || snr_db < LEAST_SNR_DB || cell < LEAST_CHANGING * (cell + static_power) {
                 continue;
             }
             let cross = |baseline: &Baseline, range: usize| {
-                let of = |rx: usize| changes.get(rx * self.bins + range).map_or(&[][..], Vec::as_slice);
-                of(baseline.to).iter().zip(of(baseline.from)).map(|(a, b)| a * b.conj()).sum::<Complex64>()
+                let changes_of = |rx: usize| changes.get(rx * self.bins + range).map_or(&[][..], Vec::as_slice);
+                changes_of(baseline.to)
+                    .iter()
+                    .zip(changes_of(baseline.from))
+                    .map(|(a, b)| a * b.conj())
+                    .sum::<Complex64>()
             };
-            detections.push(self.still_at(range, [before, cell, after], snr_db, cross));
+            detections.push(self.static_detection(range, [before, cell, after], snr_db, cross));
         }
         detections.sort_by(|a, b| b.snr_db.total_cmp(&a.snr_db));
         detections.truncate(MOST_DETECTIONS);
@@ -222,12 +234,12 @@ impl Detector {
         let range = bins.max_by(|&a, &b| at(a).total_cmp(&at(b)))?;
         let cross = |baseline: &Baseline, range: usize| cell(baseline.to, range) * cell(baseline.from, range).conj();
         let snr_db = ratio_db(at(range), noise_power(power.iter().copied(), rx));
-        Some(self.still_at(range, [at(range - 1), at(range), at(range + 1)], snr_db, cross))
+        Some(self.static_detection(range, [at(range - 1), at(range), at(range + 1)], snr_db, cross))
     }
 
     /// Detection of an echo without motion within a frame. The powers are those of the previous, this and the next
     /// range bin. `cross` is the product of the two receivers of a baseline at a range.
-    fn still_at(
+    fn static_detection(
         &self,
         range: usize,
         [before, cell, after]: [f64; 3],
@@ -235,8 +247,8 @@ impl Detector {
         cross: impl Fn(&Baseline, usize) -> Complex64,
     ) -> Detection {
         let cosines = self.baselines.iter().map(|baseline| {
-            let near = cross(baseline, range - 1) + cross(baseline, range) + cross(baseline, range + 1);
-            baseline.cosine(near, self.waveform.wavelength_m())
+            let sum = cross(baseline, range - 1) + cross(baseline, range) + cross(baseline, range + 1);
+            baseline.cosine(sum, self.waveform.wavelength_m())
         });
         Detection {
             range_m: (range as f64 + peak_offset(before, cell, after)) * self.bin_m(),
@@ -260,7 +272,7 @@ impl Detector {
         let mut profile = vec![Complex64::default(); shape.rx * bins];
         for (index, chirp) in frame.codes.chunks_exact(shape.samples).enumerate() {
             let (rx, m) = (index / chirps, index % chirps);
-            // Only ratios of powers are used: any scale will do.
+            // The scale does not matter, because only ratios of powers are used.
             let codes = chirp.iter().map(|&code| f64::from(code));
             self.range_fft.transform_codes(codes, |windowed| windowed, &mut self.spectrum);
             for (bin, value) in self.spectrum.iter().take(bins).enumerate() {
@@ -290,8 +302,8 @@ impl Detector {
         Ok(RangeProfile(profile))
     }
 
-    /// Detection at a local maximum.
-    fn detection_at(&self, range: usize, d: usize, snr_db: f64) -> Detection {
+    /// Detection at a local maximum of the map.
+    fn moving_detection(&self, range: usize, d: usize, snr_db: f64) -> Detection {
         let doppler = self.doppler_window.len();
         let step = self.waveform.velocity_step_m_per_s(doppler);
         let half = ((TRUNK_M_PER_S / step).round() as isize).clamp(1, (doppler as isize - 1) / 2);
@@ -308,10 +320,10 @@ impl Detector {
         }
         let cells = d as f64 + if sum > 0.0 { moment / sum } else { 0.0 } - (doppler / 2) as f64;
         let velocity_m_per_s = cells * step;
-        let near = |range: usize| at(range, d - 1) + at(range, d) + at(range, d + 1);
-        let place = range as f64 + peak_offset(near(range - 1), near(range), near(range + 1));
+        let power_at = |range: usize| at(range, d - 1) + at(range, d) + at(range, d + 1);
+        let peak_bin = range as f64 + peak_offset(power_at(range - 1), power_at(range), power_at(range + 1));
         // c f_D / 2 S = v f / S.
-        let by_speed_m = velocity_m_per_s * self.waveform.centre_frequency_hz() / self.waveform.slope_hz_per_s;
+        let range_bias_m = velocity_m_per_s * self.waveform.centre_frequency_hz() / self.waveform.slope_hz_per_s;
         let cosines = self.baselines.iter().map(|baseline| {
             let mut cross = Complex64::default();
             for range in range - 1..=range + 1 {
@@ -326,7 +338,7 @@ impl Detector {
             baseline.cosine(cross, self.waveform.wavelength_m())
         });
         Detection {
-            range_m: place * self.bin_m() - by_speed_m,
+            range_m: peak_bin * self.bin_m() - range_bias_m,
             velocity_m_per_s,
             snr_db,
             cosines: cosines.collect(),
@@ -370,9 +382,9 @@ mod tests {
             let (rx, rest) = (index / (shape.chirps * shape.samples), index % (shape.chirps * shape.samples));
             let t = (rest % shape.samples) as f64 / waveform.sample_rate_hz;
             let slow_s = (rest / shape.samples) as f64 * waveform.chirp_interval_s;
-            let nearer_m = if rx == BASELINE.to { BASELINE.length_m * sine } else { 0.0 };
-            let way_m = 2.0 * (range_m + velocity_m_per_s * (slow_s + t - middle_s)) - nearer_m;
-            let tau = way_m / SPEED_OF_LIGHT_M_PER_S;
+            let path_difference_m = if rx == BASELINE.to { BASELINE.length_m * sine } else { 0.0 };
+            let path_m = 2.0 * (range_m + velocity_m_per_s * (slow_s + t - middle_s)) - path_difference_m;
+            let tau = path_m / SPEED_OF_LIGHT_M_PER_S;
             let (f0, slope) = (waveform.sampled_start_frequency_hz, waveform.slope_hz_per_s);
             let cycles = f0 * tau + slope * tau * t - 0.5 * slope * tau * tau;
             *code = (2048.0 + level_lsb * (TAU * cycles.fract()).cos()).round() as u16;
@@ -400,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn range_speed_and_direction_of_a_point_are_told_within_a_cell() {
+    fn range_speed_and_direction_of_a_point_are_finer_than_a_cell() {
         let waveform = waveform();
         let mut detector = Detector::new(&waveform, &[BASELINE]);
         for (range_m, velocity, sine) in
@@ -411,14 +423,14 @@ mod tests {
             let detection = detections.first().expect("an echo");
             assert!((detection.range_m - range_m).abs() < 0.005, "{range_m} m: {detection:?}");
             assert!((detection.velocity_m_per_s - velocity).abs() < 0.005, "{velocity} m/s: {detection:?}");
-            let told = detection.cosines.first().copied().flatten().expect("a direction");
-            assert!((told - sine).abs() < 0.005, "{sine}: {detection:?}");
+            let cosine = detection.cosines.first().copied().flatten().expect("a direction");
+            assert!((cosine - sine).abs() < 0.005, "{sine}: {detection:?}");
         }
     }
 
-    /// Half a millimetre to and fro, as a chest does in a breath, changes the phase by a quarter turn and more.
+    /// A millimetre back and forth, as a chest moves in a breath, changes the phase by more than a quarter turn.
     #[test]
-    fn what_only_breathes_is_found_between_frames() {
+    fn a_breathing_chest_is_found_by_its_change_between_frames() {
         let waveform = waveform();
         let mut detector = Detector::new(&waveform, &[BASELINE]);
         let profiles: Vec<RangeProfile> = (0..20)
@@ -437,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reflector_that_stands_there_is_found_between_its_ranges() {
+    fn a_reflector_is_found_between_two_ranges() {
         let waveform = waveform();
         let mut detector = Detector::new(&waveform, &[BASELINE]);
         let mut scene = frame(&waveform, 2.5, 0.0, -0.3, 60.0);
@@ -454,7 +466,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn empty_and_foreign_frames() {
+        fn frames_without_signal_and_of_other_shapes() {
             let waveform = waveform();
             let mut detector = Detector::new(&waveform, &[]);
             let (detections, profile) = detector.detect_moving(&Frame::zeroed(waveform.shape())).expect("a frame");
@@ -469,7 +481,7 @@ mod tests {
         }
 
         #[test]
-        fn two_who_cross_at_one_range_are_two_echoes_by_speed() {
+        fn two_people_at_one_range_are_separated_by_speed() {
             let waveform = waveform();
             let mut both = frame(&waveform, 4.0, 1.0, 0.2, 300.0);
             let other = frame(&waveform, 4.05, -0.8, -0.2, 200.0);

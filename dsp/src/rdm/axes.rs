@@ -71,13 +71,18 @@ impl PhysicalAxes {
     /// # Errors
     /// [`SpecError::Axis`] if a step is not finite and above zero, or if a number of bins is out of range.
     pub(super) fn check(&self) -> Result<(), SpecError> {
-        let step = "a finite number above zero";
-        let bins = "2 to 1024 bins";
+        let expected_step = "a finite number above zero";
+        let expected_bins = "2 to 1024 bins";
         for (key, value, is_allowed, expected) in [
-            ("range_step_m", self.range_step_m, is_positive(self.range_step_m), step),
-            ("range_bins", self.range_bins as f64, is_length(self.range_bins), bins),
-            ("velocity_step_m_per_s", self.velocity_step_m_per_s, is_positive(self.velocity_step_m_per_s), step),
-            ("velocity_bins", self.velocity_bins as f64, is_length(self.velocity_bins), bins),
+            ("range_step_m", self.range_step_m, is_positive(self.range_step_m), expected_step),
+            ("range_bins", self.range_bins as f64, is_bin_count(self.range_bins), expected_bins),
+            (
+                "velocity_step_m_per_s",
+                self.velocity_step_m_per_s,
+                is_positive(self.velocity_step_m_per_s),
+                expected_step,
+            ),
+            ("velocity_bins", self.velocity_bins as f64, is_bin_count(self.velocity_bins), expected_bins),
         ] {
             if !is_allowed {
                 return Err(SpecError::Axis { key, value, expected });
@@ -91,10 +96,11 @@ impl PhysicalAxes {
     /// # Errors
     /// [`SpecError::Waveform`] if the sampled band, the samples, the chirps or the unambiguous speed are out of the limits.
     pub(super) fn check_waveform(&self, waveform: &Waveform) -> Result<(), SpecError> {
-        let refused = |quantity, given: String, needed: String| Err(SpecError::Waveform { quantity, given, needed });
+        let out_of_limits =
+            |quantity, given: String, needed: String| Err(SpecError::Waveform { quantity, given, needed });
         let band_hz = waveform.sampled_bandwidth_hz();
         if !is_positive(band_hz) || band_hz < LEAST_SAMPLED_BAND_HZ {
-            return refused(
+            return out_of_limits(
                 "the sampled band",
                 format!("{:.3} GHz", band_hz * 1e-9),
                 format!("{:.3} GHz or more", LEAST_SAMPLED_BAND_HZ * 1e-9),
@@ -106,12 +112,16 @@ impl PhysicalAxes {
             ("the number of chirps of a frame", request.chirps_per_frame, LEAST_CHIRPS),
         ] {
             if !(least..=MOST_SAMPLES).contains(&given) {
-                return refused(quantity, given.to_string(), format!("{least} to {MOST_SAMPLES}"));
+                return out_of_limits(quantity, given.to_string(), format!("{least} to {MOST_SAMPLES}"));
             }
         }
         let speed = waveform.max_velocity_m_per_s();
         if !is_positive(speed) || !is_positive(waveform.max_range_m()) {
-            return refused("the unambiguous speed", format!("{speed} m/s"), "a finite speed above zero".to_owned());
+            return out_of_limits(
+                "the unambiguous speed",
+                format!("{speed} m/s"),
+                "a finite speed above zero".to_owned(),
+            );
         }
         Ok(())
     }
@@ -119,17 +129,17 @@ impl PhysicalAxes {
     /// Part of the axes that frames of a waveform measure, for axes and waveforms within the limits.
     pub fn coverage(&self, waveform: &Waveform) -> AxesCoverage {
         let request = &waveform.request;
-        let samples = transformed(request.samples_per_chirp, waveform.range_step_m(1) / self.range_step_m);
+        let samples = central_interval(request.samples_per_chirp, waveform.range_step_m(1) / self.range_step_m);
         let chirps =
-            transformed(request.chirps_per_frame, waveform.velocity_step_m_per_s(1) / self.velocity_step_m_per_s);
+            central_interval(request.chirps_per_frame, waveform.velocity_step_m_per_s(1) / self.velocity_step_m_per_s);
         // The end of the range axis is the Nyquist frequency, which an ordinary map does not have either. Velocities within half a
         // cell of the unambiguous speed belong to the cells at the ends.
-        let farthest = waveform.max_range_m() / self.range_step_m * (1.0 - ROUNDING);
-        let fastest = waveform.max_velocity_m_per_s() / self.velocity_step_m_per_s + 0.5;
+        let range_cells = waveform.max_range_m() / self.range_step_m * (1.0 - ROUNDING);
+        let velocity_cells = waveform.max_velocity_m_per_s() / self.velocity_step_m_per_s + 0.5;
         let zero = self.velocity_bins / 2;
-        let (below, above) = (fastest.floor() as usize, fastest.ceil() as usize);
+        let (below, above) = (velocity_cells.floor() as usize, velocity_cells.ceil() as usize);
         AxesCoverage {
-            range_bins: (farthest.ceil() as usize).max(1).min(self.range_bins),
+            range_bins: (range_cells.ceil() as usize).max(1).min(self.range_bins),
             velocity_bins: zero.saturating_sub(below)..zero.saturating_add(above).min(self.velocity_bins),
             range_resolution_m: waveform.range_step_m(samples.len()),
             velocity_resolution_m_per_s: waveform.velocity_step_m_per_s(chirps.len()),
@@ -149,13 +159,13 @@ fn is_positive(value: f64) -> bool {
     value.is_finite() && value > 0.0
 }
 
-fn is_length(bins: usize) -> bool {
+fn is_bin_count(bins: usize) -> bool {
     (2..=MOST_AXIS_BINS).contains(&bins)
 }
 
-/// Range of the fewest samples in the middle of `length` that resolve a step; `resolving` of them do.
-fn transformed(length: usize, resolving: f64) -> Range<usize> {
-    let count = ((resolving * (1.0 - ROUNDING)).ceil() as usize).max(LEAST_TRANSFORMED).min(length);
+/// Interval in the middle of `length` samples or chirps with the fewest of them that resolve a step: `needed`, rounded up.
+fn central_interval(length: usize, needed: f64) -> Range<usize> {
+    let count = ((needed * (1.0 - ROUNDING)).ceil() as usize).max(LEAST_TRANSFORMED).min(length);
     let first = (length - count) / 2;
     first..first + count
 }

@@ -47,8 +47,8 @@ impl Change {
                 *variance = (1.0 - alpha) * (*variance + alpha * square);
                 mean.iter_mut().zip(step).for_each(|(m, step)| *m += alpha * step);
             }
-            let still = mean[0] * mean[0] + mean[1] * mean[1];
-            let share = *variance / (*variance + still).max(f32::MIN_POSITIVE);
+            let static_power = mean[0] * mean[0] + mean[1] * mean[1];
+            let share = *variance / (*variance + static_power).max(f32::MIN_POSITIVE);
             let change = if square.is_finite() { *variance * share } else { square };
             *power = if adds { *power + change } else { change };
         }

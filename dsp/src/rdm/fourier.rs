@@ -1,7 +1,7 @@
 //! Maps of any size by `realfft` and `rustfft`; also maps with slow time across frames.
 //!
-//! The transforms are in f64. Beside a strong leakage line, f32 would be 0.02 dB off at -100 dBFS, and the sizes that come here
-//! are small or rare.
+//! The transforms are in f64. Beside a strong leakage line, f32 would be 0.02 dB off at -100 dBFS. Speed matters little, because
+//! these sizes are small or rare.
 
 use std::sync::Arc;
 
@@ -45,7 +45,7 @@ impl FourierTransform {
         };
         let bins = range_fft.bins();
         let zero = Complex64::new(0.0, 0.0);
-        let history = if plan.is_across_frames { plan.channels.len() * range * plan.slow_length } else { 0 };
+        let history = if plan.is_across_frames { plan.channels.len() * range * plan.slow_time_length } else { 0 };
         FourierTransform {
             doppler_window: plan.doppler_window.clone(),
             bins,
@@ -73,7 +73,7 @@ impl FourierTransform {
     }
 
     /// Computes the power of one channel `[chirp][sample]` into the map's cells.
-    pub(super) fn channel(&mut self, plan: &MapPlan, index: usize, samples: &[f32], cells: &mut [f32]) {
+    pub(super) fn transform_channel(&mut self, plan: &MapPlan, index: usize, samples: &[f32], cells: &mut [f32]) {
         let RdmShape { doppler, range, .. } = plan.shape;
         let chirp_length = plan.frame_shape.samples;
         for (block, chirps) in samples.chunks(BLOCK * chirp_length).enumerate() {
@@ -108,21 +108,21 @@ impl FourierTransform {
             mean.iter_mut().for_each(|m| *m *= factor);
             self.range_transform(mean, 0);
             for bin in 0..range {
-                self.history[(index * range + bin) * plan.slow_length + self.history_next] = self.spectra[bin];
+                self.history[(index * range + bin) * plan.slow_time_length + self.history_next] = self.spectra[bin];
             }
         }
-        self.history_next = (self.history_next + 1) % plan.slow_length;
-        self.history_frames = (self.history_frames + 1).min(plan.slow_length);
+        self.history_next = (self.history_next + 1) % plan.slow_time_length;
+        self.history_frames = (self.history_frames + 1).min(plan.slow_time_length);
         self.history_frames
     }
 
     /// Computes the power of one channel's window of frames into the map's cells.
-    pub(super) fn window(&mut self, plan: &MapPlan, index: usize, cells: &mut [f32]) {
+    pub(super) fn transform_window(&mut self, plan: &MapPlan, index: usize, cells: &mut [f32]) {
         let RdmShape { doppler, range, .. } = plan.shape;
         for bin in 0..range {
-            let row = (index * range + bin) * plan.slow_length;
-            let (newest, oldest) = self.history[row..row + plan.slow_length].split_at(self.history_next);
-            let target = &mut self.matrix[bin * doppler..bin * doppler + plan.slow_length];
+            let row = (index * range + bin) * plan.slow_time_length;
+            let (newest, oldest) = self.history[row..row + plan.slow_time_length].split_at(self.history_next);
+            let target = &mut self.matrix[bin * doppler..bin * doppler + plan.slow_time_length];
             target[..oldest.len()].copy_from_slice(oldest);
             target[oldest.len()..].copy_from_slice(newest);
         }
@@ -132,7 +132,7 @@ impl FourierTransform {
     /// Applies static removal, window and Doppler FFT to one channel's matrix, and computes its power.
     fn doppler_transform(&mut self, plan: &MapPlan, index: usize, cells: &mut [f32]) {
         let RdmShape { doppler, range, .. } = plan.shape;
-        let slow = plan.slow_length;
+        let slow = plan.slow_time_length;
         let adds = plan.adds(index);
         let half = doppler / 2;
         for first in (0..range).step_by(BLOCK) {

@@ -1,4 +1,4 @@
-//! Reference chain for benchmarks. It is in this crate because a program's commands are compiled without optimisation.
+//! Processing chain of libraries, for benchmarks. It is in this crate because the program's commands are compiled without optimisation.
 
 use std::sync::Arc;
 
@@ -60,9 +60,9 @@ impl LibraryChain {
                 for ((x, code), w) in self.samples.iter_mut().zip(codes).zip(window) {
                     *x = (f32::from(*code) - 2048.0) * w;
                 }
-                let done =
+                let result =
                     self.range.process_with_scratch(&mut self.samples, &mut self.spectrum, &mut self.range_scratch);
-                debug_assert!(done.is_ok(), "buffers have the planned lengths");
+                debug_assert!(result.is_ok(), "buffers have the planned lengths");
                 // A constant offset has one spectral line, a sine has two.
                 self.spectrum[0] *= 0.5;
                 for (bin, x) in self.spectrum[..bins].iter().enumerate() {

@@ -50,8 +50,8 @@ pub(super) struct PhysicalTransform {
     zero_weights: Vec<f32>,
     /// Whether each of the used channels gives a signal and enters the mean.
     alive: Vec<bool>,
-    /// Samples that stand for the lowest and the highest code.
-    ends: [f32; 2],
+    /// Samples of the lowest and the highest code.
+    code_limits: [f32; 2],
     unmeasured: UnmeasuredCells,
 }
 
@@ -108,7 +108,7 @@ impl PhysicalTransform {
             by_real: vec![0.0; 2 * range],
             by_imaginary: vec![0.0; 2 * range],
             alive: vec![true; plan.channels.len()],
-            ends: [0, MAX_CODE].map(|code| f32::from(code) * factor + offset),
+            code_limits: [0, MAX_CODE].map(|code| f32::from(code) * factor + offset),
             unmeasured: UnmeasuredCells::new(axes, range, &velocity),
             samples: coverage.samples,
             chirps: coverage.chirps,
@@ -119,14 +119,16 @@ impl PhysicalTransform {
         }
     }
 
-    /// Finds the receivers that give a signal, from all samples of the used channels before any removal.
-    pub(super) fn find_alive_by_samples(&mut self, plan: &MapPlan, samples: &[f32]) {
-        let (length, ends) = (plan.channel_length(), self.ends);
-        self.find_alive(plan, |rx| samples.chunks_exact(length).nth(rx).is_some_and(|channel| !is_dead(channel, ends)));
+    /// Sets the receivers that give a signal, from all samples of the used channels before any removal.
+    pub(super) fn set_alive_by_samples(&mut self, plan: &MapPlan, samples: &[f32]) {
+        let (length, limits) = (plan.channel_length(), self.code_limits);
+        self.set_alive(plan, |rx| {
+            samples.chunks_exact(length).nth(rx).is_some_and(|channel| !is_dead(channel, limits))
+        });
     }
 
     /// Sets the receivers that give a signal; all of them if none does. Only a mean over all receivers needs them.
-    pub(super) fn find_alive(&mut self, plan: &MapPlan, is_alive: impl Fn(usize) -> bool) {
+    pub(super) fn set_alive(&mut self, plan: &MapPlan, is_alive: impl Fn(usize) -> bool) {
         if !plan.is_sum {
             return;
         }
@@ -139,13 +141,13 @@ impl PhysicalTransform {
     }
 
     /// Computes the power of all used channels `[channel][chirp][sample]` into the map's cells.
-    pub(super) fn map(&mut self, plan: &MapPlan, samples: &[f32], sequence: u64, cells: &mut [f32]) {
+    pub(super) fn transform_frame(&mut self, plan: &MapPlan, samples: &[f32], sequence: u64, cells: &mut [f32]) {
         let mut adds = false;
         for (index, channel) in samples.chunks_exact(plan.channel_length()).enumerate() {
             if self.alive.get(index) == Some(&true) {
                 let cells = &mut cells[plan.cells(index)];
-                self.channel(plan, channel, adds, cells);
-                self.change_of(index, adds, &mut cells[self.zero.clone()]);
+                self.transform_channel(plan, channel, adds, cells);
+                self.write_change(index, adds, &mut cells[self.zero.clone()]);
                 adds = plan.is_sum;
             }
         }
@@ -162,13 +164,13 @@ impl PhysicalTransform {
         }
     }
 
-    /// Forgets the frames before.
+    /// Clears the state of change.
     pub(super) fn reset(&mut self) {
         self.change.iter_mut().for_each(Change::reset);
     }
 
     /// Writes the change of the channel in `spectra` into the cells of zero velocity, or adds it.
-    fn change_of(&mut self, index: usize, adds: bool, cells: &mut [f32]) {
+    fn write_change(&mut self, index: usize, adds: bool, cells: &mut [f32]) {
         if let Some(change) = self.change.get_mut(index) {
             weighted_sum(self.level, &self.zero_weights, &self.spectra, &mut self.by_real);
             let (real, imaginary) = self.by_real.split_at(self.range);
@@ -177,7 +179,7 @@ impl PhysicalTransform {
     }
 
     /// Writes the power of one channel `[chirp][sample]` into the measured cells, or adds it.
-    fn channel(&mut self, plan: &MapPlan, samples: &[f32], adds: bool, cells: &mut [f32]) {
+    fn transform_channel(&mut self, plan: &MapPlan, samples: &[f32], adds: bool, cells: &mut [f32]) {
         let chirps = samples.chunks_exact(plan.frame_shape.samples).skip(self.chirps.start);
         for (chirp, spectrum) in chirps.zip(self.spectra.chunks_exact_mut(2 * self.range)) {
             weighted_sum(self.level, &chirp[self.samples.clone()], &self.range_matrix, spectrum);
@@ -191,13 +193,14 @@ impl PhysicalTransform {
             let (real, imaginary) = weights.split_at(chirps);
             weighted_sum(self.level, real, &self.spectra, &mut self.by_real);
             weighted_sum(self.level, imaginary, &self.spectra, &mut self.by_imaginary);
-            // Real and imaginary part of the spectra, weighted first by the real part of the row, then by its imaginary
-            // part.
-            let (a, b) = self.by_real.split_at(self.range);
-            let (c, d) = self.by_imaginary.split_at(self.range);
+            let (re_by_re, im_by_re) = self.by_real.split_at(self.range);
+            let (re_by_im, im_by_im) = self.by_imaginary.split_at(self.range);
             let first = bin * plan.shape.range;
-            for ((((cell, a), b), c), d) in cells[first..first + self.range].iter_mut().zip(a).zip(b).zip(c).zip(d) {
-                let (re, im) = (a - d, b + c);
+            let cells = cells[first..first + self.range].iter_mut();
+            for ((((cell, re_by_re), im_by_re), re_by_im), im_by_im) in
+                cells.zip(re_by_re).zip(im_by_re).zip(re_by_im).zip(im_by_im)
+            {
+                let (re, im) = (re_by_re - im_by_im, im_by_re + re_by_im);
                 let power = re * re + im * im;
                 *cell = if adds { *cell + power } else { power };
             }
@@ -232,11 +235,13 @@ struct UnmeasuredCells {
     cells: Vec<usize>,
     range: usize,
     velocity: Range<usize>,
-    /// Power of each cell over the mean, and a draw for one receiver.
+    /// Power of each cell over the mean.
     power: Vec<f32>,
+    /// Random number of each cell for one receiver, later its level in dB.
     draw: Vec<f32>,
     /// Noise power by range bin.
     noise: Vec<f32>,
+    /// Buffer of the values of which a quantile is taken.
     sorted: Vec<f32>,
 }
 
@@ -273,15 +278,15 @@ impl UnmeasuredCells {
         self.noise[self.range..].fill(median);
 
         let [sequence, index] = key;
-        let key = split_mix_64(sequence ^ split_mix_64(index ^ PURPOSE));
+        let seed = split_mix_64(sequence ^ split_mix_64(index ^ PURPOSE));
         self.power.fill(0.0);
         for receiver in 0..receivers {
             for (draw, cell) in self.draw.iter_mut().zip(&self.cells) {
-                let bits = split_mix_64(key ^ split_mix_64((cell * MOST_RECEIVERS + receiver) as u64));
+                let bits = split_mix_64(seed ^ split_mix_64((cell * MOST_RECEIVERS + receiver) as u64));
                 // Above 0, up to 1, on a grid of 2^-24.
                 *draw = ((bits >> 40) + 1) as f32 / 16_777_216.0;
             }
-            // The logarithm of these is the same to the bit on every machine.
+            // The portable logarithm gives the same bits on every machine.
             power_to_db_portable(&mut self.draw, f32::MIN_POSITIVE);
             let share = std::f32::consts::LN_10 / 10.0 / receivers as f32;
             self.power.iter_mut().zip(&self.draw).for_each(|(power, draw)| *power -= share * draw);
@@ -292,7 +297,7 @@ impl UnmeasuredCells {
     }
 }
 
-/// Value below which one of `parts` parts of the values lies; 0 if there are none.
+/// Value below which the share `1 / parts` of the values lies; 0 if there are no values.
 fn quantile(values: &mut [f32], parts: usize) -> f32 {
     let index = values.len() / parts;
     if index >= values.len() {

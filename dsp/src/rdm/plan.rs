@@ -10,7 +10,7 @@ pub(super) struct MapPlan {
     pub frame_shape: FrameShape,
     pub shape: RdmShape,
     /// Samples of slow time in a map.
-    pub slow_length: usize,
+    pub slow_time_length: usize,
     pub range_fft_length: usize,
     /// Indices of the channels of the frame that are used.
     pub channels: std::ops::Range<usize>,
@@ -33,7 +33,7 @@ impl MapPlan {
     pub(super) fn new(spec: &RdmSpec, waveform: &Waveform) -> Result<Self, SpecError> {
         let shape = spec.shape(waveform)?;
         let frame_shape = waveform.shape();
-        let slow_length = spec.slow_time_length(waveform);
+        let slow_time_length = spec.slow_time_length(waveform);
         let channels = match spec.channels {
             Channels::One(index) => index..index + 1,
             Channels::All | Channels::IncoherentSum => 0..frame_shape.rx,
@@ -41,22 +41,22 @@ impl MapPlan {
         let is_sum = spec.channels == Channels::IncoherentSum;
         // On physical axes, only a part of the frame may be used.
         let coverage = spec.coverage(waveform);
-        let (samples, slow) =
-            coverage.map_or((frame_shape.samples, slow_length), |c| (c.samples.len(), c.chirps.len()));
+        let (samples, chirps) =
+            coverage.map_or((frame_shape.samples, slow_time_length), |c| (c.samples.len(), c.chirps.len()));
         let range_weights = spec.range_window.weights(samples);
-        let doppler_weights = spec.doppler_window.weights(slow);
+        let doppler_weights = spec.doppler_window.weights(chirps);
         let (range_norm, doppler_norm) = match spec.amplitude {
             AmplitudeScale::FullScaleSine => {
                 (2.0 / range_weights.iter().sum::<f64>(), 1.0 / doppler_weights.iter().sum::<f64>())
             }
             AmplitudeScale::Unnormalised => (1.0, 1.0),
-            AmplitudeScale::Vendor => (2.0 / samples as f64, 1.0 / slow as f64),
+            AmplitudeScale::Vendor => (2.0 / samples as f64, 1.0 / chirps as f64),
         };
         let share = if is_sum { (1.0 / channels.len() as f64).sqrt() } else { 1.0 };
         Ok(MapPlan {
             frame_shape,
             shape,
-            slow_length,
+            slow_time_length,
             range_fft_length: spec.range_fft_length.unwrap_or(frame_shape.samples),
             channels,
             scale: spec.scale.affine(),
@@ -75,7 +75,7 @@ impl MapPlan {
     }
 
     /// Range of the samples of the channels in use, within a frame.
-    pub(super) fn used(&self) -> std::ops::Range<usize> {
+    pub(super) fn used_samples(&self) -> std::ops::Range<usize> {
         self.channels.start * self.channel_length()..self.channels.end * self.channel_length()
     }
 

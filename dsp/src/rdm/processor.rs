@@ -114,7 +114,7 @@ impl RdmProcessor {
             uses_library_logarithm: false,
             samples: vec![0.0; codes],
             last_sequence: None,
-            source_start: plan.used().start,
+            source_start: plan.used_samples().start,
             background: vec![0.0; if is_recursive { codes } else { 0 }],
             has_background: false,
             plan,
@@ -209,14 +209,14 @@ impl RdmProcessor {
     ) -> Result<MapStatus, FrameMismatch> {
         FrameMismatch::check(received, self.plan.frame_shape)?;
         FrameMismatch::check(changed, self.plan.frame_shape)?;
-        let used = self.plan.used();
-        let codes = &changed.codes[self.begin(received)];
+        let used = self.plan.used_samples();
+        let codes = &changed.codes[self.start_frame(received)];
         let saturated = saturated_codes(self.level, codes);
         if let Transform::Lanes(lanes) = &mut self.transform
             && !matches!(self.spec.static_removal, StaticRemoval::RecursiveMti { .. })
         {
             let channels = codes.chunks_exact(self.plan.channel_length()).map(Input::Codes);
-            let cells = through_lanes(lanes, &self.plan, self.fused_floor, channels, &mut map.db);
+            let cells = transform_lanes(lanes, &self.plan, self.fused_floor, channels, &mut map.db);
             self.finish(received.sequence, saturated, cells, map);
             return Ok(MapStatus::Ready);
         }
@@ -225,8 +225,8 @@ impl RdmProcessor {
         for (x, code) in self.samples[used].iter_mut().zip(codes) {
             *x = f32::from(*code) * factor + offset;
         }
-        self.find_alive(received);
-        Ok(self.make_map(received.sequence, saturated, map))
+        self.exclude_dead_receivers(received);
+        Ok(self.compute_map(received.sequence, saturated, map))
     }
 
     /// Computes the map of a frame whose samples were changed, as [`process_changed`](Self::process_changed) does. `samples` are in
@@ -246,10 +246,10 @@ impl RdmProcessor {
     ) -> Result<MapStatus, FrameMismatch> {
         FrameMismatch::check(received, self.plan.frame_shape)?;
         FrameMismatch::check_length(received.sequence, samples.len(), self.plan.frame_shape)?;
-        let (used, source) = (self.plan.used(), self.begin(received));
+        let (used, source) = (self.plan.used_samples(), self.start_frame(received));
         self.samples[used].copy_from_slice(&samples[source]);
-        self.find_alive(received);
-        Ok(self.make_map(received.sequence, 0, map))
+        self.exclude_dead_receivers(received);
+        Ok(self.compute_map(received.sequence, 0, map))
     }
 
     /// Computes the map of samples that are already in the spec's scale, `[rx][chirp][sample]` of all channels. NaN and infinity
@@ -267,37 +267,36 @@ impl RdmProcessor {
         map: &mut Rdm,
     ) -> Result<MapStatus, FrameMismatch> {
         FrameMismatch::check_length(sequence, samples.len(), self.plan.frame_shape)?;
-        self.follow(sequence);
+        self.check_sequence(sequence);
         self.samples.copy_from_slice(samples);
         if let Transform::Physical(transform) = &mut self.transform {
-            transform.find_alive_by_samples(&self.plan, &self.samples[self.plan.used()]);
+            transform.set_alive_by_samples(&self.plan, &self.samples[self.plan.used_samples()]);
         }
-        Ok(self.make_map(sequence, 0, map))
+        Ok(self.compute_map(sequence, 0, map))
     }
 
-    /// Begins with a frame: resets the state if it does not belong to this frame. Returns the range of the frame's codes that the map
-    /// is computed from.
-    fn begin(&mut self, frame: &Frame) -> Range<usize> {
-        let source = self.source(frame);
-        if source.start != self.source_start {
+    /// Resets the state if it does not belong to this frame. Returns the range of the frame's codes that the map is computed from.
+    fn start_frame(&mut self, frame: &Frame) -> Range<usize> {
+        let codes = self.source_codes(frame);
+        if codes.start != self.source_start {
             // The state between frames is that of another receiver.
             self.reset();
-            self.source_start = source.start;
+            self.source_start = codes.start;
         }
-        self.follow(frame.sequence);
-        source
+        self.check_sequence(frame.sequence);
+        codes
     }
 
     /// Leaves receivers that give no signal in a frame out of a mean over receivers on physical axes.
-    fn find_alive(&mut self, frame: &Frame) {
+    fn exclude_dead_receivers(&mut self, frame: &Frame) {
         if let Transform::Physical(transform) = &mut self.transform {
-            transform.find_alive(&self.plan, |rx| !frame.is_receiver_dead(rx));
+            transform.set_alive(&self.plan, |rx| !frame.is_receiver_dead(rx));
         }
     }
 
     /// Range of the codes of a frame that the map is computed from, by [`Channels`].
-    fn source(&self, frame: &Frame) -> Range<usize> {
-        let used = self.plan.used();
+    fn source_codes(&self, frame: &Frame) -> Range<usize> {
+        let used = self.plan.used_samples();
         match self.spec.channels {
             Channels::One(index) if self.spec.physical_axes.is_some() && frame.is_receiver_dead(index) => {
                 let length = self.plan.channel_length();
@@ -308,16 +307,16 @@ impl RdmProcessor {
         }
     }
 
-    /// Resets the state if this frame does not follow the last one.
-    fn follow(&mut self, sequence: u64) {
+    /// Resets the state unless this sequence number is the one after the last.
+    fn check_sequence(&mut self, sequence: u64) {
         if self.last_sequence.is_some_and(|last| last.checked_add(1) != Some(sequence)) {
             self.reset();
         }
         self.last_sequence = Some(sequence);
     }
 
-    fn make_map(&mut self, sequence: u64, saturated_samples: u32, map: &mut Rdm) -> MapStatus {
-        let used = self.plan.used();
+    fn compute_map(&mut self, sequence: u64, saturated_samples: u32, map: &mut Rdm) -> MapStatus {
+        let used = self.plan.used_samples();
         if self.plan.removes_chirp_mean {
             for chirp in self.samples[used.clone()].chunks_exact_mut(self.plan.frame_shape.samples) {
                 let mean = (chirp.iter().map(|x| f64::from(*x)).sum::<f64>() / chirp.len() as f64) as f32;
@@ -331,28 +330,28 @@ impl RdmProcessor {
         if let Transform::Fourier(transform) = &mut self.transform
             && plan.is_across_frames
         {
-            let have = transform.push_frame(plan, samples);
-            if have < plan.slow_length {
-                return MapStatus::WarmingUp { have, need: plan.slow_length };
+            let frames = transform.push_frame(plan, samples);
+            if frames < plan.slow_time_length {
+                return MapStatus::WarmingUp { have: frames, need: plan.slow_time_length };
             }
             for index in 0..plan.channels.len() {
-                transform.window(plan, index, &mut map.db[plan.cells(index)]);
+                transform.transform_window(plan, index, &mut map.db[plan.cells(index)]);
             }
             return self.finish(sequence, saturated_samples, Cells::Power, map);
         }
         let channels = samples.chunks_exact(plan.channel_length());
         let cells = match &mut self.transform {
             Transform::Lanes(transform) => {
-                through_lanes(transform, plan, self.fused_floor, channels.map(Input::Samples), &mut map.db)
+                transform_lanes(transform, plan, self.fused_floor, channels.map(Input::Samples), &mut map.db)
             }
             Transform::Fourier(transform) => {
                 for (index, channel) in channels.enumerate() {
-                    transform.channel(plan, index, channel, &mut map.db[plan.cells(index)]);
+                    transform.transform_channel(plan, index, channel, &mut map.db[plan.cells(index)]);
                 }
                 Cells::Power
             }
             Transform::Physical(transform) => {
-                transform.map(plan, samples, sequence, &mut map.db);
+                transform.transform_frame(plan, samples, sequence, &mut map.db);
                 Cells::Power
             }
         };
@@ -360,7 +359,7 @@ impl RdmProcessor {
     }
 
     fn subtract_background(&mut self, alpha: f32) {
-        let used = self.plan.used();
+        let used = self.plan.used_samples();
         let (samples, background) = (&mut self.samples[used.clone()], &mut self.background[used]);
         if !self.has_background {
             // As in the vendor's examples, the first frame passes unsuppressed (h starts at zero).
@@ -401,7 +400,7 @@ enum Cells {
 }
 
 /// Computes all channels by the lane transform, to decibels unless channels are summed.
-fn through_lanes<'a>(
+fn transform_lanes<'a>(
     transform: &mut LaneTransform,
     plan: &MapPlan,
     floor_power: Option<f32>,
@@ -414,7 +413,7 @@ fn through_lanes<'a>(
             Some(floor_power) => Output::Decibels { floor_power },
             None => Output::Power { adds: plan.adds(index) },
         };
-        are_finite &= transform.channel(channel, output, &mut db[plan.cells(index)]);
+        are_finite &= transform.transform_channel(channel, output, &mut db[plan.cells(index)]);
     }
     if floor_power.is_some() { Cells::Decibels { are_finite } } else { Cells::Power }
 }

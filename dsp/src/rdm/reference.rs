@@ -48,11 +48,11 @@ fn channels(spec: &RdmSpec, waveform: &Waveform, frame: Option<&Frame>) -> Vec<u
     let all: Vec<usize> = (0..waveform.shape().rx).collect();
     let is_alive = |rx: &usize| !frame.is_some_and(|frame| frame.is_receiver_dead(*rx));
     let alive: Vec<usize> = all.iter().copied().filter(is_alive).collect();
-    let chooses = spec.physical_axes.is_some() && !alive.is_empty();
+    let replaces_dead = spec.physical_axes.is_some() && !alive.is_empty();
     match spec.channels {
-        Channels::One(index) if chooses && !alive.contains(&index) => alive.into_iter().take(1).collect(),
+        Channels::One(index) if replaces_dead && !alive.contains(&index) => alive.into_iter().take(1).collect(),
         Channels::One(index) => vec![index],
-        Channels::IncoherentSum if chooses => alive,
+        Channels::IncoherentSum if replaces_dead => alive,
         Channels::All | Channels::IncoherentSum => all,
     }
 }
@@ -101,7 +101,7 @@ impl<'a> Sums<'a> {
     fn new(spec: &'a RdmSpec, waveform: &'a Waveform) -> Result<Self, SpecError> {
         let shape = spec.shape(waveform)?;
         let (range_resolution_m, velocity_resolution_m_per_s) = spec.steps(waveform);
-        let whole = AxesCoverage {
+        let all = AxesCoverage {
             samples: 0..waveform.shape().samples,
             chirps: 0..spec.slow_time_length(waveform),
             range_bins: shape.range,
@@ -109,7 +109,7 @@ impl<'a> Sums<'a> {
             range_resolution_m,
             velocity_resolution_m_per_s,
         };
-        let coverage = spec.coverage(waveform).unwrap_or(whole);
+        let coverage = spec.coverage(waveform).unwrap_or(all);
         let range_window = spec.range_window.weights(coverage.samples.len());
         let doppler_window = spec.doppler_window.weights(coverage.chirps.len());
         Ok(Sums { spec, waveform, shape, coverage, range_window, doppler_window })
@@ -152,11 +152,11 @@ impl<'a> Sums<'a> {
     /// Range bin `k` of each transformed chirp.
     fn profile(&self, slow_time: &[Vec<f64>], k: usize) -> Vec<Complex64> {
         let AxesCoverage { samples, chirps, .. } = &self.coverage;
-        let of_chirp = |row: &Vec<f64>| {
+        let bin_of_chirp = |row: &Vec<f64>| {
             let terms = row[samples.clone()].iter().zip(&self.range_window).enumerate();
             terms.map(|(s, (v, w))| Complex64::from_polar(v * w, -TAU * self.range_cycles(k, s))).sum()
         };
-        slow_time.iter().take(chirps.end).skip(chirps.start).map(of_chirp).collect()
+        slow_time.iter().take(chirps.end).skip(chirps.start).map(bin_of_chirp).collect()
     }
 
     /// Phase of range bin `k` at sample `s`, in cycles.

@@ -4,13 +4,13 @@ use crate::{MAX_CODE, dispatch};
 
 dispatch! {
     /// Number of codes that are 0, or [`MAX_CODE`] or above (the chip cannot send more).
-    pub(super) fn saturated_codes(codes: &[u16]) -> u32 = count
+    pub(super) fn saturated_codes(codes: &[u16]) -> u32 = count_saturated
 }
 
 #[inline(always)]
-fn count<const FUSED: bool>(codes: &[u16]) -> u32 {
+fn count_saturated<const FUSED: bool>(codes: &[u16]) -> u32 {
     let mut total = 0;
-    // Sums of 16 bits are as wide as the codes; a chunk cannot overflow them.
+    // Sums of 16 bits fill as many vector lanes as codes do. A chunk is too short to overflow them.
     for chunk in codes.chunks(4096) {
         let mut sum = 0u16;
         for code in chunk {

@@ -206,8 +206,8 @@ impl RdmSpec {
         }
     }
 
-    /// Returns whether the receivers that a map of this frame needs give a signal. On physical axes, one of them is enough: the
-    /// others are left out. Elsewhere a map shows a dead receiver as echoes, or as nothing.
+    /// Returns whether the receivers that a map of this frame needs give a signal. On physical axes one receiver is enough, because
+    /// the others are left out. Other maps would show a dead receiver as echoes, or as nothing.
     pub fn has_signal(&self, frame: &Frame) -> bool {
         let is_alive = |rx: usize| !frame.is_receiver_dead(rx);
         match self.channels {

@@ -65,12 +65,12 @@ fn levels() -> impl Iterator<Item = KernelLevel> {
     KernelLevel::ALL.into_iter().filter(|level| level.is_available())
 }
 
-/// A processor for each level that this machine has, and one that goes through `realfft` whatever the size.
+/// A processor for each level that this machine has, and one that uses `realfft` for every size.
 fn processors(spec: &RdmSpec, waveform: &Waveform) -> Vec<RdmProcessor> {
     let at = |level| RdmProcessor::with_kernel(spec, waveform, level).expect("spec fits");
-    let mut general = at(KernelLevel::detect());
-    general.use_realfft();
-    levels().map(at).chain([general]).collect()
+    let mut realfft = at(KernelLevel::detect());
+    realfft.use_realfft();
+    levels().map(at).chain([realfft]).collect()
 }
 
 fn name(processor: &RdmProcessor) -> String {
@@ -169,22 +169,22 @@ fn a_constant_of_full_scale_reads_6_db_in_the_vendors_scale() {
 }
 
 #[test]
-fn a_dead_receiver_counts_where_the_map_needs_it() {
+fn a_dead_receiver_matters_where_the_map_needs_it() {
     let w = waveform(3, 16, 32);
     let spec = |channels| RdmSpec { channels, ..RdmSpec::default() };
     let axes = PhysicalAxes { range_step_m: 0.1, range_bins: 8, velocity_step_m_per_s: 0.1, velocity_bins: 8 };
     let axes = RdmSpec { physical_axes: Some(axes), ..spec(Channels::IncoherentSum) };
     let mut frame = busy_frame(w.shape(), 1);
-    let seen = |frame: &Frame| {
+    let have_signal = |frame: &Frame| {
         [spec(Channels::One(0)), spec(Channels::One(1)), spec(Channels::All), spec(Channels::IncoherentSum), axes]
             .map(|spec| spec.has_signal(frame))
     };
-    assert_eq!(seen(&frame), [true; 5]);
+    assert_eq!(have_signal(&frame), [true; 5]);
     let length = frame.shape.chirps * frame.shape.samples;
     frame.codes[length..2 * length].fill(2048);
-    assert_eq!(seen(&frame), [true, false, false, false, true]);
+    assert_eq!(have_signal(&frame), [true, false, false, false, true]);
     frame.codes.fill(2048);
-    assert_eq!(seen(&frame), [false; 5]);
+    assert_eq!(have_signal(&frame), [false; 5]);
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn maps_over_frames_agree_with_the_formula_in_f64() {
         static_removal: StaticRemoval::SlowTimeMean,
         ..RdmSpec::default()
     };
-    // More frames than the window: the ring has turned.
+    // More frames than the window, so that the ring buffer wraps.
     let frames: Vec<Frame> = (0..19).map(|s| busy_frame(w.shape(), s)).collect();
     let mut processor = RdmProcessor::new(&spec, &w).expect("spec fits");
     let mut map = processor.empty_map();

@@ -28,15 +28,15 @@ impl RangeFft {
     /// Plans an FFT of `length` points for chirps of as many samples as the window has weights. The library chooses the
     /// instructions.
     pub(crate) fn new(window: Vec<f64>, length: usize) -> Self {
-        Self::with(Transform::Real(real_fft(length)), window, length)
+        Self::with_transform(Transform::Real(real_fft(length)), window, length)
     }
 
     /// Plans the FFT with scalar instructions, so that different machines agree.
     pub(crate) fn scalar(window: Vec<f64>, length: usize) -> Self {
-        Self::with(Transform::Scalar(FftPlannerScalar::new().plan_fft_forward(length)), window, length)
+        Self::with_transform(Transform::Scalar(FftPlannerScalar::new().plan_fft_forward(length)), window, length)
     }
 
-    fn with(transform: Transform, window: Vec<f64>, length: usize) -> Self {
+    fn with_transform(transform: Transform, window: Vec<f64>, length: usize) -> Self {
         let scratch = match &transform {
             Transform::Real(fft) => fft.get_scratch_len(),
             Transform::Scalar(fft) => fft.get_inplace_scratch_len(),
@@ -77,12 +77,12 @@ impl RangeFft {
     }
 
     fn transform_input(&mut self, spectrum: &mut [Complex64]) {
-        // The transform uses its input as scratch.
+        // The last transform overwrote the padding: it uses its input as scratch.
         self.input[self.window.len()..].fill(0.0);
         match &self.transform {
             Transform::Real(fft) => {
-                let planned = fft.process_with_scratch(&mut self.input, spectrum, &mut self.scratch);
-                debug_assert!(planned.is_ok(), "buffers have the planned lengths");
+                let result = fft.process_with_scratch(&mut self.input, spectrum, &mut self.scratch);
+                debug_assert!(result.is_ok(), "buffers have the planned lengths");
             }
             Transform::Scalar(fft) => {
                 spectrum.iter_mut().zip(&self.input).for_each(|(y, x)| *y = Complex64::new(*x, 0.0));

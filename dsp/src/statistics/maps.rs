@@ -98,14 +98,15 @@ impl CellHistogram {
         if self.count == 0 || other.count == 0 {
             return None;
         }
-        let (whole_a, whole_b) = (self.count as f64, other.count as f64);
-        let (mut a, mut b, mut greatest, mut area) = (0u64, 0u64, 0f64, 0.0);
-        for (in_a, in_b) in self.counts.iter().zip(&other.counts) {
-            a += in_a;
-            b += in_b;
-            let apart = (a as f64 / whole_a - b as f64 / whole_b).abs();
-            greatest = greatest.max(apart);
-            area += apart * STEP_DB;
+        let (total_a, total_b) = (self.count as f64, other.count as f64);
+        let (mut below_a, mut below_b, mut greatest, mut area) = (0u64, 0u64, 0f64, 0.0);
+        for (count_a, count_b) in self.counts.iter().zip(&other.counts) {
+            below_a += count_a;
+            below_b += count_b;
+            // Difference of the cumulative distributions.
+            let difference = (below_a as f64 / total_a - below_b as f64 / total_b).abs();
+            greatest = greatest.max(difference);
+            area += difference * STEP_DB;
         }
         Some(CellDistance {
             mean_db: other.mean_db() - self.mean_db(),
@@ -134,17 +135,21 @@ pub struct MapStatistics {
     pub target: CellHistogram,
     /// Cells of zero Doppler of maps without static removal.
     pub zero_doppler: CellHistogram,
-    /// Moments of the cells beside zero Doppler, by range bin.
-    beside: Vec<Moments>,
+    /// Moments of the cells off zero Doppler, by range bin.
+    off_zero_doppler: Vec<Moments>,
     /// Power of each Doppler row.
     doppler: Vec<f64>,
     /// Power of each range column.
     range: Vec<f64>,
 }
 
-/// Count, sum and sum of squares.
+/// Count, sum and sum of squares of levels in dB.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Moments([f64; 3]);
+struct Moments {
+    count: f64,
+    sum: f64,
+    squares: f64,
+}
 
 /// Differences between the statistics of two sets of maps.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -176,10 +181,10 @@ impl MapStatistics {
         let (doppler, range) = (map.shape.doppler, map.shape.range);
         self.doppler.resize(doppler, 0.0);
         self.range.resize(range, 0.0);
-        self.beside.resize(range, Moments::default());
+        self.off_zero_doppler.resize(range, Moments::default());
         for (row, cells) in map.db.chunks(range.max(1)).skip(rx * doppler).take(doppler).enumerate() {
             // Static removal removes noise too, within the main lobe of the window over slow time.
-            let is_beside = row.abs_diff(doppler / 2) > 1;
+            let is_off_zero_doppler = row.abs_diff(doppler / 2) > 1;
             for (bin, &cell) in cells.iter().enumerate().skip(regions.first_bin).filter(|(_, cell)| cell.is_finite()) {
                 let cell = f64::from(cell);
                 let power = 10f64.powf(0.1 * cell);
@@ -189,11 +194,11 @@ impl MapStatistics {
                 if regions.target.contains(&bin) {
                     self.target.add(cell);
                 }
-                if is_beside {
-                    let Moments([count, sum, squares]) = &mut self.beside[bin];
-                    *count += 1.0;
-                    *sum += cell;
-                    *squares += cell * cell;
+                if is_off_zero_doppler {
+                    let moments = &mut self.off_zero_doppler[bin];
+                    moments.count += 1.0;
+                    moments.sum += cell;
+                    moments.squares += cell * cell;
                 }
             }
         }
@@ -211,9 +216,11 @@ impl MapStatistics {
         self.all.merge(&other.all);
         self.target.merge(&other.target);
         self.zero_doppler.merge(&other.zero_doppler);
-        self.beside.resize(self.beside.len().max(other.beside.len()), Moments::default());
-        for (Moments(mine), Moments(others)) in self.beside.iter_mut().zip(&other.beside) {
-            mine.iter_mut().zip(others).for_each(|(a, b)| *a += b);
+        self.off_zero_doppler.resize(self.off_zero_doppler.len().max(other.off_zero_doppler.len()), Moments::default());
+        for (mine, others) in self.off_zero_doppler.iter_mut().zip(&other.off_zero_doppler) {
+            mine.count += others.count;
+            mine.sum += others.sum;
+            mine.squares += others.squares;
         }
         for (mine, others) in [(&mut self.doppler, &other.doppler), (&mut self.range, &other.range)] {
             mine.resize(mine.len().max(others.len()), 0.0);
@@ -221,14 +228,14 @@ impl MapStatistics {
         }
     }
 
-    /// Share and excess of the cells above noise, from the mean and variance of all cells beside zero Doppler. `noise_db` is the mean
+    /// Share and excess of the cells above noise, from the mean and variance of all cells off zero Doppler. `noise_db` is the mean
     /// noise power by range bin, dB. `None` if nothing exceeds the noise.
     pub fn raised(&self, noise_db: &[f64]) -> Option<RaisedCells> {
         let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
-        for (Moments([n, cells, square]), noise) in self.beside.iter().zip(noise_db) {
-            count += n;
-            sum += cells - n * noise;
-            squares += square - 2.0 * noise * cells + n * noise * noise;
+        for (bin, noise) in self.off_zero_doppler.iter().zip(noise_db) {
+            count += bin.count;
+            sum += bin.sum - bin.count * noise;
+            squares += bin.squares - 2.0 * noise * bin.sum + bin.count * noise * noise;
         }
         let mean = sum / count - NOISE_MEAN_DB;
         let variance = squares / count - (sum / count).powi(2) - NOISE_VARIANCE_DB2;
@@ -254,11 +261,12 @@ impl MapStatistics {
 
 /// Wasserstein distance between two profiles of the same length, each as a distribution over its cells.
 fn profile_distance(a: &[f64], b: &[f64]) -> f64 {
-    let (whole_a, whole_b) = (a.iter().sum::<f64>(), b.iter().sum::<f64>());
-    let (mut apart, mut distance) = (0.0, 0.0);
+    let (total_a, total_b) = (a.iter().sum::<f64>(), b.iter().sum::<f64>());
+    let (mut difference, mut distance) = (0.0, 0.0);
     for (x, y) in a.iter().zip(b) {
-        apart += x / whole_a - y / whole_b;
-        distance += f64::abs(apart);
+        // Difference of the cumulative distributions.
+        difference += x / total_a - y / total_b;
+        distance += f64::abs(difference);
     }
     distance
 }
@@ -275,46 +283,46 @@ mod tests {
     }
 
     #[test]
-    fn a_shift_is_its_own_distance() {
-        let of = |shift: f64, step: usize| {
+    fn shifted_cells_are_as_far_apart_as_the_shift() {
+        let shifted = |shift: f64, step: usize| {
             cells((0..1000).step_by(step).map(|i| f64::from(i as u32) * 0.01 + 0.003 + shift))
         };
-        let far = of(0.0, 1).distance_to(&of(2.0, 1)).expect("cells");
+        let far = shifted(0.0, 1).distance_to(&shifted(2.0, 1)).expect("cells");
         assert!((far.wasserstein_db - 2.0).abs() < 1e-4 && (far.mean_db - 2.0).abs() < 1e-9, "{far:?}");
         assert!((far.kolmogorov_smirnov - 0.2).abs() < 6e-3 && far.sigma_db.abs() < 1e-9, "{far:?}");
-        let same = of(0.0, 1).distance_to(&of(0.0, 1)).expect("cells");
+        let same = shifted(0.0, 1).distance_to(&shifted(0.0, 1)).expect("cells");
         assert_eq!((same.kolmogorov_smirnov, same.wasserstein_db), (0.0, 0.0));
-        // Of other lengths.
-        assert!(of(0.0, 1).distance_to(&of(0.0, 2)).expect("cells").wasserstein_db < 0.01);
-        assert_eq!(of(0.0, 1).distance_to(&CellHistogram::default()), None);
+        // Sets of different sizes.
+        assert!(shifted(0.0, 1).distance_to(&shifted(0.0, 2)).expect("cells").wasserstein_db < 0.01);
+        assert_eq!(shifted(0.0, 1).distance_to(&CellHistogram::default()), None);
     }
 
     #[test]
-    fn power_that_moves_by_cells_is_that_far_apart() {
+    fn the_distance_of_profiles_is_their_shift_in_cells() {
         let mut a = vec![0.0; 32];
         let mut b = a.clone();
         (a[4], b[9]) = (3.0, 7.0);
         assert!((profile_distance(&a, &b) - 5.0).abs() < 1e-12);
     }
 
-    /// Exponential noise of which every twentieth cell is nine decibels up: both numbers come back, and none without.
+    /// Exponential noise with every twentieth cell raised by 9 dB: share and excess are recovered. Plain noise gives neither.
     #[test]
-    fn what_is_raised_is_found_again() {
+    fn raised_cells_are_recovered() {
         let waveform = Waveform::realise(WaveformRequest::paper()).expect("a waveform");
         let mut map = RdmProcessor::new(&RdmSpec::default(), &waveform).expect("a processor").empty_map();
         let regions = Regions { first_bin: 3, target: 10..13 };
         let noise_db = vec![-60.0; map.shape.range];
         let (mut plain, mut raised, mut halves) =
             (MapStatistics::default(), MapStatistics::default(), MapStatistics::default());
-        for (sample, step) in [(&mut plain, usize::MAX), (&mut raised, 20)] {
+        for (statistics, step) in [(&mut plain, usize::MAX), (&mut raised, 20)] {
             for (i, cell) in map.db.iter_mut().enumerate() {
                 // Golden-ratio sequence: even over 0..1.
                 let u = ((i + 1) as f64 * 0.618_033_988_749_895).fract();
                 let up = if i % step == step - 1 { 9.0 } else { 0.0 };
                 *cell = (-60.0 + 10.0 * (-(1.0 - u).ln()).log10() + up) as f32;
             }
-            sample.add(&map, 0, &regions);
-            sample.add_zero_doppler(&map, 0, &regions);
+            statistics.add(&map, 0, &regions);
+            statistics.add_zero_doppler(&map, 0, &regions);
         }
         assert!((plain.all.sigma_db() - 5.57).abs() < 0.02, "{}", plain.all.sigma_db());
         let none = plain.raised(&noise_db);
@@ -335,7 +343,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn what_is_no_number_is_left_out_and_what_is_beyond_counts_at_the_end() {
+        fn non_finite_levels_are_left_out_and_levels_beyond_the_ends_count_there() {
             let odd = cells([f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -400.0, 300.0]);
             assert_eq!(odd.count(), 2);
             assert_eq!(odd.mean_db(), -50.0);

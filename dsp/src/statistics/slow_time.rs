@@ -42,9 +42,9 @@ pub struct SlowTimeStatistics {
     last_sequence: u64,
     windows: usize,
     /// Sum of the static power over windows, `[rx][bin]`.
-    still: Vec<f64>,
+    static_power: Vec<f64>,
     /// Sum of the moving power over windows, `[rx][bin]`.
-    moving: Vec<f64>,
+    moving_power: Vec<f64>,
     /// Sum of the changes of the static echo over windows, `[rx][bin]`.
     changes: Vec<StaticChanges>,
     breath_hz: Vec<f64>,
@@ -90,8 +90,8 @@ impl SlowTimeStatistics {
             profiles: Vec::new(),
             last_sequence: 0,
             windows: 0,
-            still: vec![0.0; cells],
-            moving: vec![0.0; cells],
+            static_power: vec![0.0; cells],
+            moving_power: vec![0.0; cells],
             changes: vec![StaticChanges::default(); cells],
             breath_hz: Vec::new(),
         }
@@ -108,15 +108,15 @@ impl SlowTimeStatistics {
         }
         self.last_sequence = frame.sequence;
         let factor = self.fft.full_scale_factor();
-        let (mut chirp, mut spectrum) = (vec![0.0; shape.samples], vec![Complex64::default(); self.fft.bins()]);
-        let mut profile = Vec::with_capacity(self.still.len());
+        let (mut chirp_sum, mut spectrum) = (vec![0.0; shape.samples], vec![Complex64::default(); self.fft.bins()]);
+        let mut profile = Vec::with_capacity(self.static_power.len());
         for codes in frame.codes.chunks(shape.chirps * shape.samples) {
-            chirp.fill(0.0);
-            for one in codes.chunks(shape.samples) {
-                chirp.iter_mut().zip(one).for_each(|(sum, &code)| *sum += f64::from(code));
+            chirp_sum.fill(0.0);
+            for chirp in codes.chunks(shape.samples) {
+                chirp_sum.iter_mut().zip(chirp).for_each(|(sum, &code)| *sum += f64::from(code));
             }
-            // The sum of all chirps becomes their mean.
-            self.fft.transform_codes(chirp.iter().copied(), |x| x * factor / shape.chirps as f64, &mut spectrum);
+            // The scale turns the sum of the chirps into their mean.
+            self.fft.transform_codes(chirp_sum.iter().copied(), |x| x * factor / shape.chirps as f64, &mut spectrum);
             profile.extend(spectrum.iter().take(shape.samples / 2));
         }
         self.profiles.push(profile);
@@ -133,44 +133,44 @@ impl SlowTimeStatistics {
         }
         let count = profiles.len() as f64;
         let mean = |cell: usize| profiles.iter().map(|p| p[cell]).sum::<Complex64>() / count;
-        let mut strongest = (0.0, None);
+        let (mut strongest_power, mut strongest_cell) = (0.0, None);
         let first = self.first_bin();
-        for cell in 0..self.still.len() {
-            let still = mean(cell);
-            let moving = profiles.iter().map(|p| (p[cell] - still).norm_sqr()).sum::<f64>() / count;
-            self.still[cell] += still.norm_sqr();
-            self.moving[cell] += moving;
-            self.add_changes(&profiles, cell, still.norm());
-            if moving > strongest.0 && cell % self.bins() >= first {
-                strongest = (moving, Some(cell));
+        for cell in 0..self.static_power.len() {
+            let static_echo = mean(cell);
+            let moving_power = profiles.iter().map(|p| (p[cell] - static_echo).norm_sqr()).sum::<f64>() / count;
+            self.static_power[cell] += static_echo.norm_sqr();
+            self.moving_power[cell] += moving_power;
+            self.add_changes(&profiles, cell, static_echo.norm());
+            if moving_power > strongest_power && cell % self.bins() >= first {
+                (strongest_power, strongest_cell) = (moving_power, Some(cell));
             }
         }
         self.windows += 1;
-        if let Some(cell) = strongest.1 {
+        if let Some(cell) = strongest_cell {
             let series: Vec<Complex64> = profiles.iter().map(|p| p[cell]).collect();
-            self.breath_hz.extend(swing_hz(&series, self.waveform.frame_interval_s()));
+            self.breath_hz.extend(oscillation_rate_hz(&series, self.waveform.frame_interval_s()));
         }
     }
 
-    /// Adds the changes of one cell over a window.
-    fn add_changes(&mut self, profiles: &[Vec<Complex64>], cell: usize, level: f64) {
+    /// Adds the changes of one cell over a window, in which its static echo has the given amplitude.
+    fn add_changes(&mut self, profiles: &[Vec<Complex64>], cell: usize, static_amplitude: f64) {
         let interval_s = self.waveform.frame_interval_s();
-        let second = ((1.0 / interval_s).round() as usize).clamp(1, profiles.len() / 2);
+        let frames_per_second = ((1.0 / interval_s).round() as usize).clamp(1, profiles.len() / 2);
         let (mut phase, mut amplitude) = (0.0, 0.0);
         for pair in profiles.windows(2) {
             let [a, b] = [pair[0][cell], pair[1][cell]];
             phase += (b * a.conj()).arg().powi(2);
-            amplitude += ((b.norm() - a.norm()) / level).powi(2);
+            amplitude += ((b.norm() - a.norm()) / static_amplitude).powi(2);
         }
-        // Means over a second, so that jitter does not count as drift.
+        // Sums over a second at both ends, so that jitter does not count as drift.
         let sum = |part: &[Vec<Complex64>]| part.iter().map(|p| p[cell]).sum::<Complex64>();
-        let (first, last) = (sum(&profiles[..second]), sum(&profiles[profiles.len() - second..]));
-        let apart_s = (profiles.len() - second) as f64 * interval_s;
+        let (first, last) = (sum(&profiles[..frames_per_second]), sum(&profiles[profiles.len() - frames_per_second..]));
+        let span_s = (profiles.len() - frames_per_second) as f64 * interval_s;
         let steps = 2.0 * (profiles.len() - 1) as f64;
         let changes = &mut self.changes[cell];
         changes.phase_rad2 += phase / steps;
         changes.amplitude += amplitude / steps;
-        changes.drift_rad2_per_10s += (last * first.conj()).arg().powi(2) * 10.0 / apart_s;
+        changes.drift_rad2_per_10s += (last * first.conj()).arg().powi(2) * 10.0 / span_s;
     }
 
     /// Number of range bins of a profile.
@@ -186,13 +186,13 @@ impl SlowTimeStatistics {
     /// Mean static power of a range bin over windows, relative to a full-scale sine; `None` before the end of the first window, and
     /// if there is no such bin.
     pub fn still(&self, rx: usize, bin: usize) -> Option<f64> {
-        self.cell(&self.still, rx, bin)
+        self.mean_over_windows(&self.static_power, rx, bin)
     }
 
     /// Mean moving power of a range bin over windows, relative to a full-scale sine; `None` before the end of the first window, and
     /// if there is no such bin.
     pub fn moving(&self, rx: usize, bin: usize) -> Option<f64> {
-        self.cell(&self.moving, rx, bin)
+        self.mean_over_windows(&self.moving_power, rx, bin)
     }
 
     /// Changes of the static echo of a range bin, mean of the windows; `None` before the end of the first window, and if there is no
@@ -207,9 +207,9 @@ impl SlowTimeStatistics {
         })
     }
 
-    fn cell(&self, of: &[f64], rx: usize, bin: usize) -> Option<f64> {
-        let value = of.get(rx * self.bins() + bin).filter(|_| bin < self.bins() && self.windows > 0)?;
-        Some(value / self.windows as f64)
+    fn mean_over_windows(&self, sums: &[f64], rx: usize, bin: usize) -> Option<f64> {
+        let sum = sums.get(rx * self.bins() + bin).filter(|_| bin < self.bins() && self.windows > 0)?;
+        Some(sum / self.windows as f64)
     }
 
     /// Strongest line; `None` if no bin exceeds the median by enough.
@@ -244,43 +244,48 @@ impl SlowTimeStatistics {
 
 /// Rate of the strongest oscillation of a phase about the centre of the circle that a series follows, Hz. `None` if the series is
 /// too short, or lies on a line.
-fn swing_hz(series: &[Complex64], interval_s: f64) -> Option<f64> {
+fn oscillation_rate_hz(series: &[Complex64], interval_s: f64) -> Option<f64> {
     let span_s = series.len() as f64 * interval_s;
-    let (least, most) = (BREATH_HZ.0.max(1.5 / span_s), BREATH_HZ.1.min(0.4 / interval_s));
-    if series.len() < 16 || least >= most {
+    let (lowest_hz, highest_hz) = (BREATH_HZ.0.max(1.5 / span_s), BREATH_HZ.1.min(0.4 / interval_s));
+    if series.len() < 16 || lowest_hz >= highest_hz {
         return None;
     }
     let centre = circle_centre(series)?;
     let mut phase = Vec::with_capacity(series.len());
-    let (mut last, mut turned) = (0.0, 0.0);
+    let (mut last_angle, mut unwrapped) = (0.0, 0.0);
     for z in series {
         let angle = (z - centre).arg();
-        let step: f64 = angle - last;
-        turned += step - std::f64::consts::TAU * (step / std::f64::consts::TAU).round();
-        last = angle;
-        phase.push(turned);
+        let step: f64 = angle - last_angle;
+        unwrapped += step - std::f64::consts::TAU * (step / std::f64::consts::TAU).round();
+        last_angle = angle;
+        phase.push(unwrapped);
     }
     // The phase less its linear trend, windowed.
     let n = phase.len() as f64;
     let mean = phase.iter().sum::<f64>() / n;
     let middle = 0.5 * (n - 1.0);
-    let (mut along, mut square) = (0.0, 0.0);
+    let (mut covariance, mut variance) = (0.0, 0.0);
     for (i, y) in phase.iter().enumerate() {
         let x = i as f64 - middle;
-        along += x * (y - mean);
-        square += x * x;
+        covariance += x * (y - mean);
+        variance += x * x;
     }
-    let slope = along / square;
-    let taper = Window::Hann.weights(phase.len());
-    let swing: Vec<f64> = (phase.iter().zip(&taper).enumerate())
+    let slope = covariance / variance;
+    let window = Window::Hann.weights(phase.len());
+    let detrended: Vec<f64> = (phase.iter().zip(&window).enumerate())
         .map(|(i, (y, w))| (y - mean - slope * (i as f64 - middle)) * w)
         .collect();
     let power = |hz: f64| {
-        let turn = -std::f64::consts::TAU * hz * interval_s;
-        swing.iter().enumerate().map(|(i, x)| Complex64::from_polar(*x, turn * i as f64)).sum::<Complex64>().norm_sqr()
+        let radians_per_frame = -std::f64::consts::TAU * hz * interval_s;
+        detrended
+            .iter()
+            .enumerate()
+            .map(|(i, x)| Complex64::from_polar(*x, radians_per_frame * i as f64))
+            .sum::<Complex64>()
+            .norm_sqr()
     };
-    let steps = ((most - least) / BREATH_STEP_HZ) as usize;
-    let rates = (0..=steps).map(|i| least + i as f64 * BREATH_STEP_HZ);
+    let steps = ((highest_hz - lowest_hz) / BREATH_STEP_HZ) as usize;
+    let rates = (0..=steps).map(|i| lowest_hz + i as f64 * BREATH_STEP_HZ);
     rates.map(|hz| (hz, power(hz))).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(hz, _)| hz)
 }
 
@@ -321,8 +326,8 @@ mod tests {
         Waveform::realise(request).expect("a waveform")
     }
 
-    /// Frames of an echo of an amplitude, LSB, at a range that changes with time, beside one that stands still.
-    fn frames(count: u64, amplitude: f64, range_m: impl Fn(f64) -> f64) -> Vec<Frame> {
+    /// Frames of an echo at a range that changes with time, beside a static echo.
+    fn frames(count: u64, amplitude_lsb: f64, range_m: impl Fn(f64) -> f64) -> Vec<Frame> {
         let w = waveform();
         let shape = w.shape();
         let frame = |sequence: u64| {
@@ -337,7 +342,7 @@ mod tests {
                 let mixed = (i as u64 + 1_000_003 * sequence).wrapping_mul(0x9e37_79b9_7f4a_7c15);
                 let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
                 let dither = (mixed >> 40) as f64 / (1u64 << 24) as f64 - 0.5;
-                let x = 2048.0 + amplitude * (std::f64::consts::TAU * cycles).cos() + still + dither;
+                let x = 2048.0 + amplitude_lsb * (std::f64::consts::TAU * cycles).cos() + still + dither;
                 *code = (x + 0.5) as u16;
             }
             frame
@@ -345,19 +350,19 @@ mod tests {
         (0..count).map(frame).collect()
     }
 
-    fn seen(frames: &[Frame]) -> SlowTimeStatistics {
+    fn statistics_of(frames: &[Frame]) -> SlowTimeStatistics {
         let mut slow_time = SlowTimeStatistics::new(&waveform(), 10.0);
         frames.iter().for_each(|frame| slow_time.push(frame));
         slow_time.end();
         slow_time
     }
 
-    /// A chest that goes to and fro by several waves, and one that does by a part of one: level, range and rate.
+    /// A chest that moves by several wavelengths, and one that moves by a fraction of one.
     #[test]
-    fn who_breathes_shows_where_how_strongly_and_how_often() {
+    fn breathing_gives_level_range_and_rate() {
         for (swing_m, hz) in [(4e-3, 0.25), (0.25e-3, 0.3)] {
             let breath = |t: f64| 0.5 + swing_m * (std::f64::consts::TAU * hz * t + 0.4).sin();
-            let line = seen(&frames(200, 100.0, breath)).line().expect("a line");
+            let line = statistics_of(&frames(200, 100.0, breath)).line().expect("a line");
             assert_eq!(line.windows, 2);
             assert!((line.range_m - 0.5).abs() < 0.01, "{line:?}");
             assert!(line.breath_hz.is_some_and(|found| (found - hz).abs() < 0.02), "{line:?}");
@@ -371,29 +376,30 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_still_has_no_line_and_is_measured_as_such() {
-        let still = seen(&frames(100, 200.0, |_| 0.6));
+    fn a_static_echo_has_no_line_and_hardly_any_moving_power() {
+        let still = statistics_of(&frames(100, 200.0, |_| 0.6));
         assert_eq!(still.line(), None);
         let bin = (0.6 / waveform().range_step_m(64)).round() as usize;
-        let level_db = 10.0 * still.still(0, bin).expect("seen").log10();
+        let level_db = 10.0 * still.still(0, bin).expect("a window").log10();
         assert!((level_db - 20.0 * (200.0 / 2048.0f64).log10()).abs() < 1.5, "{level_db}");
-        assert!(still.moving(0, bin).expect("seen") < 1e-7);
-        let changes = still.changes(0, bin).expect("seen");
+        assert!(still.moving(0, bin).expect("a window") < 1e-7);
+        let changes = still.changes(0, bin).expect("a window");
         assert!(
             changes.phase_rad2 < 1e-5 && changes.amplitude < 1e-5 && changes.drift_rad2_per_10s < 1e-4,
             "{changes:?}"
         );
     }
 
-    /// Ten micrometres to and fro from frame to frame, and forty on in ten seconds: both come back as phases.
+    /// Jitter of 10 um from frame to frame and drift of 40 um in ten seconds are recovered from the phase.
     #[test]
-    fn what_hardly_moves_is_measured_by_its_phase() {
+    fn small_motion_is_measured_by_its_phase() {
         let at = |t: f64| {
             let even = ((t / waveform().frame_interval_s()).round() as u64).is_multiple_of(2);
             0.5 + if even { 0.0 } else { 10e-6 } + 40e-6 * t / 10.0
         };
-        let changes = seen(&frames(100, 200.0, at)).changes(0, (0.5 / waveform().range_step_m(64)).round() as usize);
-        let changes = changes.expect("seen");
+        let changes =
+            statistics_of(&frames(100, 200.0, at)).changes(0, (0.5 / waveform().range_step_m(64)).round() as usize);
+        let changes = changes.expect("a window");
         let rad_per_m = 4.0 * std::f64::consts::PI / waveform().wavelength_m();
         let jitter = (2.0 * changes.phase_rad2).sqrt() / rad_per_m;
         assert!((jitter / 10e-6 - 1.0).abs() < 0.1, "{jitter} m");
@@ -406,15 +412,15 @@ mod tests {
         use super::*;
 
         #[test]
-        fn windows_end_at_gaps_and_odd_frames_are_passed_over() {
+        fn windows_end_at_gaps_and_frames_of_other_shapes_are_ignored() {
             let mut all = frames(200, 100.0, |t| 0.5 + 2e-3 * (1.6 * t).sin());
             all.iter_mut().skip(60).for_each(|frame| frame.sequence += 7);
             all[3].codes.pop();
-            let seen = seen(&all);
+            let statistics = statistics_of(&all);
             // 57 to 60 frames, 100, and 40, which is less than half a window.
-            assert_eq!(seen.windows, 2);
+            assert_eq!(statistics.windows, 2);
             assert!(SlowTimeStatistics::new(&waveform(), 10.0).line().is_none());
-            assert!(seen.moving(0, 1000).is_none() && seen.moving(9, 0).is_none());
+            assert!(statistics.moving(0, 1000).is_none() && statistics.moving(9, 0).is_none());
         }
     }
 }

@@ -3,20 +3,22 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
-struct Counting;
+/// System allocator that counts.
+struct CountingAllocator;
 
 thread_local! {
     /// Number of blocks that this thread has allocated.
     pub static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
+/// Counts an allocation of this thread.
 fn count() {
     // A thread that is ending has no counter.
     let _ = ALLOCATIONS.try_with(|counter| counter.set(counter.get() + 1));
 }
 
-// SAFETY: every call goes on to the system's allocator unchanged; counting does not allocate.
-unsafe impl GlobalAlloc for Counting {
+// SAFETY: every call is passed on to the system's allocator unchanged; counting does not allocate.
+unsafe impl GlobalAlloc for CountingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count();
         // SAFETY: the caller's promise about `layout` is passed on.
@@ -36,4 +38,4 @@ unsafe impl GlobalAlloc for Counting {
 }
 
 #[global_allocator]
-static ALLOCATOR: Counting = Counting;
+static ALLOCATOR: CountingAllocator = CountingAllocator;

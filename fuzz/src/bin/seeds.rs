@@ -126,9 +126,9 @@ fn ascii_lines() -> Seeds {
     let mut lines = b"\x07I (312) main: radar started\r\n".to_vec();
     ascii::encode(7, &[0, 4095, 17, 1, 2, 3, 4, 5], &mut lines);
     ascii::encode(9, &[1; 8], &mut lines);
-    let mut told = vec![7];
-    ascii::encode_waveform(&waveform().request, &mut told);
-    vec![lines, told, b"\x01Frame 1: [1,2]\nFrame 2: [1, 2, 3]\nFrame 3: [1, 4096]\nFrame 4: [\n".to_vec()]
+    let mut waveform_line = vec![7];
+    ascii::encode_waveform(&waveform().request, &mut waveform_line);
+    vec![lines, waveform_line, b"\x01Frame 1: [1,2]\nFrame 2: [1, 2, 3]\nFrame 3: [1, 4096]\nFrame 4: [\n".to_vec()]
 }
 
 fn frames() -> Vec<Frame> {
@@ -172,8 +172,8 @@ fn bytes(path: &Path) -> Vec<u8> {
 }
 
 fn mcap_file() -> Seeds {
-    let whole = bytes(&recording(Format::Mcap).path().join("a"));
-    vec![whole[..whole.len() - 700].to_vec(), whole]
+    let file = bytes(&recording(Format::Mcap).path().join("a"));
+    vec![file[..file.len() - 700].to_vec(), file]
 }
 
 fn mcap_content() -> Seeds {
@@ -199,7 +199,7 @@ fn infineon() -> Seeds {
     let folder = recording(Format::Infineon);
     let radar = folder.path().join("a/RadarIfxAvian_00");
     let parts: Seeds = INFINEON_FILES.iter().map(|name| bytes(&radar.join(name))).collect();
-    let old = r#"{"device_config": {"fmcw_single_shape": {
+    let old_config = r#"{"device_config": {"fmcw_single_shape": {
         "chirp_repetition_time_s": 591.125e-6, "frame_repetition_time_s": 0.1, "if_gain_dB": 23,
         "lower_frequency_Hz": 60.5e9, "upper_frequency_Hz": 61.5e9, "num_chirps_per_frame": 1,
         "num_samples_per_chirp": 8, "rx_antennas": [1, 3], "sample_rate_Hz": 2e6, "tx_power_level": 31}}}"#;
@@ -208,14 +208,14 @@ fn infineon() -> Seeds {
     npy.resize(79, b' ');
     npy.push(b'\n');
     npy.extend([1; 32]);
-    vec![parts.join(SEPARATOR), parts[..2].join(SEPARATOR), [old.as_bytes(), &npy].join(SEPARATOR)]
+    vec![parts.join(SEPARATOR), parts[..2].join(SEPARATOR), [old_config.as_bytes(), &npy].join(SEPARATOR)]
 }
 
 fn sdk_text() -> Seeds {
     let folder = recording(Format::Text);
     let parts = ["a_config.json", "a"].map(|name| bytes(&folder.path().join(name)));
-    let dos = String::from_utf8_lossy(&parts[1]).replace('\n', "\r\n").into_bytes();
-    vec![parts.join(SEPARATOR), [parts[0].clone(), dos].join(SEPARATOR)]
+    let with_crlf = String::from_utf8_lossy(&parts[1]).replace('\n', "\r\n").into_bytes();
+    vec![parts.join(SEPARATOR), [parts[0].clone(), with_crlf].join(SEPARATOR)]
 }
 
 fn fixture(name: &str) -> String {
@@ -235,9 +235,9 @@ fn scene() -> Seeds {
     let mut seeds = Vec::new();
     for name in ["hall", "corridor", "room", "desk", "bedroom", "bathroom", "room-mesh"] {
         let text = fixture(&format!("scenes/{name}.toml"));
-        let named = text.lines().find_map(|line| line.strip_prefix("receiver = \"../")?.strip_suffix('"'));
-        let receiver = fixture(named.expect("a receiver"));
-        let text = text.replace(&format!("../{}", named.expect("a receiver")), "receiver.toml");
+        let receiver_name = text.lines().find_map(|line| line.strip_prefix("receiver = \"../")?.strip_suffix('"'));
+        let receiver = fixture(receiver_name.expect("a receiver"));
+        let text = text.replace(&format!("../{}", receiver_name.expect("a receiver")), "receiver.toml");
         let text = text.replace("room-mesh.obj", "room.obj");
         let mesh = fixture("scenes/room-mesh.obj");
         let others: &[(&str, &str)] = if name == "room-mesh" {
@@ -290,9 +290,9 @@ fn obj() -> Seeds {
 /// glTF files with the buffer inside, beside and after the document.
 fn gltf() -> Seeds {
     let person = biped::gltf(1.0);
-    let mut beside = person.json.clone();
-    beside["buffers"][0]["uri"] = "buffer.bin".into();
-    let beside = serde_json::to_vec(&beside).expect("JSON");
+    let mut with_uri = person.json.clone();
+    with_uri["buffers"][0]["uri"] = "buffer.bin".into();
+    let with_uri = serde_json::to_vec(&with_uri).expect("JSON");
     let mut document = serde_json::to_vec(&person.json).expect("JSON");
     document.resize(document.len().next_multiple_of(4), b' ');
     let mut binary = b"glTF\x02\0\0\0".to_vec();
@@ -302,7 +302,7 @@ fn gltf() -> Seeds {
         binary.extend(kind);
         binary.extend(chunk);
     }
-    vec![person.bytes(), [beside, person.buffer].join(SEPARATOR), binary]
+    vec![person.bytes(), [with_uri, person.buffer].join(SEPARATOR), binary]
 }
 
 fn dataset() -> Seeds {
@@ -372,7 +372,7 @@ fn specs() -> Seeds {
 
 fn main() {
     let root = std::env::args_os().nth(1).expect("usage: seeds FOLDER");
-    let all: [(&str, Seeds); _] = [
+    let targets: [(&str, Seeds); _] = [
         ("usb", usb()),
         ("deepcraft", deepcraft()),
         ("strata_board", strata_board()),
@@ -396,7 +396,7 @@ fn main() {
         ("onnx_file", onnx_file()),
         ("specs", specs()),
     ];
-    for (target, seeds) in all {
+    for (target, seeds) in targets {
         let folder = Path::new(&root).join(target);
         std::fs::create_dir_all(&folder).expect("a folder");
         for (index, seed) in seeds.iter().enumerate() {

@@ -79,22 +79,22 @@ impl DeepcraftBoard {
         let board = answer.board.unwrap_or_default();
         let version = board.protocol_version.clone().unwrap_or_default();
         if version.major != PROTOCOL_VERSION[0] {
-            return Err(link.wrong(DeepcraftError::Protocol { major: version.major, minor: version.minor }));
+            return Err(link.error(DeepcraftError::Protocol { major: version.major, minor: version.minor }));
         }
         let is_radar = |d: &&Device| d.device_type == device_type::SENSOR && d.name.eq_ignore_ascii_case(RADAR);
         let Some(radar) = board.devices.iter().find(is_radar) else {
             let names: Vec<&str> = board.devices.iter().map(|d| d.name.as_str()).collect();
-            return Err(link.wrong(DeepcraftError::NoRadar { devices: names.join(", ") }));
+            return Err(link.error(DeepcraftError::NoRadar { devices: names.join(", ") }));
         };
         let items = match option(radar, USE_CASE) {
             Some(OptionKind::OneOf(use_case)) => use_case.items.clone(),
-            _ => return Err(link.wrong(DeepcraftError::NoOption { what: "use cases" })),
+            _ => return Err(link.error(DeepcraftError::NoOption { what: "use cases" })),
         };
         let watchdog = u64::try_from(board.watchdog_timeout).ok().filter(|ms| *ms > 0).map(Duration::from_millis);
         Ok(DeepcraftBoard {
             identity: identity(&board, radar),
             device: radar.device_id,
-            configured: configured(radar),
+            configured: configured_waveform(radar),
             items,
             watchdog,
             link,
@@ -117,7 +117,8 @@ impl DeepcraftBoard {
         self.configured.clone()
     }
 
-    pub(super) fn setting(&self, waveform: &Waveform) -> Result<Setting, BoardError> {
+    /// Registers and options for a waveform: a preset of the firmware if one has it, else custom registers.
+    pub(super) fn setting_for(&self, waveform: &Waveform) -> Result<Setting, BoardError> {
         let item = |name: &str| {
             let index = self.items.iter().position(|item| item == name);
             index.map(|index| OptionValue { option_id: USE_CASE, value: Some(Value::OneOf(index as i32)) })
@@ -129,23 +130,28 @@ impl DeepcraftBoard {
         let custom = Custom::compile(waveform)?;
         let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: FIFO_LEVEL_CODES };
         let realised = configuration.with_realised_intervals()?;
-        let blob = OptionValue { option_id: CUSTOM_DATA, value: Some(Value::Blob(custom.encode())) };
+        let custom_data = OptionValue { option_id: CUSTOM_DATA, value: Some(Value::Blob(custom.encode())) };
         let use_case = item(CUSTOM).ok_or_else(|| {
-            self.link.wrong(DeepcraftError::NoOption { what: "use case for a waveform of one's own" })
+            self.link.error(DeepcraftError::NoOption { what: "use case for a waveform of one's own" })
         })?;
-        Ok(Setting { waveform: custom.waveform, realised, registers: custom.registers, options: vec![blob, use_case] })
+        Ok(Setting {
+            waveform: custom.waveform,
+            realised,
+            registers: custom.registers,
+            options: vec![custom_data, use_case],
+        })
     }
 
     /// Stops and configures the radar, then checks the stream that the radar reports.
-    pub(super) fn set(&mut self, setting: &Setting) -> Result<Stream, BoardError> {
+    pub(super) fn apply(&mut self, setting: &Setting) -> Result<Stream, BoardError> {
         let device = self.device;
         let answer = self
             .link
             .configure(|tag| Command::Configure(ConfigureRequest { device, options: setting.options.clone(), tag }))?;
         if answer.status == device_status::ERROR {
-            return Err(self.link.wrong(DeepcraftError::Device { message: answer.status_message }));
+            return Err(self.link.error(DeepcraftError::Device { message: answer.status_message }));
         }
-        check(&answer.streams, &setting.waveform).map_err(|e| self.link.wrong(e))
+        check_stream(&answer.streams, &setting.waveform).map_err(|e| self.link.error(e))
     }
 }
 
@@ -174,7 +180,8 @@ fn identity(board: &Board, radar: &Device) -> BoardIdentity {
     }
 }
 
-fn configured(radar: &Device) -> Option<Waveform> {
+/// Waveform that the radar reports to be configured for.
+fn configured_waveform(radar: &Device) -> Option<Waveform> {
     let Some(OptionKind::OneOf(use_case)) = option(radar, USE_CASE) else { return None };
     let item = use_case.items.get(usize::try_from(use_case.current_index).ok()?)?;
     if let Some(preset) = Preset::from_name(item) {
@@ -186,26 +193,26 @@ fn configured(radar: &Device) -> Option<Waveform> {
 }
 
 /// Finds the radar's stream and compares it with the waveform.
-fn check(streams: &[StreamConfig], waveform: &Waveform) -> Result<Stream, DeepcraftError> {
-    let differ = |what, expected: String, got: String| Err(DeepcraftError::Stream { what, expected, got });
+fn check_stream(streams: &[StreamConfig], waveform: &Waveform) -> Result<Stream, DeepcraftError> {
+    let mismatch = |what, expected: String, got: String| Err(DeepcraftError::Stream { what, expected, got });
     let Some((index, stream)) = (0..).zip(streams).find(|(_, s)| s.direction == direction::OUTPUT) else {
-        return differ("frames for the host:", "one stream".into(), "none".into());
+        return mismatch("frames for the host:", "one stream".into(), "none".into());
     };
     if stream.data_type != data_type::S16 {
-        return differ("data type", data_type::S16.to_string(), stream.data_type.to_string());
+        return mismatch("data type", data_type::S16.to_string(), stream.data_type.to_string());
     }
     let shape = waveform.shape();
     let expected = [("Antenna", shape.rx), ("Chirp", shape.chirps), ("Sample", shape.samples)];
     let got: Vec<(&str, usize)> =
         stream.shape.iter().map(|d| (d.name.as_str(), usize::try_from(d.size).unwrap_or(0))).collect();
     if got != expected {
-        return differ("shape", format!("{expected:?}"), format!("{got:?}"));
+        return mismatch("shape", format!("{expected:?}"), format!("{got:?}"));
     }
     // The firmware rounds the frame rate to a whole number; it may round halves up or down.
     let rate_hz = 1.0 / waveform.frame_interval_s();
     if (f64::from(stream.frequency) - rate_hz).abs() > 0.5 + 1e-3 * rate_hz {
         let expected = stated_frequency_hz(waveform);
-        return differ("frequency", format!("{expected} Hz"), format!("{} Hz", stream.frequency));
+        return mismatch("frequency", format!("{expected} Hz"), format!("{} Hz", stream.frequency));
     }
     Ok(Stream { index, next_number: stream.current_frame as u32 })
 }
@@ -234,7 +241,7 @@ mod tests {
         for preset in Preset::ALL {
             let waveform = preset.waveform().expect("valid");
             let input = StreamConfig { direction: 1, ..StreamConfig::default() };
-            let found = check(&[input, stream(&waveform)], &waveform).expect("agrees");
+            let found = check_stream(&[input, stream(&waveform)], &waveform).expect("agrees");
             assert_eq!((found.index, found.next_number), (1, 7));
         }
     }
@@ -243,19 +250,19 @@ mod tests {
         use super::*;
 
         #[test]
-        fn a_stream_that_is_not_what_was_asked_for_is_refused_with_both() {
+        fn a_stream_that_does_not_match_is_refused_with_both_values() {
             let waveform = Preset::Gesture.waveform().expect("valid");
             let good = stream(&waveform);
-            let refused = |stream: StreamConfig| check(&[stream], &waveform).err().expect("refused").to_string();
-            let said = refused(StreamConfig { data_type: 3, ..good.clone() });
-            assert!(said.contains("data type 3, 4 was asked for"), "{said}");
-            let said = refused(StreamConfig { frequency: 35.0, ..good.clone() });
-            assert!(said.contains("frequency 35 Hz, 33 Hz"), "{said}");
+            let refused = |stream: StreamConfig| check_stream(&[stream], &waveform).err().expect("refused").to_string();
+            let message = refused(StreamConfig { data_type: 3, ..good.clone() });
+            assert!(message.contains("data type 3, 4 was asked for"), "{message}");
+            let message = refused(StreamConfig { frequency: 35.0, ..good.clone() });
+            assert!(message.contains("frequency 35 Hz, 33 Hz"), "{message}");
             let shape = good.shape.iter().rev().cloned().collect();
-            let said = refused(StreamConfig { shape, ..good.clone() });
-            assert!(said.contains("shape") && said.contains("(\"Sample\", 64), (\"Chirp\", 32)"), "{said}");
-            let said = refused(StreamConfig { direction: 1, ..good });
-            assert!(said.contains("none"), "{said}");
+            let message = refused(StreamConfig { shape, ..good.clone() });
+            assert!(message.contains("shape") && message.contains("(\"Sample\", 64), (\"Chirp\", 32)"), "{message}");
+            let message = refused(StreamConfig { direction: 1, ..good });
+            assert!(message.contains("none"), "{message}");
         }
     }
 }

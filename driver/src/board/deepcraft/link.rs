@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use prost::Message;
 use serialport::SerialPort;
 
-use crate::board::host::{lost, open_port};
+use crate::board::host::{disconnected, open_port};
 use crate::board::{BoardError, DeepcraftError};
 use crate::protocol::deepcraft::{
     ALL_DEVICES, Answer, CapabilitiesRequest, CapabilitiesResponse, Command, ConfigureResponse, ErrorCode,
@@ -22,7 +22,7 @@ const ANSWER: Duration = Duration::from_secs(1);
 /// Attempts to reach a board.
 const ATTEMPTS: u32 = 3;
 /// Silence after which a stopped board sends nothing more.
-const DRAINED: Duration = Duration::from_millis(30);
+const DRAIN_SILENCE: Duration = Duration::from_millis(30);
 /// Longest time for which a board is drained: the duration of the longest chunk and of the bytes that the host has not
 /// read. A device that sends for longer is not a board of this kind.
 const DRAIN_LIMIT: Duration = Duration::from_millis(500);
@@ -49,22 +49,23 @@ impl Link {
         Ok(Link { path: path.into(), port: open_port(path)?, buffer: vec![0; BUFFER], tag: FIRST_TAG })
     }
 
-    pub fn wrong(&self, source: DeepcraftError) -> BoardError {
+    /// Error of this board.
+    pub fn error(&self, source: DeepcraftError) -> BoardError {
         BoardError::Deepcraft { path: self.path.clone(), source }
     }
 
     /// Reads bytes, waiting at most `timeout`; returns an empty slice if none came.
     pub fn receive(&mut self, timeout: Duration) -> Result<&[u8], BoardError> {
-        let count = read_within(&mut self.port, timeout, &mut self.buffer).map_err(lost(&self.path))?;
+        let count = read_within(&mut self.port, timeout, &mut self.buffer).map_err(disconnected(&self.path))?;
         Ok(self.buffer.get(..count).unwrap_or(&[]))
     }
 
     fn write(&mut self, bytes: &[u8], command: &'static str) -> Result<(), BoardError> {
         trace::sent(bytes);
-        self.port.set_timeout(ANSWER).map_err(|e| lost(&self.path)(e.into()))?;
+        self.port.set_timeout(ANSWER).map_err(|e| disconnected(&self.path)(e.into()))?;
         self.port.write_all(bytes).map_err(|e| match e.kind() {
             ErrorKind::TimedOut => BoardError::NoAnswer { path: self.path.clone(), command },
-            _ => lost(&self.path)(e),
+            _ => disconnected(&self.path)(e),
         })
     }
 
@@ -88,7 +89,7 @@ impl Link {
 
     fn drain(&mut self, limit: Duration) -> Result<(), BoardError> {
         let end = Instant::now() + limit;
-        while Instant::now() < end && !self.receive(DRAINED)?.is_empty() {}
+        while Instant::now() < end && !self.receive(DRAIN_SILENCE)?.is_empty() {}
         Ok(())
     }
 
@@ -105,7 +106,7 @@ impl Link {
             Request::from(Command::Capabilities(CapabilitiesRequest { device: ALL_DEVICES, tag }))
                 .encode_to(&mut bytes);
             self.write(&bytes, "capabilities")?;
-            let found = self.wait(FIRST_ANSWER, |answer| match answer {
+            let found = self.wait_for(FIRST_ANSWER, |answer| match answer {
                 Answer::Capabilities(response) if response.tag == tag => Some(Ok(response)),
                 _ => None,
             })?;
@@ -123,14 +124,14 @@ impl Link {
             let tag = self.next_tag();
             self.send("configuration", command(tag))?;
             let refused = |code, message| DeepcraftError::Refused { command: "configuration", code, message };
-            let found = self.wait(ANSWER, |answer| match answer {
+            let found = self.wait_for(ANSWER, |answer| match answer {
                 Answer::Configuration(response) if response.tag == tag => Some(Ok(response)),
                 Answer::Error(error) => Some(Err(refused(ErrorCode(error.code), error.message))),
                 _ => None,
             })?;
             match found {
                 Some(Ok(response)) => return Ok(response),
-                Some(Err(refused)) => return Err(self.wrong(refused)),
+                Some(Err(refused)) => return Err(self.error(refused)),
                 // The rest of a message came before the answer, or the board was not silent yet.
                 None => {}
             }
@@ -144,8 +145,8 @@ impl Link {
         self.tag
     }
 
-    /// Waits for an answer that `accept` takes. `None` if none comes, or if the bytes are not a message.
-    fn wait<T>(
+    /// Waits for an answer for which `accept` returns a value. `None` if none comes, or if the bytes are not a message.
+    fn wait_for<T>(
         &mut self,
         timeout: Duration,
         mut accept: impl FnMut(Answer) -> Option<T>,
@@ -181,7 +182,7 @@ mod tests {
     use crate::protocol::deepcraft::Empty;
 
     #[test]
-    fn the_watchdog_reset_is_what_it_stands_for() {
+    fn the_watchdog_reset_is_the_encoded_request() {
         let mut bytes = Vec::new();
         Request::from(Command::WatchdogReset(Empty {})).encode_to(&mut bytes);
         assert_eq!(bytes, WATCHDOG_RESET);

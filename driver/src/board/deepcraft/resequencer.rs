@@ -15,17 +15,17 @@ pub(super) struct Resequencer {
     next_sequence: u64,
     /// Firmware's number of the next frame, modulo 2^32.
     next_number: u32,
-    /// Reason of the last restart of the stream, until the next chunk. After a restart only the host's clock tells how
-    /// many frames were lost.
-    restarted: Option<GapReason>,
+    /// Reason of the last restart of the stream, until the next chunk. After a restart only the host's clock gives the
+    /// number of lost frames.
+    restart_reason: Option<GapReason>,
     damaged: bool,
     /// Gaps that come before the queued frames.
     gaps: VecDeque<Gap>,
     /// Number of frames that the device has dropped since it was configured and that gaps already account for.
-    dropped: u64,
-    /// Codes of the queued frames, each in FIFO order; the first `gone` frames have been handed out.
+    accounted_drops: u64,
+    /// Codes of the queued frames, each in FIFO order; the first `popped` frames have been handed out.
     codes: Vec<u16>,
-    gone: usize,
+    popped: usize,
 }
 
 impl Resequencer {
@@ -35,31 +35,31 @@ impl Resequencer {
             waveform: waveform.clone(),
             next_sequence: 0,
             next_number,
-            restarted: None,
+            restart_reason: None,
             damaged: false,
             gaps: VecDeque::new(),
-            dropped: 0,
+            accounted_drops: 0,
             // Room for the frames that one read of the firmware can complete.
             codes: Vec::with_capacity(FIFO_LEVEL_CODES + waveform.shape().codes()),
-            gone: 0,
+            popped: 0,
         }
     }
 
-    /// Notes that a chunk was discarded: the next missing frames have that reason.
-    pub fn damaged(&mut self) {
+    /// Notes that a chunk was discarded as damaged, which is the reason of the next missing frames.
+    pub fn note_damage(&mut self) {
         self.damaged = true;
     }
 
     /// Notes that the stream has been restarted.
     pub fn restart(&mut self, reason: GapReason) {
-        self.restarted = Some(reason);
+        self.restart_reason = Some(reason);
         self.damaged = false;
-        self.dropped = 0;
+        self.accounted_drops = 0;
     }
 
     /// Takes a chunk. All earlier events must have been popped. `elapsed` is the host's time since the previous chunk.
-    pub fn take(&mut self, frame_number: u32, frame_count: usize, codes: &[[u8; 2]], elapsed: Duration) {
-        let missing = match self.restarted.take() {
+    pub fn push_chunk(&mut self, frame_number: u32, frame_count: usize, codes: &[[u8; 2]], elapsed: Duration) {
+        let missing = match self.restart_reason.take() {
             Some(reason) => {
                 // A chunk arrives when its last frame is complete.
                 let intervals = elapsed.as_secs_f64() / self.waveform.frame_interval_s().max(1e-6);
@@ -85,7 +85,7 @@ impl Resequencer {
         self.next_number = frame_number.wrapping_add(frame_count as u32);
         self.codes.clear();
         self.codes.extend(codes.iter().map(|code| u16::from_le_bytes(*code)));
-        self.gone = 0;
+        self.popped = 0;
     }
 
     /// Returns whether the numbers of the queued frames have jumped for an unknown reason.
@@ -96,13 +96,14 @@ impl Resequencer {
     /// Sets the number of frames that the device has dropped since it was configured. Those frames were not lost on the
     /// line.
     pub fn set_dropped(&mut self, dropped: u64) {
-        let by_device = dropped.saturating_sub(self.dropped);
-        let Some(gap) = self.gaps.back_mut().filter(|gap| gap.reason == GapReason::PacketLost && by_device > 0) else {
+        let dropped_by_device = dropped.saturating_sub(self.accounted_drops);
+        let Some(gap) = self.gaps.back_mut().filter(|gap| gap.reason == GapReason::PacketLost && dropped_by_device > 0)
+        else {
             return;
         };
-        let frames = by_device.min(gap.frames);
+        let frames = dropped_by_device.min(gap.frames);
         // Dropped frames beyond this gap belong to later gaps.
-        self.dropped += frames;
+        self.accounted_drops += frames;
         let rest = Gap { first_sequence: gap.first_sequence + frames, frames: gap.frames - frames, ..*gap };
         *gap = Gap { frames, reason: GapReason::FifoOverflow, ..*gap };
         if rest.frames > 0 {
@@ -116,9 +117,9 @@ impl Resequencer {
             return Some(SourceEvent::Gap(gap));
         }
         let length = self.waveform.shape().codes();
-        let codes = self.codes.get(self.gone * length..(self.gone + 1) * length)?;
+        let codes = self.codes.get(self.popped * length..(self.popped + 1) * length)?;
         fifo::fill_frame(codes, &self.waveform, self.next_sequence, frame);
-        self.gone += 1;
+        self.popped += 1;
         self.next_sequence += 1;
         Some(SourceEvent::Frame)
     }
@@ -149,7 +150,7 @@ mod tests {
     #[test]
     fn a_chunk_of_frames_comes_out_one_by_one_receiver_by_receiver() {
         let (mut resequencer, mut frame) = resequencer();
-        resequencer.take(5, 3, &codes(3), NOW);
+        resequencer.push_chunk(5, 3, &codes(3), NOW);
         for sequence in 0..3 {
             assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
             assert_eq!((frame.sequence, frame.time_ns), (sequence, sequence * 100_000_000));
@@ -162,20 +163,20 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_jump_are_a_gap_whose_reason_the_board_knows() {
+    fn a_jump_of_the_number_is_a_gap_with_the_boards_reason() {
         let (mut resequencer, mut frame) = resequencer();
-        resequencer.take(7, 1, &codes(1), NOW);
+        resequencer.push_chunk(7, 1, &codes(1), NOW);
         assert!(resequencer.needs_reason());
         resequencer.set_dropped(0);
         assert_eq!(resequencer.pop(&mut frame), gap(0, 2, GapReason::PacketLost));
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         assert_eq!(frame.sequence, 2);
-        resequencer.take(13, 1, &codes(1), NOW);
+        resequencer.push_chunk(13, 1, &codes(1), NOW);
         // Five frames are missing, but the board has dropped six: the sixth belongs to a later gap.
         resequencer.set_dropped(6);
         assert_eq!(resequencer.pop(&mut frame), gap(3, 5, GapReason::FifoOverflow));
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
-        resequencer.take(17, 1, &codes(1), NOW);
+        resequencer.push_chunk(17, 1, &codes(1), NOW);
         resequencer.set_dropped(6);
         assert_eq!(resequencer.pop(&mut frame), gap(9, 1, GapReason::FifoOverflow));
         assert_eq!(resequencer.pop(&mut frame), gap(10, 2, GapReason::PacketLost));
@@ -183,26 +184,26 @@ mod tests {
     }
 
     #[test]
-    fn frames_that_come_again_or_late_are_passed_over() {
+    fn frames_that_come_again_or_late_are_ignored() {
         let (mut resequencer, mut frame) = resequencer();
-        resequencer.take(5, 2, &codes(2), NOW);
+        resequencer.push_chunk(5, 2, &codes(2), NOW);
         assert!(resequencer.pop(&mut frame).is_some() && resequencer.pop(&mut frame).is_some());
-        resequencer.take(5, 2, &codes(2), NOW);
-        resequencer.take(6, 1, &codes(1), NOW);
+        resequencer.push_chunk(5, 2, &codes(2), NOW);
+        resequencer.push_chunk(6, 1, &codes(1), NOW);
         assert_eq!(resequencer.pop(&mut frame), None);
-        resequencer.take(7, 1, &codes(1), NOW);
+        resequencer.push_chunk(7, 1, &codes(1), NOW);
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
     }
 
     /// A chunk arrives when its last frame is complete. 1.2 s are twelve frame intervals: ten frames are missing if the
     /// new chunk holds two.
     #[test]
-    fn after_a_restart_the_hosts_clock_tells_how_many_are_missing() {
+    fn after_a_restart_the_hosts_clock_gives_the_number_of_missing_frames() {
         let (mut resequencer, mut frame) = resequencer();
-        resequencer.take(5, 1, &codes(1), NOW);
+        resequencer.push_chunk(5, 1, &codes(1), NOW);
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         resequencer.restart(GapReason::Crc);
-        resequencer.take(0, 2, &codes(2), Duration::from_millis(1210));
+        resequencer.push_chunk(0, 2, &codes(2), Duration::from_millis(1210));
         assert!(!resequencer.needs_reason());
         assert_eq!(resequencer.pop(&mut frame), gap(1, 10, GapReason::Crc));
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
@@ -210,7 +211,7 @@ mod tests {
         // At least the frame that the restart cut short is missing.
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         resequencer.restart(GapReason::Disconnected);
-        resequencer.take(0, 2, &codes(2), NOW);
+        resequencer.push_chunk(0, 2, &codes(2), NOW);
         assert_eq!(resequencer.pop(&mut frame), gap(13, 1, GapReason::Disconnected));
     }
 }

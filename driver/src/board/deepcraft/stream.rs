@@ -8,7 +8,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 use super::board::{DeepcraftBoard, Setting};
 use super::resequencer::Resequencer;
 use crate::board::host::now_ns;
-use crate::board::patience::Patience;
+use crate::board::read_deadline::ReadDeadline;
 use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::board::{BoardError, DeepcraftError};
 use crate::chip::RegisterList;
@@ -20,7 +20,7 @@ use crate::transport::trace;
 
 /// Silence at the end of a chunk that confirms it: packets of a message follow each other within a millisecond.
 const SILENCE: Duration = Duration::from_millis(5);
-/// Silence after which the rest of a message will not come. Later bytes differ from that rest in their form.
+/// Silence after which the rest of a message is given up. Later bytes are the start of another message.
 const LONG_SILENCE: Duration = Duration::from_millis(500);
 
 /// Longest wait for the number of frames that the board has dropped.
@@ -46,7 +46,7 @@ pub struct DeepcraftStream {
     watchdog_reset: Instant,
     restart: Option<GapReason>,
     /// Deadline for the board's answer about dropped frames, while one is awaited.
-    asked_until: Option<Instant>,
+    dropped_count_deadline: Option<Instant>,
     path: PathBuf,
     uuid: String,
     recovery: Recovery,
@@ -66,9 +66,9 @@ impl DeepcraftBoard {
     pub fn start(self, waveform: &Waveform) -> Result<DeepcraftStream, BoardError> {
         let codes = waveform.shape().codes();
         if !holds_frames_of(codes) {
-            return Err(self.link.wrong(DeepcraftError::Frame { codes }));
+            return Err(self.link.error(DeepcraftError::Frame { codes }));
         }
-        let setting = self.setting(waveform)?;
+        let setting = self.setting_for(waveform)?;
         DeepcraftStream::start(self, setting)
     }
 }
@@ -76,7 +76,7 @@ impl DeepcraftBoard {
 impl DeepcraftStream {
     fn start(mut board: DeepcraftBoard, setting: Setting) -> Result<Self, BoardError> {
         let shape = setting.waveform.shape();
-        let stream = board.set(&setting)?;
+        let stream = board.apply(&setting)?;
         let layout = ChunkLayout { device: board.device, stream: stream.index, frame_codes: shape.codes() };
         let parser = ChunkParser::new(layout, stream.next_number);
         // Small frames come together when they fill one read of the firmware.
@@ -91,7 +91,7 @@ impl DeepcraftStream {
             watchdog: board.watchdog,
             watchdog_reset: now,
             restart: None,
-            asked_until: None,
+            dropped_count_deadline: None,
             path: board.link.path.clone(),
             uuid: board.identity.uuid.clone(),
             recovery: Recovery::default(),
@@ -99,7 +99,7 @@ impl DeepcraftStream {
             last_chunk: now,
             board: Some(board),
         };
-        stream.begin()?;
+        stream.send_start()?;
         Ok(stream)
     }
 
@@ -107,7 +107,8 @@ impl DeepcraftStream {
         self.board.as_mut().ok_or(BoardError::Stopped)
     }
 
-    fn begin(&mut self) -> Result<(), BoardError> {
+    /// Sends the request that starts frames.
+    fn send_start(&mut self) -> Result<(), BoardError> {
         let board = self.board()?;
         let device = board.device;
         board.link.reset_watchdog()?;
@@ -116,12 +117,13 @@ impl DeepcraftStream {
         Ok(())
     }
 
-    fn begin_anew(&mut self) -> Result<(), BoardError> {
+    /// Configures the radar again and starts frames.
+    fn configure_and_start(&mut self) -> Result<(), BoardError> {
         let board = self.board.as_mut().ok_or(BoardError::Stopped)?;
-        let stream = board.set(&self.setting)?;
+        let stream = board.apply(&self.setting)?;
         self.parser.restart(stream.next_number);
-        self.asked_until = None;
-        self.begin()
+        self.dropped_count_deadline = None;
+        self.send_start()
     }
 
     /// Makes the stream reconnect after the board was unplugged or has stalled; [`FrameSource::next_frame`] then waits
@@ -131,7 +133,7 @@ impl DeepcraftStream {
         self
     }
 
-    /// Returns what tells, from any thread, whether the board is away.
+    /// Returns a handle that tells, from any thread, whether the board is away.
     pub fn outage(&self) -> Outage {
         self.recovery.outage.clone()
     }
@@ -147,7 +149,7 @@ impl DeepcraftStream {
     /// [`BoardError`] if the connection breaks, the board reports an error or refuses to start again, or the stream was
     /// stopped.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
-        let mut patience = Patience::new(timeout);
+        let mut deadline = ReadDeadline::new(timeout);
         let mut is_renewed = false;
         loop {
             self.keep_alive()?;
@@ -161,25 +163,25 @@ impl DeepcraftStream {
             if let Some(reason) = self.restart.take() {
                 tracing::warn!(reason = reason.name(), "the board is started anew");
                 self.resequencer.restart(reason);
-                self.begin_anew()?;
+                self.configure_and_start()?;
                 // A board that is started anew again and again counts as stalled.
                 if !std::mem::replace(&mut is_renewed, true) {
-                    patience.renew();
+                    deadline.restart();
                 }
             }
             // Queued frames are handed out before the next chunk is parsed.
-            let event = if self.asked_until.is_none() { self.parser.next_event() } else { None };
+            let event = if self.dropped_count_deadline.is_none() { self.parser.next_event() } else { None };
             match event {
                 Some(ChunkEvent::Frames { frame_number, frame_count, codes }) => {
-                    self.resequencer.take(frame_number, frame_count, codes, self.last_chunk.elapsed());
+                    self.resequencer.push_chunk(frame_number, frame_count, codes, self.last_chunk.elapsed());
                     self.last_chunk = Instant::now();
                     if self.resequencer.needs_reason() {
-                        self.ask()?;
+                        self.request_dropped_count()?;
                     }
                     continue;
                 }
                 Some(ChunkEvent::Misnumbered) => {
-                    self.resequencer.damaged();
+                    self.resequencer.note_damage();
                     continue;
                 }
                 Some(ChunkEvent::Damaged) => {
@@ -193,37 +195,37 @@ impl DeepcraftStream {
                 }
                 None => {}
             }
-            let Some(wait) = patience.next_read() else { return Ok(None) };
-            patience.has_read(self.receive(wait)?);
+            let Some(wait) = deadline.next_read() else { return Ok(None) };
+            deadline.note_read(self.receive(wait)?);
         }
     }
 
     fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
-        if self.asked_until.is_some() { None } else { self.resequencer.pop(frame) }
+        if self.dropped_count_deadline.is_some() { None } else { self.resequencer.pop(frame) }
     }
 
     /// Asks the device for the number of frames that it has dropped.
-    fn ask(&mut self) -> Result<(), BoardError> {
+    fn request_dropped_count(&mut self) -> Result<(), BoardError> {
         let board = self.board()?;
         let (device, tag) = (board.device, board.link.next_tag());
         board.link.send("capabilities", Command::Capabilities(CapabilitiesRequest { device, tag }))?;
-        self.parser.expect(tag);
-        self.asked_until = Some(Instant::now() + DROPPED_COUNT_TIMEOUT);
+        self.parser.await_answer(tag);
+        self.dropped_count_deadline = Some(Instant::now() + DROPPED_COUNT_TIMEOUT);
         Ok(())
     }
 
     /// Takes the answer about dropped frames, or gives up after its deadline.
     fn take_dropped_count(&mut self) {
-        let Some(until) = self.asked_until else { return };
-        if let Some(answer) = self.parser.expected() {
+        let Some(until) = self.dropped_count_deadline else { return };
+        if let Some(answer) = self.parser.take_answer() {
             let devices = answer.board.map_or(Vec::new(), |board| board.devices);
             let device = self.board.as_ref().map(|board| board.device);
             let radar = devices.iter().find(|d| Some(d.device_id) == device);
             let stream = radar.and_then(|d| d.streams.get(self.stream_index));
             self.resequencer.set_dropped(stream.and_then(|s| u64::try_from(s.frames_dropped).ok()).unwrap_or(0));
-            self.asked_until = None;
+            self.dropped_count_deadline = None;
         } else if Instant::now() >= until {
-            self.asked_until = None;
+            self.dropped_count_deadline = None;
         }
     }
 
@@ -247,6 +249,7 @@ impl DeepcraftStream {
         Ok(false)
     }
 
+    /// Resets the watchdog when a third of its time has passed; restarts the stream if all of its time has passed.
     fn keep_alive(&mut self) -> Result<(), BoardError> {
         let (Some(timeout), Some(board)) = (self.watchdog, &mut self.board) else { return Ok(()) };
         let elapsed = self.watchdog_reset.elapsed();
@@ -292,7 +295,7 @@ impl FrameSource for DeepcraftStream {
 }
 
 impl Reconnectable for DeepcraftStream {
-    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+    fn read_event(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
         let waited = self.deadline;
         self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
     }
@@ -306,7 +309,7 @@ impl Reconnectable for DeepcraftStream {
         let board = DeepcraftBoard::open(&self.path)?;
         check_same(&self.path, &self.uuid, &board.identity)?;
         self.board = Some(board);
-        self.begin_anew()?;
+        self.configure_and_start()?;
         self.resequencer.restart(GapReason::Disconnected);
         Ok(())
     }

@@ -38,7 +38,7 @@ pub enum DeepcraftError {
 
 impl DeepcraftError {
     /// Returns whether opening the port again may remove the error.
-    pub fn is_passing(&self) -> bool {
+    pub fn is_transient(&self) -> bool {
         matches!(self, DeepcraftError::Refused { .. } | DeepcraftError::Device { .. })
     }
 }

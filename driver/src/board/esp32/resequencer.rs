@@ -14,10 +14,10 @@ pub(super) struct Resequencer {
     next_sequence: u64,
     /// Number expected of the next line; unknown before the first line.
     pub(super) next_number: Option<u64>,
-    /// Digest of the codes taken last, by which a doubled line is detected.
-    last_codes: u64,
-    /// Line whose number was not the expected one, and its time of arrival.
-    unconfirmed: Option<(u64, Vec<u16>, Instant)>,
+    /// Digest of the last accepted codes, by which a doubled line is detected.
+    last_digest: u64,
+    /// Line whose number was not the expected one.
+    unconfirmed: Option<NumberedLine>,
     /// Whether a damaged line came since the last good one.
     pub(super) damaged: bool,
     /// Whether the port was opened again: the firmware may have restarted too.
@@ -25,6 +25,13 @@ pub(super) struct Resequencer {
     ready: VecDeque<Ready>,
     spare: Vec<Vec<u16>>,
     pub(super) last_frame: Instant,
+}
+
+/// Line with the firmware's number and its time of arrival.
+struct NumberedLine {
+    number: u64,
+    codes: Vec<u16>,
+    arrival: Instant,
 }
 
 enum Ready {
@@ -39,7 +46,7 @@ impl Resequencer {
             waveform: waveform.clone(),
             next_sequence: 0,
             next_number: None,
-            last_codes: 0,
+            last_digest: 0,
             unconfirmed: None,
             damaged: false,
             reopened: false,
@@ -50,100 +57,102 @@ impl Resequencer {
     }
 
     /// Notes that the port was opened again. Earlier lines then say nothing about the next ones.
-    pub(super) fn reopened(&mut self) {
+    pub(super) fn note_reopening(&mut self) {
         self.unconfirmed = None;
         self.reopened = true;
     }
 
-    /// Takes a line with the firmware's number, which came at `now`.
-    pub(super) fn take(&mut self, number: u64, codes: &[u16], now: Instant) {
+    /// Takes a line with the firmware's number, which arrived at `arrival`.
+    pub(super) fn push_line(&mut self, number: u64, codes: &[u16], arrival: Instant) {
         if self.reopened {
             self.reopened = false;
-            self.begin_anew(number, now);
+            self.note_restart(number, arrival);
         }
         let next = *self.next_number.get_or_insert(number);
-        let follows = |number: u64, other: u64| number == other.wrapping_add(1);
+        let follows = |number: u64, previous: u64| number == previous.wrapping_add(1);
         if number == next {
             match self.unconfirmed.take() {
                 // A line with the last number and other codes, then its successor: the firmware has restarted at its
                 // first number.
-                Some((before, other, came)) if follows(next, before) => {
-                    self.begin_anew(before, came);
-                    self.accept(&other, came);
-                    self.accept(codes, now);
+                Some(line) if follows(next, line.number) => {
+                    self.note_restart(line.number, line.arrival);
+                    self.accept(&line.codes, line.arrival);
+                    self.accept(codes, arrival);
                 }
                 // The previous line arrived before this one, out of order.
-                Some((later, other, _)) if follows(later, number) => {
-                    self.accept(codes, now);
-                    self.accept(&other, now);
+                Some(line) if follows(line.number, number) => {
+                    self.accept(codes, arrival);
+                    self.accept(&line.codes, arrival);
                 }
-                _ => self.accept(codes, now),
+                _ => self.accept(codes, arrival),
             }
-        } else if follows(next, number) && self.last_codes == digest(codes) {
+        } else if follows(next, number) && self.last_digest == digest(codes) {
             tracing::debug!(number, "a line came twice");
         } else {
             match self.unconfirmed.take() {
                 // Two lines have one number: one of them is wrong, and it is unknown which.
-                Some((before, other, came)) if before == number => {
-                    if other == codes {
-                        self.unconfirmed = Some((before, other, came));
+                Some(line) if line.number == number => {
+                    if line.codes == codes {
+                        self.unconfirmed = Some(line);
                     } else {
                         self.damaged = true;
                     }
                 }
                 // Either both lines are ahead, perhaps with losses between them, or the firmware has restarted its
                 // count.
-                Some((before, other, came))
-                    if follows(number, before) || (is_ahead(before, next) && is_ahead(number, before)) =>
+                Some(line)
+                    if follows(number, line.number)
+                        || (is_ahead(line.number, next) && is_ahead(number, line.number)) =>
                 {
-                    if is_ahead(before, next) {
-                        self.lose(before.wrapping_sub(next));
+                    if is_ahead(line.number, next) {
+                        self.push_gap(line.number.wrapping_sub(next));
                     } else {
-                        self.begin_anew(before, came);
+                        self.note_restart(line.number, line.arrival);
                     }
-                    self.next_number = Some(before);
-                    self.accept(&other, came);
-                    self.take(number, codes, now);
+                    self.next_number = Some(line.number);
+                    self.accept(&line.codes, line.arrival);
+                    self.push_line(number, codes, arrival);
                 }
-                before => {
-                    self.damaged |= before.is_some();
-                    self.unconfirmed = Some((number, self.copy(codes), now));
+                line => {
+                    self.damaged |= line.is_some();
+                    self.unconfirmed = Some(NumberedLine { number, codes: self.copy_codes(codes), arrival });
                 }
             }
         }
     }
 
-    fn copy(&mut self, codes: &[u16]) -> Vec<u16> {
+    fn copy_codes(&mut self, codes: &[u16]) -> Vec<u16> {
         let mut copy = self.spare.pop().unwrap_or_default();
         copy.clear();
         copy.extend_from_slice(codes);
         copy
     }
 
-    fn accept(&mut self, codes: &[u16], came: Instant) {
-        self.last_codes = digest(codes);
+    fn accept(&mut self, codes: &[u16], arrival: Instant) {
+        self.last_digest = digest(codes);
         self.next_number = self.next_number.map(|number| number.wrapping_add(1));
-        let codes = self.copy(codes);
+        let codes = self.copy_codes(codes);
         self.ready.push_back(Ready::Frame(codes));
         self.damaged = false;
-        self.last_frame = came;
+        self.last_frame = arrival;
     }
 
-    fn lose(&mut self, frames: u64) {
+    fn push_gap(&mut self, frames: u64) {
         let reason = if self.damaged { GapReason::Crc } else { GapReason::PacketLost };
         self.ready.push_back(Ready::Gap(Gap { first_sequence: 0, frames, reason }));
     }
 
-    /// Notes a gap after a restart of the firmware. Firmware that has restarted counts from its start, so that only the
-    /// host's clock tells the length of the gap. Firmware that has kept running has a number ahead. It is ahead by no
-    /// more than the host's clock allows, and further than a count from the firmware's start could be.
-    fn begin_anew(&mut self, number: u64, came: Instant) {
+    /// Notes a gap after a loss of the connection or a restart of the firmware. Firmware that has restarted counts from 0, so
+    /// that only the host's clock gives the length of the gap. Firmware that has kept running has a number ahead: by no more
+    /// than the host's clock allows, and further than firmware could have counted since a restart.
+    fn note_restart(&mut self, number: u64, arrival: Instant) {
         let Some(next) = self.next_number.replace(number) else { return };
-        let intervals =
-            came.saturating_duration_since(self.last_frame).as_secs_f64() / self.waveform.frame_interval_s().max(1e-6);
-        let by_host = (intervals.round() as u64).saturating_sub(1);
-        let has_run_on = |ahead: &u64| ahead.abs_diff(by_host) <= 1 || (*ahead <= by_host && number > by_host);
-        let frames = Some(number.wrapping_sub(next)).filter(has_run_on).unwrap_or(by_host);
+        let intervals = arrival.saturating_duration_since(self.last_frame).as_secs_f64()
+            / self.waveform.frame_interval_s().max(1e-6);
+        let frames_by_host = (intervals.round() as u64).saturating_sub(1);
+        let has_kept_running =
+            |ahead: &u64| ahead.abs_diff(frames_by_host) <= 1 || (*ahead <= frames_by_host && number > frames_by_host);
+        let frames = Some(number.wrapping_sub(next)).filter(has_kept_running).unwrap_or(frames_by_host);
         // At least the line that was cut short is lost.
         let gap = Gap { first_sequence: 0, frames: frames.max(1), reason: GapReason::Disconnected };
         self.ready.push_back(Ready::Gap(gap));
@@ -172,9 +181,9 @@ fn digest(codes: &[u16]) -> u64 {
     codes.iter().fold(0xCBF2_9CE4_8422_2325, |hash, code| (hash ^ u64::from(*code)).wrapping_mul(0x100_0000_01B3))
 }
 
-/// Returns whether `number` comes after `of`, by at most as many frames as a board can lose.
-fn is_ahead(number: u64, of: u64) -> bool {
-    (1..=u64::from(u32::MAX)).contains(&number.wrapping_sub(of))
+/// Returns whether `number` comes after `previous`, by at most as many frames as a board can lose.
+fn is_ahead(number: u64, previous: u64) -> bool {
+    (1..=u64::from(u32::MAX)).contains(&number.wrapping_sub(previous))
 }
 
 #[cfg(test)]
@@ -194,7 +203,7 @@ mod tests {
         let mut frame = Frame::zeroed(resequencer.waveform.shape());
         let (mut found, mut next) = (Vec::new(), resequencer.next_sequence);
         for (number, code) in lines {
-            resequencer.take(*number, &vec![*code; frame.shape.codes()], Instant::now());
+            resequencer.push_line(*number, &vec![*code; frame.shape.codes()], Instant::now());
             while let Some(event) = resequencer.pop(&mut frame) {
                 match event {
                     SourceEvent::Frame => {
@@ -232,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_firmware_that_starts_anew_goes_on_where_the_stream_was() {
+    fn the_stream_continues_after_a_restart_of_the_firmware() {
         let mut resequencer = resequencer();
         ordered(&mut resequencer, &lines(&[10, 11, 12, 13]));
         let found = ordered(&mut resequencer, &lines(&[0, 1, 2]));
@@ -252,14 +261,14 @@ mod tests {
         }
 
         #[test]
-        fn a_line_that_was_overtaken_takes_its_place() {
+        fn an_overtaken_line_is_put_in_order() {
             assert_eq!(ordered(&mut resequencer(), &lines(&[1, 3, 2, 4])), [Ok(1), Ok(2), Ok(3), Ok(4)]);
         }
 
         /// One or two inverted bits turn the number 12 into 92, 8, 13 or 11. Only that line is lost, and no frame gets
         /// the number of another.
         #[test]
-        fn a_wrong_number_costs_its_line() {
+        fn a_wrong_number_loses_only_its_line() {
             let lost = |frames| Err((frames, GapReason::Crc));
             for wrong in [92, 8] {
                 let found =
@@ -275,7 +284,7 @@ mod tests {
 
         /// Firmware that restarts after its first or second line repeats its last numbers.
         #[test]
-        fn a_firmware_that_starts_anew_at_once_is_no_doubled_line() {
+        fn a_restart_after_one_or_two_lines_is_no_doubled_line() {
             for first in [&[(0, 7)][..], &[(0, 7), (1, 8)]] {
                 let lines = [first, &[(0, 20), (1, 21), (2, 22)]].concat();
                 let found = ordered(&mut resequencer(), &lines);
@@ -287,16 +296,20 @@ mod tests {
 
         /// Only the second line shows that the firmware has restarted; the restart began with the first line.
         #[test]
-        fn what_was_lost_before_a_new_beginning_ends_with_its_first_line() {
-            let began = Instant::now();
+        fn a_gap_of_a_restart_ends_at_the_first_line_after_it() {
+            let start = Instant::now();
             // Numbers and arrival times of lines, in frame intervals: a restart at another number, and one at the last
             // number.
             for lines in [&[(10, 0), (11, 1), (0, 6), (1, 7)][..], &[(0, 0), (0, 5), (1, 6)]] {
                 let mut resequencer = resequencer();
                 let interval_s = resequencer.waveform.frame_interval_s();
-                for (number, place) in lines {
-                    let codes = vec![*place; resequencer.waveform.shape().codes()];
-                    resequencer.take(*number, &codes, began + Duration::from_secs_f64(f64::from(*place) * interval_s));
+                for (number, intervals) in lines {
+                    let codes = vec![*intervals; resequencer.waveform.shape().codes()];
+                    resequencer.push_line(
+                        *number,
+                        &codes,
+                        start + Duration::from_secs_f64(f64::from(*intervals) * interval_s),
+                    );
                 }
                 let gaps = resequencer.ready.iter().filter_map(|ready| match ready {
                     Ready::Gap(gap) => Some(gap.frames),
@@ -307,7 +320,7 @@ mod tests {
         }
 
         #[test]
-        fn every_second_line_lost_is_no_standstill() {
+        fn a_stream_with_every_second_line_lost_continues() {
             let found = ordered(&mut resequencer(), &lines(&[1, 3, 5, 7, 9]));
             assert_eq!(found, [Ok(1), Err((1, LOST)), Ok(3), Err((1, LOST)), Ok(5), Err((1, LOST)), Ok(7)]);
         }

@@ -8,7 +8,7 @@ use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
 use super::resequencer::Resequencer;
 use crate::board::BoardError;
-use crate::board::host::{lost, open_port};
+use crate::board::host::{disconnected, open_port};
 use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, next_event};
 use crate::protocol::ascii::{self, Line, LineParser};
 use crate::transport::serial::{BAUD_RATE, BUFFER, OpenPort, read, read_more};
@@ -17,7 +17,7 @@ use crate::transport::trace;
 /// Longest wait for the line in which the firmware states its waveform.
 const WAVEFORM_TIMEOUT: Duration = Duration::from_secs(3);
 /// Most bytes that are searched for that line.
-const MAX_HEARD_BYTES: usize = 1 << 22;
+const MAX_SEARCHED_BYTES: usize = 1 << 22;
 
 /// Frame stream of a board that prints lines, from the next whole line on.
 ///
@@ -31,8 +31,8 @@ pub struct Esp32Stream {
     parser: LineParser,
     buffer: Vec<u8>,
     resequencer: Resequencer,
-    /// Whether the log has a line that does not fit the waveform since the last frame.
-    is_unfit_told: bool,
+    /// Whether a line that does not fit the waveform was logged since the last frame.
+    has_warned: bool,
     /// Longest silence, from the frame interval and the duration of a line.
     deadline: Duration,
     waveform: Waveform,
@@ -50,29 +50,29 @@ impl Esp32Stream {
         Esp32Stream::listen(path, open_port(path)?, Vec::new(), waveform)
     }
 
-    /// Starts a stream on an open port; `heard` are the bytes read from it so far.
+    /// Starts a stream on an open port, from which the bytes `received` were read before.
     pub(in crate::board) fn listen(
         path: &Path,
         mut port: OpenPort,
-        mut heard: Vec<u8>,
+        mut received: Vec<u8>,
         waveform: Option<&Waveform>,
     ) -> Result<Self, BoardError> {
         let waveform = match waveform {
             Some(waveform) => waveform.clone(),
-            None => read_waveform_line(path, &mut port, &mut heard)?,
+            None => read_waveform_line(path, &mut port, &mut received)?,
         };
         let codes = waveform.shape().codes();
         // A code takes six characters, a character ten bits.
         let line_s = codes as f64 * 60.0 / f64::from(BAUD_RATE);
         let mut parser = LineParser::new(codes);
-        parser.push(&heard);
+        parser.push(&received);
         Ok(Esp32Stream {
             path: path.into(),
             port: Some(port),
             parser,
             buffer: vec![0; BUFFER],
             resequencer: Resequencer::new(&waveform),
-            is_unfit_told: false,
+            has_warned: false,
             deadline: Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s().max(line_s)),
             waveform,
             recovery: Recovery::default(),
@@ -86,30 +86,30 @@ impl Esp32Stream {
         self
     }
 
-    /// Returns what tells, from any thread, whether the board is away.
+    /// Returns a handle that tells, from any thread, whether the board is away.
     pub fn outage(&self) -> Outage {
         self.recovery.outage.clone()
     }
 }
 
-/// Listens until the firmware states its waveform; appends all bytes to `heard`.
-fn read_waveform_line(path: &Path, port: &mut OpenPort, heard: &mut Vec<u8>) -> Result<Waveform, BoardError> {
-    let began = Instant::now();
-    let mut begin = 0;
+/// Listens until the firmware states its waveform; appends all bytes to `received`.
+fn read_waveform_line(path: &Path, port: &mut OpenPort, received: &mut Vec<u8>) -> Result<Waveform, BoardError> {
+    let start = Instant::now();
+    let mut line_start = 0;
     loop {
-        while let Some(length) = heard.get(begin..).unwrap_or(&[]).iter().position(|b| *b == b'\n') {
-            let line = heard.get(begin..begin + length).unwrap_or(&[]);
-            begin += length + 1;
+        while let Some(length) = received.get(line_start..).unwrap_or(&[]).iter().position(|b| *b == b'\n') {
+            let line = received.get(line_start..line_start + length).unwrap_or(&[]);
+            line_start += length + 1;
             if let Some(request) = ascii::decode_waveform(line.strip_suffix(b"\r").unwrap_or(line)) {
                 let unusable = |reason: String| BoardError::WaveformStated { path: path.to_owned(), reason };
                 let request = request.map_err(|error| unusable(error.to_string()))?;
                 return Waveform::realise(request).map_err(|error| unusable(error.to_string()));
             }
         }
-        if began.elapsed() > WAVEFORM_TIMEOUT || heard.len() > MAX_HEARD_BYTES {
+        if start.elapsed() > WAVEFORM_TIMEOUT || received.len() > MAX_SEARCHED_BYTES {
             return Err(BoardError::WaveformUnknown { path: path.to_owned() });
         }
-        read_more(port, heard).map_err(lost(path))?;
+        read_more(port, received).map_err(disconnected(path))?;
     }
 }
 
@@ -124,19 +124,19 @@ impl FrameSource for Esp32Stream {
 }
 
 impl Reconnectable for Esp32Stream {
-    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+    fn read_event(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
         // The deadline is not extended by bytes alone: lines of another waveform would keep the stream waiting for
         // ever.
-        let began = Instant::now();
-        let mut unfit = None;
+        let start = Instant::now();
+        let mut line_error = None;
         loop {
             if let Some(event) = self.resequencer.pop(frame) {
                 return Ok(event);
             }
             match self.parser.next_line() {
                 Some(Ok(Line::Frame { number, codes })) => {
-                    self.resequencer.take(number, codes, Instant::now());
-                    self.is_unfit_told = false;
+                    self.resequencer.push_line(number, codes, Instant::now());
+                    self.has_warned = false;
                     continue;
                 }
                 Some(Ok(Line::Log(text))) => {
@@ -145,27 +145,27 @@ impl Reconnectable for Esp32Stream {
                 }
                 Some(Err(error)) => {
                     // If the firmware has another waveform, no line fits.
-                    if !std::mem::replace(&mut self.is_unfit_told, true) {
+                    if !std::mem::replace(&mut self.has_warned, true) {
                         tracing::warn!("{}: {error}", self.path.display());
                     }
                     self.resequencer.damaged = true;
-                    unfit = Some(error);
+                    line_error = Some(error);
                     continue;
                 }
                 None => {}
             }
-            // Received lines were parsed first: a caller that did not read for so long has not lost the board.
-            if began.elapsed() > self.deadline {
+            // Received lines are parsed first, so that a caller that did not read for long does not report a lost board.
+            if start.elapsed() > self.deadline {
                 let path = self.path.clone();
-                return Err(match unfit {
+                return Err(match line_error {
                     // After a first frame the waveform is known to be right: a damaged line is then only the last one
                     // before a silence.
                     Some(source) if self.resequencer.next_number.is_none() => BoardError::Line { path, source },
                     _ => BoardError::Stalled { path, waited: self.deadline },
                 });
             }
-            let port = self.port.as_mut().ok_or_else(|| lost(&self.path)(ErrorKind::NotConnected.into()))?;
-            let count = read(port, &mut self.buffer).map_err(lost(&self.path))?;
+            let port = self.port.as_mut().ok_or_else(|| disconnected(&self.path)(ErrorKind::NotConnected.into()))?;
+            let count = read(port, &mut self.buffer).map_err(disconnected(&self.path))?;
             if count > 0 {
                 trace::measured(count);
                 self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
@@ -180,7 +180,7 @@ impl Reconnectable for Esp32Stream {
     fn reopen(&mut self) -> Result<(), BoardError> {
         self.port = Some(open_port(&self.path)?);
         self.parser = LineParser::new(self.waveform.shape().codes());
-        self.resequencer.reopened();
+        self.resequencer.note_reopening();
         Ok(())
     }
 
@@ -202,16 +202,16 @@ mod hard_cases {
 
     /// Regression test: firmware that stated a waveform with a wrong key or value was said to state none.
     #[test]
-    fn a_stated_waveform_that_cannot_be_used_is_told_with_its_reason() {
+    fn a_stated_waveform_that_cannot_be_used_is_an_error_with_its_reason() {
         let mut impossible = Vec::new();
         let request = WaveformRequest { if_gain_db: 7.0, ..WaveformRequest::paper() };
         ascii::encode_waveform(&request, &mut impossible);
         let wrong_key = b"I (312) main: radar started\r\nWaveform: {\"start_hz\": 60e9}\r\n".to_vec();
-        for (heard, reason) in [(impossible, "if_gain_db is 7"), (wrong_key, "start_hz")] {
+        for (received, reason) in [(impossible, "if_gain_db is 7"), (wrong_key, "start_hz")] {
             let (_firmware, port) = TTYPort::pair().expect("a pty");
-            let error = Esp32Stream::listen(Path::new("port"), port.into(), heard, None).err().expect("refused");
+            let error = Esp32Stream::listen(Path::new("port"), port.into(), received, None).err().expect("refused");
             assert!(matches!(&error, BoardError::WaveformStated { reason: r, .. } if r.contains(reason)), "{error}");
-            assert!(!error.is_passing() && error.to_string().contains("--waveform"), "{error}");
+            assert!(!error.is_transient() && error.to_string().contains("--waveform"), "{error}");
         }
     }
 }

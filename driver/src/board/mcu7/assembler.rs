@@ -1,8 +1,8 @@
 //! Assembler of frames from data packets. It does no I/O: it turns packets into frames and gaps.
 //!
 //! Slices carry no mark of where a radar frame begins: alignment is kept by counting from the start. The slice and so
-//! the size of every packet is fixed. A packet's counter therefore says exactly which bytes of the stream it carries.
-//! Lost packets cost only the frames that they belong to: the next whole frame is known.
+//! the size of every packet is fixed. A packet's counter therefore gives exactly the bytes of the stream that it carries.
+//! Lost packets lose only the frames that they belong to, because the start of the next whole frame is known.
 //!
 //! A counter can be wrong without a byte being lost, or right although the firmware has left slices out. After each
 //! jump the slices' time stamps must therefore agree with their positions until a whole frame has been seen; otherwise
@@ -19,8 +19,8 @@ use crate::protocol::{fifo, packed12};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Outcome {
-    /// Taken, or ignored as a duplicate.
-    Taken,
+    /// The packet was used, or ignored as a duplicate.
+    Accepted,
     /// The board has stopped by itself.
     Stopped(DataError),
     /// The packet cannot be the one that its counter says it is: alignment is lost.
@@ -45,7 +45,7 @@ pub(super) struct Assembler {
     /// Number of the next packet with data since the start: the counter, unwrapped, less the packets with texts.
     next_packet: u64,
     /// Packets with texts since the start, modulo 2^16.
-    texts: u16,
+    text_packets: u16,
     /// Stream offset up to which bytes have been received or given up.
     received: u64,
     /// Contiguous bytes of the stream from `buffer_start` on.
@@ -53,15 +53,15 @@ pub(super) struct Assembler {
     buffer_start: u64,
     /// Next frame of this stream to complete.
     next_frame: u64,
-    /// Sequence number of this stream's frame 0, modulo 2^64; unknown after a restart until the board's clock tells.
-    base: Option<u64>,
+    /// Sequence number of this stream's frame 0, modulo 2^64; unknown after a restart until a frame has a time.
+    base_sequence: Option<u64>,
     next_sequence: u64,
     /// Frames lost since the last whole one. Reported with the next one, whose sequence number it needs.
     gap: Option<Gap>,
     /// Board time of sequence number 0, microseconds.
     origin_us: Option<f64>,
     last_time_us: f64,
-    /// Set after a reconnection, when the board's clock says nothing: host time since the last frame, microseconds.
+    /// Host time since the last frame, microseconds. Set after a reconnection, when the board's clock may have restarted.
     host_elapsed_us: Option<f64>,
     /// Slices and the board's time at which they were complete, oldest first.
     stamps: VecDeque<(u64, u64)>,
@@ -73,7 +73,7 @@ pub(super) struct Assembler {
     damaged: bool,
     restart_reason: GapReason,
     ready: VecDeque<Ready>,
-    spare: Vec<Vec<u16>>,
+    free_buffers: Vec<Vec<u16>>,
     scratch: Vec<u16>,
 }
 
@@ -81,7 +81,7 @@ impl Assembler {
     pub fn new(waveform: &Waveform, slice: SliceLayout) -> Self {
         let shape = waveform.shape();
         // Frames that a slice can complete, allocated in advance.
-        let at_once = slice.samples / shape.codes().max(1) + 2;
+        let frames_per_slice = slice.samples / shape.codes().max(1) + 2;
         let frame_bytes = packed12::packed_length(shape.codes()) + 3;
         Assembler {
             slice,
@@ -89,12 +89,12 @@ impl Assembler {
             timing: SampleTiming::new(waveform),
             frame_interval_us: waveform.frame_interval_s() * 1e6,
             next_packet: 0,
-            texts: 0,
+            text_packets: 0,
             received: 0,
             buffer: Vec::with_capacity(frame_bytes + 2 * slice.data_bytes()),
             buffer_start: 0,
             next_frame: 0,
-            base: Some(0),
+            base_sequence: Some(0),
             next_sequence: 0,
             gap: None,
             origin_us: None,
@@ -106,21 +106,21 @@ impl Assembler {
             duplicates: 0,
             damaged: false,
             restart_reason: GapReason::Disconnected,
-            ready: VecDeque::with_capacity(at_once + 2),
-            spare: vec![vec![0; shape.codes()]; at_once],
+            ready: VecDeque::with_capacity(frames_per_slice + 2),
+            free_buffers: vec![vec![0; shape.codes()]; frames_per_slice],
             scratch: vec![0; shape.codes() + 2],
         }
     }
 
-    /// Notes that bytes were damaged on the way: the next missing packets have that reason.
-    pub fn damaged(&mut self) {
+    /// Notes that bytes were damaged in transmission, which is the reason of the next missing packets.
+    pub fn note_damage(&mut self) {
         self.damaged = true;
     }
 
-    /// Restarts the stream from packet 0; the board's clock will tell the number of lost frames.
+    /// Restarts the stream from packet 0. The board's clock then gives the number of lost frames.
     pub fn restart(&mut self, reason: GapReason) {
         (self.next_packet, self.received, self.buffer_start, self.next_frame) = (0, 0, 0, 0);
-        self.texts = 0;
+        self.text_packets = 0;
         self.buffer.clear();
         self.stamps.clear();
         (self.last_stamp, self.check_until, self.duplicates) = (None, 0, 0);
@@ -128,21 +128,21 @@ impl Assembler {
         // The gap of the restart begins where this one would have.
         self.gap = None;
         // The first of several restarts without a frame between them is the reason of the gap.
-        if self.base.take().is_some() {
+        if self.base_sequence.take().is_some() {
             self.restart_reason = reason;
         }
     }
 
-    /// Notes that the board may have been without power. The host's clock then tells the number of lost frames, unless
+    /// Notes that the board may have been without power. The host's clock then gives the number of lost frames, unless
     /// the board's clock has kept running.
-    pub fn reconnected(&mut self) {
+    pub fn note_reconnection(&mut self) {
         self.restart(GapReason::Disconnected);
         self.restart_reason = GapReason::Disconnected;
         self.host_elapsed_us = Some(0.0);
     }
 
     /// Sets the host time since the last frame was handed out.
-    pub fn host_elapsed(&mut self, since_last_frame: Duration) {
+    pub fn set_host_elapsed(&mut self, since_last_frame: Duration) {
         if let Some(elapsed_us) = &mut self.host_elapsed_us {
             *elapsed_us = since_last_frame.as_secs_f64() * 1e6;
         }
@@ -181,24 +181,25 @@ impl Assembler {
         let tolerance_us = 0.5 * to_previous_us.min(to_next_us) + 1e-3 * nominal_us;
         let agrees = (measured_us - nominal_us).abs() <= tolerance_us;
         if !agrees {
-            tracing::debug!(slice, measured_us, nominal_us, "a slice came at another time than its place says");
+            tracing::debug!(slice, measured_us, nominal_us, "a slice came at another time than its position says");
         }
         agrees
     }
 
-    pub fn packet(&mut self, packet: &Packet<'_>) -> Outcome {
+    /// Takes the next packet.
+    pub fn push_packet(&mut self, packet: &Packet<'_>) -> Outcome {
         if let Some(error) = packet.error() {
             return Outcome::Stopped(error);
         }
-        let ahead = packet.counter.wrapping_sub(self.texts).wrapping_sub(self.next_packet as u16);
+        let ahead = packet.counter.wrapping_sub(self.text_packets).wrapping_sub(self.next_packet as u16);
         if packet.flags.error {
             if ahead < 0x8000 {
                 self.take_text(packet);
             }
-            return Outcome::Taken;
+            return Outcome::Accepted;
         }
         if ahead >= 0x8000 {
-            // Before the first packet: the counter has been set back.
+            // The counter has been set back if the packet would be earlier than the first one.
             if u64::from(ahead.wrapping_neg()) > self.next_packet {
                 return Outcome::Misaligned;
             }
@@ -206,15 +207,15 @@ impl Assembler {
             self.duplicates += 1;
             // The packet may also be a new one, sent after the counter was set back.
             self.check_until = self.end_slice(self.next_frame) + 1;
-            return if self.duplicates > MOST_DUPLICATES { Outcome::Misaligned } else { Outcome::Taken };
+            return if self.duplicates > MOST_DUPLICATES { Outcome::Misaligned } else { Outcome::Accepted };
         }
         self.duplicates = 0;
         let number = self.next_packet + u64::from(ahead);
         let packets = self.slice.packets() as u64;
         let (slice, index) = (number / packets, (number % packets) as usize);
-        let last = index + 1 == self.slice.packets();
+        let is_last = index + 1 == self.slice.packets();
         let flags = packet.flags;
-        if (flags.first, flags.last, flags.timestamp) != (index == 0, last, last)
+        if (flags.first, flags.last, flags.timestamp) != (index == 0, is_last, is_last)
             || packet.payload.len() != self.slice.payload_length(index)
         {
             return Outcome::Misaligned;
@@ -225,12 +226,11 @@ impl Assembler {
         let offset = self.slice.offset(index);
         let position = slice * bytes as u64 + offset as u64;
         if position != self.received {
-            // There is no stamp to compare with: only the count from the start tells where frames begin in these
-            // slices.
+            // Without an earlier time stamp, only the count of slices from the start tells where frames begin.
             if self.last_stamp.is_none() && !self.slice.samples.is_multiple_of(self.shape.codes().max(1)) {
                 return Outcome::Misaligned;
             }
-            self.lose_until(position);
+            self.skip_to(position);
             // The slice that ends the next whole frame is the last to be checked.
             self.check_until = self.end_slice(self.next_frame) + 1;
         }
@@ -240,7 +240,7 @@ impl Assembler {
         let skip = self.buffer_start.saturating_sub(position).min(data.len() as u64) as usize;
         self.buffer.extend_from_slice(data.get(skip..).unwrap_or(&[]));
         self.received = position + data.len() as u64;
-        if last {
+        if is_last {
             if let (_, Some(time_us)) = packet.split_timestamp() {
                 if slice < self.check_until && !self.is_on_time(slice, time_us) {
                     return Outcome::Misaligned;
@@ -248,9 +248,9 @@ impl Assembler {
                 self.last_stamp = Some((slice, time_us));
                 self.stamps.push_back((slice, time_us));
             }
-            self.complete();
+            self.complete_frames();
         }
-        Outcome::Taken
+        Outcome::Accepted
     }
 
     /// Takes a packet with a text, which counts among the packets but carries no byte of the stream. On a transport
@@ -266,19 +266,19 @@ impl Assembler {
         } else {
             tracing::warn!(text, "the board sent a text among its data");
         }
-        self.texts = self.texts.wrapping_add(1);
+        self.text_packets = self.text_packets.wrapping_add(1);
         self.check_until = self.end_slice(self.next_frame) + 1;
     }
 
     /// Continues the stream at this byte; frames that reach into the skipped bytes are lost.
-    fn lose_until(&mut self, position: u64) {
-        self.complete();
+    fn skip_to(&mut self, position: u64) {
+        self.complete_frames();
         let codes = self.shape.codes() as u64;
         let mut next = position / 3 * 2 / codes;
         while self.start_byte(next) < position {
             next += 1;
         }
-        if let Some(base) = self.base
+        if let Some(base) = self.base_sequence
             && next > self.next_frame
         {
             let reason = if self.damaged { GapReason::Crc } else { GapReason::PacketLost };
@@ -291,19 +291,21 @@ impl Assembler {
         self.buffer_start = self.start_byte(self.next_frame);
     }
 
-    fn complete(&mut self) {
-        let mut used = 0;
+    /// Moves the whole frames of the buffer to the queue.
+    fn complete_frames(&mut self) {
+        let mut used_bytes = 0;
         while self.end_byte(self.next_frame) <= self.buffer_start + self.buffer.len() as u64 {
             let frame = self.next_frame;
-            // Without a time the sequence number is unknown: the frame is given up.
+            // Without a time the sequence number is unknown, and the frame is lost.
             let Some(start_us) = self.start_us(frame) else { break };
             let start = (self.start_byte(frame) - self.buffer_start) as usize;
             let end = (self.end_byte(frame) - self.buffer_start) as usize;
             packed12::unpack(self.buffer.get(start..end).unwrap_or(&[]), &mut self.scratch);
-            let half = (frame * self.shape.codes() as u64 % 2) as usize;
-            let mut codes = self.spare.pop().unwrap_or_default();
+            // The first pair of codes may begin with the last code of the previous frame.
+            let skipped_codes = (frame * self.shape.codes() as u64 % 2) as usize;
+            let mut codes = self.free_buffers.pop().unwrap_or_default();
             codes.resize(self.shape.codes(), 0);
-            fifo::deinterleave(self.scratch.get(half..).unwrap_or(&[]), self.shape, &mut codes);
+            fifo::deinterleave(self.scratch.get(skipped_codes..).unwrap_or(&[]), self.shape, &mut codes);
 
             let sequence = self.sequence(frame, start_us);
             if let Some(gap) = self.gap.take() {
@@ -315,13 +317,13 @@ impl Assembler {
             self.last_time_us = start_us;
             self.next_sequence = sequence + 1;
             self.next_frame += 1;
-            used = (self.start_byte(self.next_frame) - self.buffer_start) as usize;
+            used_bytes = (self.start_byte(self.next_frame) - self.buffer_start) as usize;
         }
-        let used = used.min(self.buffer.len());
-        self.buffer.drain(..used);
-        self.buffer_start += used as u64;
-        let current = self.next_frame * self.shape.codes() as u64 / self.slice.samples as u64;
-        while self.stamps.front().is_some_and(|(slice, _)| *slice < current) {
+        let used_bytes = used_bytes.min(self.buffer.len());
+        self.buffer.drain(..used_bytes);
+        self.buffer_start += used_bytes as u64;
+        let current_slice = self.next_frame * self.shape.codes() as u64 / self.slice.samples as u64;
+        while self.stamps.front().is_some_and(|(slice, _)| *slice < current_slice) {
             self.stamps.pop_front();
         }
     }
@@ -335,29 +337,29 @@ impl Assembler {
             let since_start_us = self.nominal_us(*slice) - frame as f64 * self.frame_interval_us;
             return Some(*stamp_us as f64 - since_start_us);
         }
-        let since_last = (self.base?.wrapping_add(frame) + 1).saturating_sub(self.next_sequence);
+        let since_last = (self.base_sequence?.wrapping_add(frame) + 1).saturating_sub(self.next_sequence);
         self.origin_us.map(|_| self.last_time_us + since_last as f64 * self.frame_interval_us)
     }
 
     /// Sequence number of a frame of this stream. After a restart the board's clock gives it, and the gap is noted.
     fn sequence(&mut self, frame: u64, start_us: f64) -> u64 {
-        if let Some(base) = self.base {
+        if let Some(base) = self.base_sequence {
             return base.wrapping_add(frame);
         }
         let intervals = |elapsed_us: f64| (elapsed_us / self.frame_interval_us).round().max(0.0) as u64;
         // If the board's clock agrees with the host's to one frame, it has kept running; otherwise the board was
         // without power. The board was also without power if this frame would not be later than the last one.
         let by_board_us = start_us - self.last_time_us;
-        let has_run_on = |host_us: f64| {
+        let has_kept_running = |host_us: f64| {
             by_board_us > 0.5 * self.frame_interval_us && (by_board_us - host_us).abs() < self.frame_interval_us
         };
-        let by_clock = match self.host_elapsed_us.take().filter(|elapsed_us| !has_run_on(*elapsed_us)) {
+        let by_clock = match self.host_elapsed_us.take().filter(|elapsed_us| !has_kept_running(*elapsed_us)) {
             Some(elapsed_us) => {
                 self.origin_us = None;
                 Some(self.next_sequence.saturating_sub(1) + intervals(elapsed_us))
             }
-            // From the last frame on: from the first one on, the difference between the clocks of board and chip would
-            // add up.
+            // Intervals are counted from the last frame. Counted from the first one, the difference between the clocks of
+            // board and chip would add up.
             None => self.origin_us.map(|_| self.next_sequence.saturating_sub(1) + intervals(by_board_us)),
         };
         // At least the frame that was cut short is lost.
@@ -369,7 +371,7 @@ impl Assembler {
         };
         self.ready.push_back(Ready::Gap(gap));
         // The difference wraps if the counter has jumped by more frames than were ever sent.
-        self.base = Some(sequence.wrapping_sub(frame));
+        self.base_sequence = Some(sequence.wrapping_sub(frame));
         sequence
     }
 
@@ -384,7 +386,7 @@ impl Assembler {
             Ready::Gap(gap) => Some(SourceEvent::Gap(gap)),
             Ready::Frame { sequence, time_ns, mut codes } => {
                 std::mem::swap(&mut frame.codes, &mut codes);
-                self.spare.push(codes);
+                self.free_buffers.push(codes);
                 (frame.sequence, frame.time_ns, frame.shape) = (sequence, time_ns, self.shape);
                 (frame.truth, frame.temperature_millicelsius) = (None, None);
                 Some(SourceEvent::Frame)
@@ -435,11 +437,11 @@ mod tests {
         for index in 0..layout.packets() {
             let (payload, after) = rest.split_at(layout.payload_length(index));
             rest = after;
-            let last = index + 1 == layout.packets();
-            let flags = PacketFlags { first: index == 0, last, timestamp: last, error: false };
+            let is_last = index + 1 == layout.packets();
+            let flags = PacketFlags { first: index == 0, last: is_last, timestamp: is_last, error: false };
             let counter = (first_counter + index) as u16;
             if indices.contains(&index) {
-                assert_eq!(assembler.packet(&Packet { flags, channel: 0, counter, payload }), Outcome::Taken);
+                assert_eq!(assembler.push_packet(&Packet { flags, channel: 0, counter, payload }), Outcome::Accepted);
             }
         }
         let mut frame = Frame::zeroed(assembler.shape);
@@ -485,7 +487,7 @@ mod tests {
 
         /// Regression test: after an overflow, a frame without a time counted as the very next one.
         #[test]
-        fn a_frame_without_time_after_a_restart_does_not_count_what_was_lost() {
+        fn a_frame_without_time_after_a_restart_does_not_set_the_gap() {
             let mut assembler = two_frames_a_slice();
             packets(&mut assembler, 0, &[0, 1], HOUR_US);
             assembler.restart(GapReason::FifoOverflow);
@@ -497,7 +499,7 @@ mod tests {
 
         /// A frame without a time behind a gap is later than the last frame by the length of the gap.
         #[test]
-        fn a_frame_without_time_behind_a_gap_comes_at_its_place() {
+        fn a_frame_without_time_behind_a_gap_has_its_own_time() {
             let mut assembler = two_frames_a_slice();
             packets(&mut assembler, 0, &[0, 1], HOUR_US);
             assert_eq!(packets(&mut assembler, 3, &[0], 0), []);
@@ -508,19 +510,19 @@ mod tests {
 
         /// Regression test: the first four bytes of a text were taken for a fatal error code.
         #[test]
-        fn a_text_of_the_firmware_ends_nothing() {
+        fn a_text_of_the_firmware_does_not_end_the_stream() {
             let mut assembler = assembler(64, 128);
             let flags = PacketFlags { first: true, last: true, error: true, ..PacketFlags::default() };
             assert_eq!(packets(&mut assembler, 0, &[0, 1, 2, 3], HOUR_US), [frame(0)]);
             for payload in [&b"hello"[..], b"ab", b"a longer text of the firmware\n"] {
                 let text = Packet { flags, channel: 0, counter: 4, payload };
                 // The second and third ones come from the past.
-                assert_eq!(assembler.packet(&text), Outcome::Taken);
+                assert_eq!(assembler.push_packet(&text), Outcome::Accepted);
             }
             let found = packets_from(&mut assembler, 5, &[0, 1, 2, 3], HOUR_US + FRAME_US);
             assert_eq!(found, [frame(1)]);
             let code = Packet { flags, channel: 0, counter: 9, payload: &5u32.to_le_bytes() };
-            assert_eq!(assembler.packet(&code), Outcome::Stopped(DataError::Other(5)));
+            assert_eq!(assembler.push_packet(&code), Outcome::Stopped(DataError::Other(5)));
         }
 
         /// Regression test: lost frames were counted from the first frame on, so that the count was wrong by more the
@@ -543,14 +545,14 @@ mod tests {
         /// second time its clock had the same value as the first time, which was mistaken for a clock that had kept
         /// running. Every later count was one short.
         #[test]
-        fn a_clock_that_stands_where_it_stood_has_not_run_on() {
+        fn a_clock_with_the_same_value_as_before_has_not_kept_running() {
             // A slice holds one frame in four packets.
             let mut assembler = assembler(64, 128);
             let first_slice = |assembler: &mut Assembler, time_us| packets(assembler, 0, &[0, 1, 2, 3], time_us);
             assert!(matches!(first_slice(&mut assembler, 31_626)[..], [Ok(_)]));
             for (away_ms, first_sequence) in [(30, 1), (11, 3)] {
-                assembler.reconnected();
-                assembler.host_elapsed(Duration::from_millis(away_ms));
+                assembler.note_reconnection();
+                assembler.set_host_elapsed(Duration::from_millis(away_ms));
                 let found = first_slice(&mut assembler, 0);
                 let gap = lost(first_sequence, 1, GapReason::Disconnected);
                 assert!(matches!(found[..], [first, Ok(_)] if first == gap), "{found:?}");

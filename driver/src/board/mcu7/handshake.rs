@@ -61,7 +61,7 @@ impl Handshake {
     pub fn identity(
         self,
         link: &mut Link,
-        chip_id: fn(&mut Link) -> Result<u32, BoardError>,
+        read_chip_id: fn(&mut Link) -> Result<u32, BoardError>,
     ) -> Result<BoardIdentity, BoardError> {
         let uuid: String = match link.request(&Command::Uuid)? {
             (Status::Ok, uuid) => uuid.iter().map(|b| format!("{b:02x}")).collect(),
@@ -69,7 +69,7 @@ impl Handshake {
         };
         trace::identity(&uuid);
         let extended = link.request(&Command::ExtendedVersion)?.1;
-        let chip_id = chip_id(link)?;
+        let chip_id = read_chip_id(link)?;
         let path = link.path.clone();
         match chip_id {
             0 | 0xFF_FFFF => return Err(BoardError::ChipSilent { path, chip_id }),
@@ -111,6 +111,7 @@ pub(super) fn read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
     }
 }
 
+/// Resets the chip and reads CHIP_ID.
 pub(super) fn reset_and_read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
     link.request_ok(&Command::HardwareReset)?;
     let words = vec![SpiWord::write(register::SFCTL, SFCTL_READABLE)];

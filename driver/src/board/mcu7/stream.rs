@@ -10,16 +10,16 @@ use super::board::Mcu7Board;
 use super::link::Incoming;
 use crate::board::BoardError;
 use crate::board::host::now_ns;
-use crate::board::patience::Patience;
+use crate::board::read_deadline::ReadDeadline;
 use crate::board::reconnect::{Outage, Reconnect, Reconnectable, Recovery, check_same, next_event};
 use crate::chip::{ChipConfiguration, RegisterList, SpiWord};
 use crate::protocol::mcu7::{Command, DataError, SliceLayout};
 use crate::transport::Address;
 
-/// MAIN with FIFO and state machine reset, as the vendor's client stops.
+/// Write of MAIN that resets FIFO and state machine, as the vendor's client stops the chip.
 const STOP: SpiWord = SpiWord { address: 0, write: true, value: 0x1E_827C };
 
-/// Most times that the board is started anew without a frame in between.
+/// Largest number of restarts of the board without a frame in between.
 const MOST_RESTARTS: u32 = 20;
 
 /// A running acquisition. It ends with [`Mcu7Stream::stop`] or when dropped.
@@ -81,6 +81,7 @@ impl Mcu7Stream {
         self.board.as_mut().ok_or(BoardError::Stopped)
     }
 
+    /// Programs the chip and starts data.
     fn program(&mut self) -> Result<(), BoardError> {
         let words: Vec<SpiWord> = self.registers.iter().map(|r| (*r).into()).collect();
         let slice = self.slice;
@@ -89,7 +90,7 @@ impl Mcu7Stream {
         link.request_ok(&Command::StopData)?;
         link.request_ok(&Command::HardwareReset)?;
         link.request_ok(&Command::ConfigureData { slice_samples })?;
-        link.expect(Some(slice));
+        link.set_slice_layout(Some(slice));
         link.request_ok(&Command::StartData)?;
         link.request_ok(&Command::Execute { words, answer: false })?;
         Ok(())
@@ -103,7 +104,7 @@ impl Mcu7Stream {
         self
     }
 
-    /// Returns what tells, from any thread, whether the board is away.
+    /// Returns a handle that tells, from any thread, whether the board is away.
     pub fn outage(&self) -> Outage {
         self.recovery.outage.clone()
     }
@@ -119,7 +120,7 @@ impl Mcu7Stream {
     /// [`BoardError`] if the connection breaks, the board refuses to start again, stops by itself or sends no frame
     /// after many restarts, or the stream was stopped.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
-        let mut patience = Patience::new(timeout);
+        let mut deadline = ReadDeadline::new(timeout);
         'next: loop {
             if let Some(event) = self.assembler.pop(frame) {
                 if event == SourceEvent::Frame {
@@ -139,22 +140,22 @@ impl Mcu7Stream {
                 }
                 self.assembler.restart(reason);
                 self.program()?;
-                patience.renew();
+                deadline.restart();
             }
             let link = &mut self.board.as_mut().ok_or(BoardError::Stopped)?.link;
             while let Some(incoming) = link.next_incoming() {
                 let outcome = match incoming {
                     Incoming::Damaged => {
-                        self.assembler.damaged();
+                        self.assembler.note_damage();
                         continue;
                     }
                     Incoming::Packet(packet) => {
-                        self.assembler.host_elapsed(self.last_frame.elapsed());
-                        self.assembler.packet(&packet)
+                        self.assembler.set_host_elapsed(self.last_frame.elapsed());
+                        self.assembler.push_packet(&packet)
                     }
                 };
                 match outcome {
-                    Outcome::Taken => {}
+                    Outcome::Accepted => {}
                     Outcome::Stopped(DataError::FifoOverflow) => self.restart = Some(GapReason::FifoOverflow),
                     Outcome::Stopped(DataError::Other(code)) => {
                         return Err(BoardError::Acquisition { path: link.path.clone(), code });
@@ -166,8 +167,8 @@ impl Mcu7Stream {
                     continue 'next;
                 }
             }
-            let Some(wait) = patience.next_read() else { return Ok(None) };
-            patience.has_read(link.receive(wait.min(Duration::from_millis(50)))?);
+            let Some(wait) = deadline.next_read() else { return Ok(None) };
+            deadline.note_read(link.receive(wait.min(Duration::from_millis(50)))?);
         }
     }
 
@@ -185,7 +186,7 @@ impl Mcu7Stream {
 fn halt(board: &mut Mcu7Board) -> Result<(), BoardError> {
     board.link.request_ok(&Command::StopData)?;
     board.link.request_ok(&Command::Execute { words: vec![STOP], answer: false })?;
-    board.link.expect(None);
+    board.link.set_slice_layout(None);
     Ok(())
 }
 
@@ -210,7 +211,7 @@ impl FrameSource for Mcu7Stream {
 }
 
 impl Reconnectable for Mcu7Stream {
-    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+    fn read_event(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
         let waited = self.deadline;
         self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
     }
@@ -225,7 +226,7 @@ impl Reconnectable for Mcu7Stream {
         check_same(&self.path, &self.uuid, board.identity())?;
         self.board = Some(board);
         self.program()?;
-        self.assembler.reconnected();
+        self.assembler.note_reconnection();
         Ok(())
     }
 

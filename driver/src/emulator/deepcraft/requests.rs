@@ -23,7 +23,7 @@ const WATCHDOG_TIMEOUT_MS: i32 = 3000;
 pub(super) const DEVICE: i32 = 0;
 
 /// Time at which the watchdog stops the radar.
-fn watchdog() -> Instant {
+fn watchdog_deadline() -> Instant {
     Instant::now() + Duration::from_millis(WATCHDOG_TIMEOUT_MS as u64)
 }
 
@@ -35,7 +35,7 @@ pub(super) struct Requests {
     /// Options at power-up, and now: use case and custom data.
     power_up: (i32, Vec<u8>),
     use_case: i32,
-    blob: Vec<u8>,
+    custom_data: Vec<u8>,
     /// Waveform, and its registers.
     setting: Custom,
     pub chip: Chip,
@@ -64,7 +64,7 @@ impl Requests {
         let power_up = match Preset::of(source) {
             Some(preset) => (preset as i32, Vec::new()),
             None if holds_frames_of(codes) => (ITEMS.len() as i32 - 1, Custom::compile(source)?.encode()),
-            // As the board is sold. A client may program another waveform.
+            // The board begins as it is sold. A client may program another waveform.
             None if chip.source.check(&Preset::Default.waveform()?).is_ok() => {
                 let preset = Preset::Default;
                 tracing::warn!(
@@ -82,7 +82,7 @@ impl Requests {
             name,
             protocol_major,
             use_case: power_up.0,
-            blob: power_up.1.clone(),
+            custom_data: power_up.1.clone(),
             power_up,
             setting: Custom { waveform: source.clone(), registers: RegisterList::new() },
             active_until: None,
@@ -99,7 +99,7 @@ impl Requests {
     /// Resets all state except the number of starts, after a loss of power.
     pub fn power_up(&mut self) {
         self.parser.clear();
-        (self.use_case, self.blob) = self.power_up.clone();
+        (self.use_case, self.custom_data) = self.power_up.clone();
         self.stop();
         self.configure();
         self.chip.reset();
@@ -107,7 +107,7 @@ impl Requests {
 
     /// Stops the radar after the last client has left, as the watchdog would soon, and discards half a request, which
     /// would delay the next client.
-    pub fn abandon(&mut self) {
+    pub fn client_left(&mut self) {
         self.parser.clear();
         self.stop();
     }
@@ -147,7 +147,7 @@ impl Requests {
             let answer = match request {
                 None => Some(Err(ErrorCode::DECODE)),
                 Some(Request { command: None }) => Some(Err(ErrorCode::REQUEST_TYPE)),
-                Some(Request { command: Some(command) }) => self.run(command).transpose(),
+                Some(Request { command: Some(command) }) => self.execute(command).transpose(),
             };
             match answer {
                 None => {}
@@ -160,7 +160,7 @@ impl Requests {
         }
     }
 
-    fn run(&mut self, command: Command) -> Result<Option<Answer>, ErrorCode> {
+    fn execute(&mut self, command: Command) -> Result<Option<Answer>, ErrorCode> {
         match command {
             Command::Capabilities(request) => {
                 if request.device > DEVICE {
@@ -171,14 +171,14 @@ impl Requests {
             }
             Command::Configure(request) => self.set_options(&request).map(|answer| Some(Answer::Configuration(answer))),
             Command::Start(request) => {
-                is_ours(request.device)?;
+                check_device(request.device)?;
                 match (self.active_until, &self.refusal) {
                     (Some(_), _) => return Err(ErrorCode::ALREADY_ACTIVE),
                     (None, Some(_)) => return Err(ErrorCode::UNSPECIFIED),
                     (None, None) => {}
                 }
                 self.start_chip();
-                self.active_until = Some(watchdog());
+                self.active_until = Some(watchdog_deadline());
                 self.starts += 1;
                 Ok(None)
             }
@@ -190,12 +190,12 @@ impl Requests {
                 Ok(None)
             }
             Command::WatchdogReset(_) => {
-                self.active_until = self.active_until.map(|_| watchdog());
+                self.active_until = self.active_until.map(|_| watchdog_deadline());
                 Ok(None)
             }
             // The radar takes no data.
             Command::Data(chunk) => {
-                is_ours(chunk.device)?;
+                check_device(chunk.device)?;
                 Err(ErrorCode::WRONG_DIRECTION)
             }
             Command::Reset(_) => {
@@ -207,15 +207,15 @@ impl Requests {
 
     /// Sets options and configures the chip; the response holds the resulting state.
     fn set_options(&mut self, request: &ConfigureRequest) -> Result<ConfigureResponse, ErrorCode> {
-        is_ours(request.device)?;
-        request.options.iter().try_for_each(|option| self.set(option))?;
+        check_device(request.device)?;
+        request.options.iter().try_for_each(|option| self.set_option(option))?;
         self.configure();
         let (status, status_message) = self.status();
         Ok(ConfigureResponse {
             device: DEVICE,
             options: vec![
                 OptionValue { option_id: USE_CASE, value: Some(Value::OneOf(self.use_case)) },
-                OptionValue { option_id: CUSTOM_DATA, value: Some(Value::Blob(self.blob.clone())) },
+                OptionValue { option_id: CUSTOM_DATA, value: Some(Value::Blob(self.custom_data.clone())) },
             ],
             streams: vec![self.stream()],
             status,
@@ -224,7 +224,7 @@ impl Requests {
         })
     }
 
-    fn set(&mut self, option: &OptionValue) -> Result<(), ErrorCode> {
+    fn set_option(&mut self, option: &OptionValue) -> Result<(), ErrorCode> {
         match (option.option_id, &option.value) {
             (USE_CASE, Some(Value::OneOf(index))) => {
                 if !(0..ITEMS.len() as i32).contains(index) {
@@ -233,8 +233,8 @@ impl Requests {
                 self.use_case = *index;
                 Ok(())
             }
-            (CUSTOM_DATA, Some(Value::Blob(blob))) => {
-                self.blob.clone_from(blob);
+            (CUSTOM_DATA, Some(Value::Blob(value))) => {
+                self.custom_data.clone_from(value);
                 Ok(())
             }
             (USE_CASE | CUSTOM_DATA, _) => Err(ErrorCode::OPTION_TYPE),
@@ -243,14 +243,14 @@ impl Requests {
     }
 
     /// Waveform and registers that the options select.
-    fn wanted(&self) -> Result<Custom, String> {
+    fn selected(&self) -> Result<Custom, String> {
         match usize::try_from(self.use_case).ok().and_then(|index| Preset::ALL.get(index)) {
             Some(preset) => {
                 let waveform = preset.waveform().map_err(|e| e.to_string())?;
                 let registers = Custom::compile(&waveform).map_err(|e| e.to_string())?.registers;
                 Ok(Custom { waveform, registers })
             }
-            None => Custom::decode(&self.blob).map_err(|e| e.to_string()),
+            None => Custom::decode(&self.custom_data).map_err(|e| e.to_string()),
         }
     }
 
@@ -258,10 +258,11 @@ impl Requests {
     /// an error.
     fn configure(&mut self) {
         (self.current_frame, self.dropped) = (0, 0);
-        let checked = self.wanted().and_then(|wanted| self.chip.source.check(&wanted.waveform).map(|()| wanted));
+        let checked =
+            self.selected().and_then(|selected| self.chip.source.check(&selected.waveform).map(|()| selected));
         self.refusal = match checked {
-            Ok(wanted) => {
-                self.setting = wanted;
+            Ok(selected) => {
+                self.setting = selected;
                 self.shared.accept();
                 None
             }
@@ -321,7 +322,7 @@ impl Requests {
                 CUSTOM_DATA,
                 "Custom data",
                 "Binary Custom data",
-                OptionKind::Blob(OptionBlob { current_value: self.blob.clone(), default_value: Vec::new() }),
+                OptionKind::Blob(OptionBlob { current_value: self.custom_data.clone(), default_value: Vec::new() }),
             ),
         ];
         Board {
@@ -351,6 +352,7 @@ impl Requests {
     }
 }
 
-fn is_ours(device: i32) -> Result<(), ErrorCode> {
+/// Checks that a request is for the radar.
+fn check_device(device: i32) -> Result<(), ErrorCode> {
     if device == DEVICE { Ok(()) } else { Err(ErrorCode::NO_SUCH_DEVICE) }
 }

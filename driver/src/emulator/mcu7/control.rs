@@ -26,8 +26,8 @@ impl ControlEndpoint {
         let request = match control {
             Control::Request(request) => request,
             Control::Answer { length } if self.last.kind_code == TRANSFER => {
-                let is_there = self.last.status == Status::Ok;
-                return is_there.then(|| cut(std::mem::take(&mut self.answer), length));
+                let is_available = self.last.status == Status::Ok;
+                return is_available.then(|| truncated(std::mem::take(&mut self.answer), length));
             }
             Control::Answer { .. } => {
                 self.last = LastError { kind_code: setup[0], status: Status::RequestNotAvailable };
@@ -47,7 +47,7 @@ impl ControlEndpoint {
         };
         self.last = LastError { kind_code: request.kind_code(), status };
         match request.kind {
-            RequestKind::Read => (status == Status::Ok).then(|| cut(payload, request.length)),
+            RequestKind::Read => (status == Status::Ok).then(|| truncated(payload, request.length)),
             RequestKind::Write => Some(Vec::new()),
             RequestKind::Transfer => {
                 self.answer = payload;
@@ -60,7 +60,8 @@ impl ControlEndpoint {
 /// bmRequestType of a *transfer*.
 const TRANSFER: u8 = 0x43;
 
-fn cut(mut data: Vec<u8>, length: u16) -> Vec<u8> {
+/// Data of at most `length` bytes.
+fn truncated(mut data: Vec<u8>, length: u16) -> Vec<u8> {
     data.truncate(usize::from(length));
     data
 }

@@ -38,7 +38,7 @@ pub(super) struct Requests {
 
 impl Requests {
     pub fn new(chip: Chip, protocol: Protocol, framing: Framing, faults: &[Fault], shared: Arc<Shared>) -> Self {
-        let wrong = faults.iter().find_map(|fault| match fault {
+        let wrong_version = faults.iter().find_map(|fault| match fault {
             Fault::WrongVersion(major) => Some(*major),
             _ => None,
         });
@@ -46,7 +46,7 @@ impl Requests {
             chip,
             protocol,
             framing,
-            protocol_version: wrong.unwrap_or(protocol.major()),
+            protocol_version: wrong_version.unwrap_or(protocol.major()),
             slice: None,
             data_started: false,
             starts: 0,
@@ -63,25 +63,25 @@ impl Requests {
     }
 
     /// Stops measuring after the last client has left. Registers and slice stay as they are.
-    pub fn abandon(&mut self) {
+    pub fn client_left(&mut self) {
         self.chip.halt();
         self.data_started = false;
     }
 
     /// Layout of the slices, while data run.
     pub fn streaming(&self) -> Option<SliceLayout> {
-        self.slice.filter(|_| self.data_started && self.chip.frames.is_some())
+        self.slice.filter(|_| self.data_started && self.chip.running.is_some())
     }
 
     /// Stops data after an overflow, as the firmware does by itself. The chip goes on measuring until it is reset.
-    pub fn stop_by_itself(&mut self) {
+    pub fn stop_data(&mut self) {
         self.data_started = false;
     }
 
     pub fn handle(&mut self, event: &HostEvent, out: &mut Vec<u8>) {
         match event {
             HostEvent::Refused { kind_code, status } => {
-                self.notice_other_version(*kind_code);
+                self.log_other_version(*kind_code);
                 Response { kind_code: *kind_code, status: *status, payload: &[] }.encode(out);
             }
             HostEvent::Request(request) => {
@@ -96,9 +96,9 @@ impl Requests {
 
     /// Logs once that a client uses the other version: firmware of version 4 refuses the codes of version 3, and such
     /// clients report no reason.
-    fn notice_other_version(&mut self, kind_code: u8) {
-        let is_former = RequestKind::from_code(kind_code).is_some_and(|(_, version)| version == Protocol::V3);
-        if self.protocol == Protocol::V4 && is_former && !self.has_logged_version {
+    fn log_other_version(&mut self, kind_code: u8) {
+        let is_v3 = RequestKind::from_code(kind_code).is_some_and(|(_, version)| version == Protocol::V3);
+        if self.protocol == Protocol::V4 && is_v3 && !self.has_logged_version {
             self.has_logged_version = true;
             tracing::warn!(
                 "a client speaks protocol 3, which firmware of protocol 4 refuses; radome board emulate --protocol mcu7-3 is a board for it"
@@ -113,10 +113,10 @@ impl Requests {
         if command == Err(Status::InvalidParameter) {
             self.data_started = false;
         }
-        command.and_then(|command| self.run(&command))
+        command.and_then(|command| self.execute(&command))
     }
 
-    fn run(&mut self, command: &Command) -> Result<Vec<u8>, Status> {
+    fn execute(&mut self, command: &Command) -> Result<Vec<u8>, Status> {
         let mut answer = Vec::new();
         match command {
             Command::BoardInfo => answer = board_info(self.framing),

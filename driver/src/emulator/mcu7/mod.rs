@@ -21,7 +21,7 @@ use firmware::Requests;
 const BUFFER_BYTES: usize = 192 * 1024;
 
 /// Data that the board has read from its chip and not yet sent.
-enum Waiting {
+enum Buffered {
     Slice(Vec<u8>),
     /// Number of packets that count as lost.
     LostPackets(u16),
@@ -34,7 +34,7 @@ pub(super) struct Mcu7 {
     framing: Framing,
     parser: HostParser,
     control: ControlEndpoint,
-    buffer: VecDeque<Waiting>,
+    buffer: VecDeque<Buffered>,
     buffered_bytes: usize,
     /// Index of the next packet of the first slice in the buffer.
     next_packet: usize,
@@ -73,6 +73,7 @@ impl Mcu7 {
         })
     }
 
+    /// Empties the buffer.
     fn clear(&mut self) {
         self.buffer.clear();
         (self.buffered_bytes, self.next_packet) = (0, 0);
@@ -80,7 +81,7 @@ impl Mcu7 {
 
     fn has_room(&mut self, slice: SliceLayout) -> bool {
         let source = &self.requests.chip.source;
-        match source.waits() {
+        match source.waits_for_reader() {
             // Reading ahead gains nothing.
             true => self.buffer.is_empty(),
             false => self.buffered_bytes + slice.data_bytes() <= (BUFFER_BYTES as f64 * source.speed()) as usize,
@@ -89,7 +90,7 @@ impl Mcu7 {
 
     /// Reads the chip's FIFO at each interrupt, as long as there is room; returns the slice while data run. Without
     /// room the FIFO goes on filling.
-    fn drain(&mut self) -> Option<SliceLayout> {
+    fn read_fifo(&mut self) -> Option<SliceLayout> {
         let Some(slice) = self.requests.streaming() else {
             self.clear();
             return None;
@@ -124,22 +125,22 @@ impl Mcu7 {
         self.requests.chip.read_fifo(slice.samples, &mut self.codes);
         let mut bytes = Vec::with_capacity(slice.data_bytes() + 8);
         packed12::pack(&self.codes, &mut bytes);
-        let clock_began_us = match &mut self.powered_up_us {
-            Some(began) => *began.get_or_insert(time_us),
+        let clock_start_us = match &mut self.powered_up_us {
+            Some(start) => *start.get_or_insert(time_us),
             None => 0,
         };
-        bytes.extend(time_us.saturating_sub(clock_began_us).to_le_bytes());
+        bytes.extend(time_us.saturating_sub(clock_start_us).to_le_bytes());
         self.buffered_bytes += slice.data_bytes();
-        self.buffer.push_back(Waiting::Slice(bytes));
+        self.buffer.push_back(Buffered::Slice(bytes));
     }
 
     /// Counts frames that the source lacks as lost packets; the counter cannot express every gap.
     fn skip(&mut self, slice: SliceLayout, frames: u64) {
-        let codes = frames * self.requests.chip.frames.as_ref().map_or(0, |w| w.shape().codes() as u64);
+        let codes = frames * self.requests.chip.running.as_ref().map_or(0, |w| w.shape().codes() as u64);
         let samples = slice.samples as u64;
         let packets = codes / samples * slice.packets() as u64;
         if codes.is_multiple_of(samples) && self.requests.chip.source.at_frame_boundary() && packets < 0x8000 {
-            self.buffer.push_back(Waiting::LostPackets(packets as u16));
+            self.buffer.push_back(Buffered::LostPackets(packets as u16));
         }
     }
 
@@ -147,7 +148,7 @@ impl Mcu7 {
     fn overflow(&mut self, wire: &mut Wire) {
         self.shared.overflows.fetch_add(1, Ordering::Relaxed);
         self.clear();
-        self.requests.stop_by_itself();
+        self.requests.stop_data();
         let flags = PacketFlags { first: true, last: true, timestamp: false, error: true };
         let payload = &DataError::FifoOverflow.code().to_le_bytes();
         let packet = Packet { flags, channel: 0, counter: self.counter, payload };
@@ -155,8 +156,9 @@ impl Mcu7 {
     }
 
     /// Counts the frames that a sent slice completes.
-    fn count(&mut self, slice: SliceLayout) {
-        let per_frame = self.requests.chip.frames.as_ref().map_or(1, |waveform| waveform.shape().codes().max(1)) as u64;
+    fn count_frames(&mut self, slice: SliceLayout) {
+        let per_frame =
+            self.requests.chip.running.as_ref().map_or(1, |waveform| waveform.shape().codes().max(1)) as u64;
         let before = self.sent / per_frame;
         self.sent += slice.samples as u64;
         self.shared.frames.fetch_add(self.sent / per_frame - before, Ordering::Relaxed);
@@ -164,38 +166,38 @@ impl Mcu7 {
 
     /// Sends the next packet of the first slice in the buffer.
     fn send_packet(&mut self, slice: SliceLayout, wire: &mut Wire) {
-        let (number, before) = wire.next_number();
+        let (number, actions) = wire.next_number();
         if self.counter == 0 {
-            wire.discard_held();
+            wire.discard_reordered();
         }
-        for before in before {
-            match before {
+        for action in actions {
+            match action {
                 FaultAction::Overflow => {
                     self.requests.chip.overflow();
                     return self.overflow(wire);
                 }
                 FaultAction::Stall => {
                     self.clear();
-                    self.requests.stop_by_itself();
+                    self.requests.stop_data();
                 }
                 FaultAction::Skip(by) => self.counter = self.counter.wrapping_add(by),
             }
         }
-        let Some(Waiting::Slice(bytes)) = self.buffer.front() else { return };
+        let Some(Buffered::Slice(bytes)) = self.buffer.front() else { return };
         let index = self.next_packet;
         let start = index * self.framing.max_packet_payload();
-        let last = index + 1 == slice.packets();
+        let is_last = index + 1 == slice.packets();
         let payload = bytes.get(start..start + slice.payload_length(index)).unwrap_or(&[]);
-        let flags = PacketFlags { first: index == 0, last, timestamp: last, error: false };
+        let flags = PacketFlags { first: index == 0, last: is_last, timestamp: is_last, error: false };
         let packet = Packet { flags, channel: 0, counter: self.counter, payload };
         wire.send_data(number, |out| packet.encode_as(self.framing, out));
         self.counter = self.counter.wrapping_add(1);
         self.next_packet += 1;
-        if last {
+        if is_last {
             self.buffer.pop_front();
             self.buffered_bytes -= slice.data_bytes();
             self.next_packet = 0;
-            self.count(slice);
+            self.count_frames(slice);
         }
     }
 }
@@ -213,19 +215,19 @@ impl Firmware for Mcu7 {
     }
 
     fn next_message(&mut self, wire: &mut Wire) -> bool {
-        let Some(slice) = self.drain() else { return false };
+        let Some(slice) = self.read_fifo() else { return false };
         if self.requests.chip.fifo_failed() {
             self.overflow(wire);
             return true;
         }
         match self.buffer.front() {
             None => false,
-            Some(Waiting::LostPackets(packets)) => {
+            Some(Buffered::LostPackets(packets)) => {
                 self.counter = self.counter.wrapping_add(*packets);
                 self.buffer.pop_front();
                 true
             }
-            Some(Waiting::Slice(_)) => {
+            Some(Buffered::Slice(_)) => {
                 self.send_packet(slice, wire);
                 true
             }
@@ -234,7 +236,7 @@ impl Firmware for Mcu7 {
 
     fn advance(&mut self) {
         self.requests.chip.source.advance();
-        self.drain();
+        self.read_fifo();
     }
 
     fn power_up(&mut self) {
@@ -245,8 +247,8 @@ impl Firmware for Mcu7 {
         self.powered_up_us = Some(None);
     }
 
-    fn abandon(&mut self) {
-        self.requests.abandon();
+    fn client_left(&mut self) {
+        self.requests.client_left();
         self.parser = HostParser::new(self.parser.protocol());
         self.control = ControlEndpoint::default();
         self.clear();

@@ -3,7 +3,7 @@
 use prost::Message;
 use prost::encoding::{encode_varint, encoded_len_varint};
 
-use super::delimited::{Cursor, Stop};
+use super::delimited::{Cursor, ReadError};
 use super::response::{Answer, CapabilitiesResponse, ErrorResponse, Response};
 
 /// Longest message of a board: the firmware's ring of 64 Ki samples and the other fields.
@@ -18,14 +18,14 @@ const VARINT: u64 = 0;
 const FIXED_64: u64 = 1;
 const LENGTH_DELIMITED: u64 = 2;
 const FIXED_32: u64 = 5;
-/// Fewest and most bytes of a chunk beside its payload: tags and numbers, and after the payload the time stamps.
-const LEAST_AROUND: usize = 6;
-const MOST_AROUND: usize = 48;
-const MOST_PER_FRAME: usize = 32;
-/// Largest difference between the lengths of the numbers of two chunks.
-const MOST_LONGER: usize = 6;
-/// Longest answer and error between chunks, and shortest: shorter ones could be mistaken for samples.
-const OTHER_LENGTH: std::ops::RangeInclusive<u64> = 16..=16_384;
+/// Fewest and most bytes of a chunk beside its payload: tags and numbers. Time stamps follow the payload.
+const MIN_OVERHEAD: usize = 6;
+const MAX_OVERHEAD: usize = 48;
+const MAX_OVERHEAD_PER_FRAME: usize = 32;
+/// Largest difference between the lengths of the headers of two chunks, whose numbers differ in length.
+const MAX_HEADER_DIFFERENCE: usize = 6;
+/// Lengths of an answer or error between chunks. Shorter ones could be mistaken for samples.
+const INTERLEAVED_LENGTH: std::ops::RangeInclusive<u64> = 16..=16_384;
 /// Largest distance between frame numbers of one stream.
 const MOST_MISSING: u32 = 1 << 20;
 /// Largest code of the ADC.
@@ -81,31 +81,31 @@ impl ChunkLayout {
     }
 
     /// Returns whether a message of this length can be a chunk of whole frames.
-    fn can_be(&self, length: usize) -> bool {
-        let frames = length.saturating_sub(LEAST_AROUND).checked_div(self.frame_bytes()).unwrap_or(0);
-        let around = length.saturating_sub(frames * self.frame_bytes());
-        frames > 0 && length <= MAX_RESPONSE && around <= MOST_AROUND + MOST_PER_FRAME * frames
+    fn is_possible(&self, length: usize) -> bool {
+        let frames = length.saturating_sub(MIN_OVERHEAD).checked_div(self.frame_bytes()).unwrap_or(0);
+        let overhead = length.saturating_sub(frames * self.frame_bytes());
+        frames > 0 && length <= MAX_RESPONSE && overhead <= MAX_OVERHEAD + MAX_OVERHEAD_PER_FRAME * frames
     }
 
     /// Classifies the bytes, from the length of a message on.
     pub fn beginning(&self, bytes: &[u8]) -> Beginning {
         match self.header(bytes) {
             Ok(header) => Beginning::Chunk(header),
-            Err(Stop::Short) => Beginning::Incomplete,
-            Err(Stop::Bad) => Beginning::No,
+            Err(ReadError::Incomplete) => Beginning::Incomplete,
+            Err(ReadError::Malformed) => Beginning::No,
         }
     }
 
-    fn header(&self, bytes: &[u8]) -> Result<ChunkHeader, Stop> {
-        let must = |holds: bool| if holds { Ok(()) } else { Err(Stop::Bad) };
-        let mut cursor = Cursor { bytes, at: 0 };
+    fn header(&self, bytes: &[u8]) -> Result<ChunkHeader, ReadError> {
+        let require = |holds: bool| if holds { Ok(()) } else { Err(ReadError::Malformed) };
+        let mut cursor = Cursor { bytes, position: 0 };
         let length = cursor.varint()?;
-        must(length <= MAX_RESPONSE as u64 && self.can_be(length as usize))?;
-        let end = cursor.at + length as usize;
-        must(cursor.varint()? == DATA)?;
+        require(length <= MAX_RESPONSE as u64 && self.is_possible(length as usize))?;
+        let end = cursor.position + length as usize;
+        require(cursor.varint()? == DATA)?;
         // The response holds nothing but the chunk.
         let inner = cursor.varint()?;
-        must(end.checked_sub(cursor.at).is_some_and(|rest| inner == rest as u64))?;
+        require(end.checked_sub(cursor.position).is_some_and(|rest| inner == rest as u64))?;
         let [mut device, mut stream, mut count, mut number] = [0; 4];
         loop {
             let tag = cursor.varint()?;
@@ -115,29 +115,29 @@ impl ChunkLayout {
                 (3, VARINT) => count = cursor.varint()?,
                 (4, VARINT) => number = cursor.varint()?,
                 (5, LENGTH_DELIMITED) => break,
-                (0..=6, _) => return Err(Stop::Bad),
+                (0..=6, _) => return Err(ReadError::Malformed),
                 (_, VARINT) => drop(cursor.varint()?),
-                (_, FIXED_64) => cursor.at += 8,
-                (_, FIXED_32) => cursor.at += 4,
-                (_, LENGTH_DELIMITED) => cursor.at += cursor.varint()?.min(MAX_RESPONSE as u64) as usize,
-                _ => return Err(Stop::Bad),
+                (_, FIXED_64) => cursor.position += 8,
+                (_, FIXED_32) => cursor.position += 4,
+                (_, LENGTH_DELIMITED) => cursor.position += cursor.varint()?.min(MAX_RESPONSE as u64) as usize,
+                _ => return Err(ReadError::Malformed),
             }
-            must(cursor.at < end)?;
+            require(cursor.position < end)?;
         }
         let payload = cursor.varint()?;
         // Negative numbers are encoded as if they had 64 bits.
-        must((device as i32, stream as i32) == (self.device, self.stream))?;
-        must((1..=MAX_RESPONSE as u64).contains(&count) && payload == count * self.frame_bytes() as u64)?;
-        let (payload_start, frame_count) = (cursor.at, count as usize);
+        require((device as i32, stream as i32) == (self.device, self.stream))?;
+        require((1..=MAX_RESPONSE as u64).contains(&count) && payload == count * self.frame_bytes() as u64)?;
+        let (payload_start, frame_count) = (cursor.position, count as usize);
         let payload_end = payload_start + payload as usize;
-        must(payload_start <= MOST_AROUND && payload_end <= end)?;
+        require(payload_start <= MAX_OVERHEAD && payload_end <= end)?;
         Ok(ChunkHeader { frame_number: number as u32, frame_count, payload_start, payload_end, end })
     }
 
     /// Appends a chunk as the firmware writes it: fields that are zero are left out. Codes are in FIFO order.
     pub fn encode(&self, frame_number: u32, codes: &[u16], out: &mut Vec<u8>) {
         let frame_count = codes.len() / self.frame_codes.max(1);
-        let mut fields = Vec::with_capacity(MOST_AROUND);
+        let mut fields = Vec::with_capacity(MAX_OVERHEAD);
         let numbers = [self.device, self.stream, frame_count as i32, frame_number as i32];
         for (field, number) in (1..).zip(numbers).filter(|(_, number)| *number != 0) {
             encode_varint(field << 3 | VARINT, &mut fields);
@@ -174,32 +174,32 @@ pub enum ChunkEvent<'a> {
     Damaged,
 }
 
-/// Messages of a board between chunks.
-enum Other {
+/// Message of a board between chunks.
+enum Interleaved {
     Error(ErrorResponse),
     /// Answer to a request that the host has sent meanwhile.
-    Expected(CapabilitiesResponse),
+    Answer(CapabilitiesResponse),
 }
 
-/// Parses an error, or the answer with this tag, that begins here; returns its length and the message if it is whole.
-fn other(bytes: &[u8], expected_tag: Option<i32>) -> Result<(usize, Other), Stop> {
-    let mut cursor = Cursor { bytes, at: 0 };
+/// Parses an error, or the answer with this tag, at the start of the bytes. Returns its length and the message.
+fn parse_interleaved(bytes: &[u8], awaited_tag: Option<i32>) -> Result<(usize, Interleaved), ReadError> {
+    let mut cursor = Cursor { bytes, position: 0 };
     let length = cursor.varint()?;
-    if !OTHER_LENGTH.contains(&length) {
-        return Err(Stop::Bad);
+    if !INTERLEAVED_LENGTH.contains(&length) {
+        return Err(ReadError::Malformed);
     }
-    let (start, end) = (cursor.at, cursor.at + length as usize);
+    let (start, end) = (cursor.position, cursor.position + length as usize);
     let tag = cursor.varint()?;
-    let can_be = tag == ERROR || tag == CAPABILITIES && expected_tag.is_some();
+    let is_possible = tag == ERROR || tag == CAPABILITIES && awaited_tag.is_some();
     let inner = cursor.varint()?;
-    if !can_be || end.checked_sub(cursor.at).is_none_or(|rest| inner != rest as u64) {
-        return Err(Stop::Bad);
+    if !is_possible || end.checked_sub(cursor.position).is_none_or(|rest| inner != rest as u64) {
+        return Err(ReadError::Malformed);
     }
-    let message = bytes.get(start..end).ok_or(Stop::Short)?;
+    let message = bytes.get(start..end).ok_or(ReadError::Incomplete)?;
     match Response::decode(message).ok().and_then(|response| response.answer) {
-        Some(Answer::Error(error)) if error.code < 0 => Ok((end, Other::Error(error))),
-        Some(Answer::Capabilities(answer)) if Some(answer.tag) == expected_tag => Ok((end, Other::Expected(answer))),
-        _ => Err(Stop::Bad),
+        Some(Answer::Error(error)) if error.code < 0 => Ok((end, Interleaved::Error(error))),
+        Some(Answer::Capabilities(answer)) if Some(answer.tag) == awaited_tag => Ok((end, Interleaved::Answer(answer))),
+        _ => Err(ReadError::Malformed),
     }
 }
 
@@ -221,7 +221,7 @@ pub struct ChunkParser {
     silent: bool,
     damaged: bool,
     /// Tag of an answer that may come between chunks.
-    expected_tag: Option<i32>,
+    awaited_tag: Option<i32>,
 }
 
 impl ChunkParser {
@@ -235,7 +235,7 @@ impl ChunkParser {
             next_number,
             silent: false,
             damaged: false,
-            expected_tag: None,
+            awaited_tag: None,
         }
     }
 
@@ -247,29 +247,29 @@ impl ChunkParser {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Discards everything: the stream starts anew with a frame of this number.
+    /// Discards everything. The stream restarts with a frame of this number.
     pub fn restart(&mut self, next_number: u32) {
         self.buffer.clear();
         (self.used, self.next_number, self.silent, self.damaged) = (0, next_number, false, false);
-        self.expected_tag = None;
+        self.awaited_tag = None;
     }
 
     /// Notes that the host has requested capabilities with this tag: the answer may come between any two chunks.
-    pub fn expect(&mut self, tag: i32) {
-        self.expected_tag = Some(tag);
+    pub fn await_answer(&mut self, tag: i32) {
+        self.awaited_tag = Some(tag);
     }
 
-    /// Removes and returns the answer that is [expected](Self::expect), anywhere among the queued chunks.
-    pub fn expected(&mut self) -> Option<CapabilitiesResponse> {
-        let mut at = self.used;
+    /// Removes and returns the answer that is [awaited](Self::await_answer), anywhere among the queued chunks.
+    pub fn take_answer(&mut self) -> Option<CapabilitiesResponse> {
+        let mut position = self.used;
         loop {
-            let bytes = self.buffer.get(at..)?;
-            at += match (self.layout.beginning(bytes), other(bytes, self.expected_tag)) {
+            let bytes = self.buffer.get(position..)?;
+            position += match (self.layout.beginning(bytes), parse_interleaved(bytes, self.awaited_tag)) {
                 (Beginning::Chunk(header), _) => header.end,
-                (Beginning::No, Ok((length, Other::Error(_)))) => length,
-                (Beginning::No, Ok((length, Other::Expected(answer)))) => {
-                    self.buffer.drain(at..at + length);
-                    self.expected_tag = None;
+                (Beginning::No, Ok((length, Interleaved::Error(_)))) => length,
+                (Beginning::No, Ok((length, Interleaved::Answer(answer)))) => {
+                    self.buffer.drain(position..position + length);
+                    self.awaited_tag = None;
                     return Some(answer);
                 }
                 _ => return None,
@@ -282,14 +282,14 @@ impl ChunkParser {
         self.silent = true;
     }
 
-    /// Notes a silence after which the rest of a message will not come.
+    /// Notes a silence after which the rest of a message is given up.
     pub fn on_long_silence(&mut self) {
-        if self.is_waiting() && !self.ends_whole() {
+        if self.is_waiting() && !self.ends_with_whole_chunk() {
             self.damaged = true;
         }
     }
 
-    /// Returns whether unconfirmed or incomplete bytes wait for their successors.
+    /// Returns whether there are bytes that are incomplete or not confirmed yet.
     pub fn is_waiting(&self) -> bool {
         self.used < self.buffer.len()
     }
@@ -299,7 +299,7 @@ impl ChunkParser {
     }
 
     /// Returns whether the bytes end where a chunk does.
-    fn ends_whole(&self) -> bool {
+    fn ends_with_whole_chunk(&self) -> bool {
         matches!(self.layout.beginning(self.rest()), Beginning::Chunk(header) if header.end == self.rest().len())
     }
 
@@ -314,32 +314,32 @@ impl ChunkParser {
                 Beginning::Incomplete => return None,
                 Beginning::No => {}
             }
-            match other(self.rest(), self.expected_tag) {
-                Ok((length, Other::Error(error))) => {
+            match parse_interleaved(self.rest(), self.awaited_tag) {
+                Ok((length, Interleaved::Error(error))) => {
                     self.used += length;
                     return Some(ChunkEvent::Error(error));
                 }
                 // The answer is no longer awaited.
-                Ok((length, Other::Expected(_))) => self.used += length,
-                Err(Stop::Short) => return None,
-                Err(Stop::Bad) => return self.damage(),
+                Ok((length, Interleaved::Answer(_))) => self.used += length,
+                Err(ReadError::Incomplete) => return None,
+                Err(ReadError::Malformed) => return self.report_damage(),
             }
         };
         let message = self.rest().get(..header.end)?;
         let after = self.rest().get(header.end..).unwrap_or(&[]);
         let is_next = header.frame_number == self.next_number;
         let is_confirmed = match self.layout.beginning(after) {
-            _ if after.is_empty() => match self.silent && is_next && !self.may_have_swallowed(&header, message) {
+            _ if after.is_empty() => match self.silent && is_next && !self.may_end_with_length(&header, message) {
                 true => true,
                 false => return None,
             },
             Beginning::Incomplete => return None,
             // A jump of the number is accepted if the successor continues from there.
             Beginning::Chunk(next) => is_next || next.frame_number == header.next_number(),
-            Beginning::No => match other(after, self.expected_tag) {
+            Beginning::No => match parse_interleaved(after, self.awaited_tag) {
                 Ok(_) => is_next,
-                Err(Stop::Short) => return None,
-                Err(Stop::Bad) => return self.damage(),
+                Err(ReadError::Incomplete) => return None,
+                Err(ReadError::Malformed) => return self.report_damage(),
             },
         };
         let start = self.used;
@@ -361,19 +361,20 @@ impl ChunkParser {
         Some(ChunkEvent::Frames { frame_number: header.frame_number, frame_count: header.frame_count, codes })
     }
 
-    /// Returns whether the last code of a chunk could be the length of its successor, in two bytes. Then only the
-    /// successor tells whether the chunk is whole. Fields after the codes could hold any bytes.
-    fn may_have_swallowed(&self, header: &ChunkHeader, message: &[u8]) -> bool {
+    /// Returns whether the last code of a chunk could be the length of its successor, in two bytes. Only the successor then
+    /// confirms that the chunk is whole. Fields after the codes could hold any bytes.
+    fn may_end_with_length(&self, header: &ChunkHeader, message: &[u8]) -> bool {
         let Some(&[low, high]) = message.last_chunk() else { return false };
         let length = usize::from(low & 0x7F) | usize::from(high) << 7;
-        let around = header.end - (header.payload_end - header.payload_start) - encoded_len_varint(length as u64);
+        let overhead = header.end - (header.payload_end - header.payload_start) - encoded_len_varint(length as u64);
         // The successor may hold more frames or fewer, and its numbers may be longer or shorter.
-        let is_near = |frames: usize| (frames * self.layout.frame_bytes() + around).abs_diff(length) <= MOST_LONGER;
+        let is_similar =
+            |frames: usize| (frames * self.layout.frame_bytes() + overhead).abs_diff(length) <= MAX_HEADER_DIFFERENCE;
         let frames = length / self.layout.frame_bytes().max(1);
-        header.payload_end != header.end || low & 0x80 != 0 && (frames.saturating_sub(1)..=frames + 1).any(is_near)
+        header.payload_end != header.end || low & 0x80 != 0 && (frames.saturating_sub(1)..=frames + 1).any(is_similar)
     }
 
-    fn damage(&mut self) -> Option<ChunkEvent<'_>> {
+    fn report_damage(&mut self) -> Option<ChunkEvent<'_>> {
         self.damaged = true;
         Some(ChunkEvent::Damaged)
     }

@@ -14,8 +14,8 @@ use crate::chip::{
 
 /// Index of the first register's word in the blobs of the vendor's tool.
 const FIRST_REGISTER: usize = 16;
-/// Words of the head, before the registers.
-const HEAD: usize = 13;
+/// Words of the header, before the registers.
+const HEADER_WORDS: usize = 13;
 /// FIFO level at which the chip interrupts the firmware, regardless of its registers, codes.
 pub const FIFO_LEVEL_CODES: usize = 6144;
 
@@ -50,7 +50,7 @@ pub struct Custom {
 }
 
 /// Returns the number with the fewest digits among those that round to this 32-bit float.
-fn shortest(value: f32) -> f64 {
+fn shortest_decimal(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
 }
 
@@ -78,7 +78,7 @@ impl Custom {
         let frequencies = [r.start_frequency_hz, r.end_frequency_hz].map(|f| f.round() as u64);
         let [start, end] = frequencies.map(|f| [f as u32, (f >> 32) as u32]);
         let shape = self.waveform.shape();
-        let head = [
+        let header = [
             self.registers.len() as u32,
             FIRST_REGISTER as u32,
             start[0],
@@ -94,8 +94,8 @@ impl Custom {
             (r.frame_interval_s as f32).to_bits(),
         ];
         let registers = self.registers.iter().map(|r| u32::from_be_bytes(SpiWord::from(*r).to_bytes()));
-        let padding = [0; FIRST_REGISTER - HEAD];
-        head.into_iter().chain(padding).chain(registers).flat_map(u32::to_le_bytes).collect()
+        let padding = [0; FIRST_REGISTER - HEADER_WORDS];
+        header.into_iter().chain(padding).chain(registers).flat_map(u32::to_le_bytes).collect()
     }
 
     /// Decodes the blob. Intervals and band are those of its settings, receivers and gains those of its registers;
@@ -106,8 +106,8 @@ impl Custom {
     pub fn decode(blob: &[u8]) -> Result<Self, CustomError> {
         let words: Vec<u32> = blob.as_chunks::<4>().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
         let short = |needed| CustomError::Short { words: words.len(), needed };
-        let head: &[u32; HEAD] = words.first_chunk().ok_or(short(HEAD))?;
-        let &[count, first, s0, s1, e0, e1, samples, chirps, rx, _, rate, chirp_s, frame_s] = head;
+        let header: &[u32; HEADER_WORDS] = words.first_chunk().ok_or(short(HEADER_WORDS))?;
+        let &[count, first, s0, s1, e0, e1, samples, chirps, rx, _, rate, chirp_s, frame_s] = header;
         let needed = (first as usize).saturating_add(count as usize);
         let list = words.get(first as usize..needed).ok_or(short(needed))?;
         let registers = list
@@ -137,8 +137,8 @@ impl Custom {
             start_frequency_hz: frequency_hz(s0, s1),
             end_frequency_hz: frequency_hz(e0, e1),
             sample_rate_hz,
-            chirp_interval_s: shortest(f32::from_bits(chirp_s)),
-            frame_interval_s: shortest(f32::from_bits(frame_s)),
+            chirp_interval_s: shortest_decimal(f32::from_bits(chirp_s)),
+            frame_interval_s: shortest_decimal(f32::from_bits(frame_s)),
             ..chip.request.clone()
         })?;
         waveform.chirp_interval_s = chip.chirp_interval_s;
@@ -159,7 +159,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_blob_gives_its_waveform_back(
+        fn blobs_round_trip(
             samples in 16usize..256, chirps in 1usize..64, mask in 1u8..8, band in 3u32..40, gain in 4u32..13,
             rest_us in 70u32..800,
         ) {
@@ -221,7 +221,7 @@ mod tests {
         }
 
         #[test]
-        fn what_contradicts_itself_is_refused_with_both_figures() {
+        fn contradictory_blobs_are_refused_with_both_values() {
             let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
             let blob = Custom::compile(&waveform).expect("fits").encode();
             let with = |index: usize, word: u32| {

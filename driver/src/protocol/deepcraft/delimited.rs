@@ -5,33 +5,34 @@ use thiserror::Error;
 /// Longest varint of 64 bits.
 const MAX_VARINT: usize = 10;
 
-/// Reason why no more of a message can be read.
+/// Error of reading a part of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Stop {
+pub(super) enum ReadError {
     /// The bytes end within the message.
-    Short,
-    /// The bytes are not a varint.
-    Bad,
+    Incomplete,
+    /// The bytes are not of the expected form.
+    Malformed,
 }
 
 /// Reader of numbers from the front of bytes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cursor<'a> {
     pub bytes: &'a [u8],
-    pub at: usize,
+    pub position: usize,
 }
 
 impl Cursor<'_> {
-    pub fn varint(&mut self) -> Result<u64, Stop> {
+    /// Reads a varint.
+    pub fn varint(&mut self) -> Result<u64, ReadError> {
         let mut value = 0;
-        for (i, byte) in self.bytes.iter().skip(self.at).take(MAX_VARINT).enumerate() {
+        for (i, byte) in self.bytes.iter().skip(self.position).take(MAX_VARINT).enumerate() {
             value |= u64::from(byte & 0x7F).checked_shl(7 * i as u32).unwrap_or(0);
             if byte & 0x80 == 0 {
-                self.at += i + 1;
+                self.position += i + 1;
                 return Ok(value);
             }
         }
-        Err(if self.bytes.len() < self.at + MAX_VARINT { Stop::Short } else { Stop::Bad })
+        Err(if self.bytes.len() < self.position + MAX_VARINT { ReadError::Incomplete } else { ReadError::Malformed })
     }
 }
 
@@ -67,23 +68,23 @@ impl MessageParser {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Returns the next message, without its length; `None` until more bytes come. After an error nothing more is found
-    /// until [`Self::clear`]: the start of the next message is unknown.
+    /// Returns the next message, without its length; `None` until more bytes come. After an error no message is
+    /// found until [`Self::clear`], because the start of the next one is unknown.
     ///
     /// # Errors
     /// [`TooLong`] if the length announced is beyond the longest.
     pub fn next_message(&mut self) -> Option<Result<&[u8], TooLong>> {
         let longest = self.longest;
-        let mut cursor = Cursor { bytes: &self.buffer, at: self.used };
+        let mut cursor = Cursor { bytes: &self.buffer, position: self.used };
         let length = match cursor.varint() {
             Ok(length) => length,
-            Err(Stop::Short) => return None,
-            Err(Stop::Bad) => u64::MAX,
+            Err(ReadError::Incomplete) => return None,
+            Err(ReadError::Malformed) => u64::MAX,
         };
         if length > longest as u64 {
             return Some(Err(TooLong { length, longest }));
         }
-        let (start, end) = (cursor.at, cursor.at + length as usize);
+        let (start, end) = (cursor.position, cursor.position + length as usize);
         if end > self.buffer.len() {
             return None;
         }
@@ -110,11 +111,11 @@ mod tests {
             let mut bytes = Vec::new();
             encode_varint(value, &mut bytes);
             prop_assert_eq!(bytes.len(), encoded_len_varint(value));
-            let mut cursor = Cursor { bytes: &bytes, at: 0 };
+            let mut cursor = Cursor { bytes: &bytes, position: 0 };
             prop_assert_eq!(cursor.varint(), Ok(value));
-            prop_assert_eq!(cursor.at, bytes.len());
+            prop_assert_eq!(cursor.position, bytes.len());
             for length in 0..bytes.len() {
-                prop_assert_eq!(Cursor { bytes: &bytes[..length], at: 0 }.varint(), Err(Stop::Short));
+                prop_assert_eq!(Cursor { bytes: &bytes[..length], position: 0 }.varint(), Err(ReadError::Incomplete));
             }
         }
 

@@ -36,7 +36,7 @@ impl Preset {
 
     /// Returns the preset that equals this waveform exactly.
     pub fn of(waveform: &Waveform) -> Option<Self> {
-        Self::ALL.into_iter().find(|preset| preset.waveform().is_ok_and(|own| own == *waveform))
+        Self::ALL.into_iter().find(|preset| preset.waveform().is_ok_and(|candidate| candidate == *waveform))
     }
 
     /// Returns the waveform of the preset. Its figures are those of the firmware's settings; receivers and gains are

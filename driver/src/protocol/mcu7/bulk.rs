@@ -3,8 +3,8 @@
 //!
 //! A request's header is a control transfer's setup packet, bit for bit.
 //!
-//! - *write* (0x40): one OUT transfer. The device always acknowledges it; [`LastError`] tells its status.
-//! - *read* (0xC0): one IN transfer. A failure stalls the endpoint; [`LastError`] tells the reason.
+//! - *write* (0x40): one OUT transfer. The device always acknowledges it; [`LastError`] holds its status.
+//! - *read* (0xC0): one IN transfer. A failure stalls the endpoint; [`LastError`] holds the reason.
 //! - *transfer* (0x43): an OUT transfer with the payload, which the firmware acts upon, then an IN transfer of kind
 //!   [`ANSWER`] with the same request, value and index, which fetches the answer or stalls.
 //!
@@ -113,13 +113,13 @@ pub struct BulkParser {
     buffer: Vec<u8>,
     used: usize,
     /// Whether the buffer ends where a transfer does.
-    ended: bool,
+    ends_transfer: bool,
 }
 
 impl BulkParser {
     /// Creates an empty parser that allocates nothing as long as packets are taken out between pushes.
     pub fn new() -> Self {
-        BulkParser { buffer: Vec::with_capacity(2 * MAX_BULK), used: 0, ended: false }
+        BulkParser { buffer: Vec::with_capacity(2 * MAX_BULK), used: 0, ends_transfer: false }
     }
 
     /// Takes the bytes of one read.
@@ -127,7 +127,7 @@ impl BulkParser {
         self.buffer.drain(..self.used.min(self.buffer.len()));
         self.used = 0;
         self.buffer.extend_from_slice(bytes);
-        self.ended = !bytes.len().is_multiple_of(Framing::USB_PACKET);
+        self.ends_transfer = !bytes.len().is_multiple_of(Framing::USB_PACKET);
     }
 
     /// Returns the next packet; `None` until more bytes come. Everything received is discarded if the bytes do not
@@ -140,20 +140,20 @@ impl BulkParser {
         let is_whole = |length: usize| match rest.get(Packet::HEADER_LENGTH + length..) {
             Some([]) => true,
             Some(more) => {
-                let fills = (Packet::HEADER_LENGTH + length).is_multiple_of(Framing::USB_PACKET);
+                let fills_usb_packets = (Packet::HEADER_LENGTH + length).is_multiple_of(Framing::USB_PACKET);
                 let next = more.first_chunk().and_then(|header| Packet::header(Framing::Bulk, header));
-                fills || next.is_some_and(|(_, length)| more.len() == Packet::HEADER_LENGTH + length)
+                fills_usb_packets || next.is_some_and(|(_, length)| more.len() == Packet::HEADER_LENGTH + length)
             }
             None => false,
         };
         let length = match packet {
             Some(Some((_, length))) if is_whole(length) => length,
-            // Any other packet ends with its transfer: one with bytes behind it was cut and completed by another
-            // transfer.
+            // Any other packet ends with its transfer. If bytes follow, the packet was cut short, and they belong to
+            // another transfer.
             Some(Some((_, length))) if rest.len() > Packet::HEADER_LENGTH + length => {
                 return Some(BoardEvent::Damaged { bytes: self.give_up() });
             }
-            Some(Some(_)) | None if !self.ended => return None,
+            Some(Some(_)) | None if !self.ends_transfer => return None,
             _ => return Some(BoardEvent::Damaged { bytes: self.give_up() }),
         };
         let start = self.used;
@@ -184,13 +184,13 @@ mod tests {
     use super::*;
     use crate::protocol::mcu7::{Command, PacketFlags, SpiWord};
 
-    fn whole() -> PacketFlags {
+    fn all_but_error() -> PacketFlags {
         PacketFlags { first: true, last: true, timestamp: true, error: false }
     }
 
     fn encoded(counter: u16, payload: &[u8]) -> Vec<u8> {
         let mut out = Vec::new();
-        Packet { flags: whole(), channel: 0, counter, payload }.encode_as(Framing::Bulk, &mut out);
+        Packet { flags: all_but_error(), channel: 0, counter, payload }.encode_as(Framing::Bulk, &mut out);
         out
     }
 
@@ -211,7 +211,7 @@ mod tests {
 
     #[test]
     fn a_packet_is_its_serial_form_without_the_crc() {
-        let packet = Packet { flags: whole(), channel: 0, counter: 7, payload: &[1, 2, 3, 4, 5, 6, 7, 8, 9] };
+        let packet = Packet { flags: all_but_error(), channel: 0, counter: 7, payload: &[1, 2, 3, 4, 5, 6, 7, 8, 9] };
         let (mut serial, mut bulk) = (Vec::new(), Vec::new());
         packet.encode(&mut serial);
         packet.encode_as(Framing::Bulk, &mut bulk);
@@ -230,7 +230,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn packets_come_back_however_reads_cut_them(
+        fn packets_round_trip_in_any_reads(
             payloads in prop::collection::vec(prop::collection::vec(any::<u8>(), 0..2000), 1..6),
             usb_packets in 1usize..4,
         ) {
@@ -241,7 +241,7 @@ mod tests {
         }
 
         #[test]
-        fn last_errors_come_back(kind_code: u8, code: u8) {
+        fn last_errors_round_trip(kind_code: u8, code: u8) {
             let error = LastError { kind_code, status: Status::from_code(code) };
             prop_assert_eq!(LastError::decode(&error.encode()), Some(error));
         }
@@ -267,7 +267,7 @@ mod tests {
             }
 
             #[test]
-            fn any_setup_is_understood_or_named(setup: [u8; 8], data in prop::collection::vec(any::<u8>(), 0..50)) {
+            fn any_setup_packet_is_decoded(setup: [u8; 8], data in prop::collection::vec(any::<u8>(), 0..50)) {
                 match Control::decode(&setup, &data) {
                     Control::Request(request) => prop_assert_eq!(request.header(), setup),
                     Control::Answer { length } => prop_assert_eq!(length.to_le_bytes(), [setup[6], setup[7]]),
@@ -278,7 +278,7 @@ mod tests {
 
         /// A packet without a checksum is accepted as it is.
         #[test]
-        fn a_turned_bit_in_a_payload_goes_unseen_one_in_the_type_does_not() {
+        fn an_inverted_bit_is_detected_in_the_type_and_not_in_the_payload() {
             let mut bytes = encoded(0, &[0; 30]);
             bytes[20] ^= 1;
             let (packets, damaged) = parse(&[&bytes]);
@@ -288,7 +288,7 @@ mod tests {
         }
 
         #[test]
-        fn a_packet_cut_short_costs_itself_and_not_the_next() {
+        fn a_packet_cut_short_is_lost_and_the_next_is_not() {
             let good = encoded(3, &[1; 40]);
             for length in 1..46 {
                 assert_eq!(parse(&[&good[..length], &good]), (vec![(3, vec![1; 40])], 1), "{length}");
@@ -302,13 +302,13 @@ mod tests {
 
         /// A packet that fills USB packets exactly does not end its transfer: its successor comes in the same transfer.
         #[test]
-        fn packets_in_one_transfer_are_told_apart() {
+        fn packets_in_one_transfer_are_separated() {
             let both = [encoded(0, &[1; 506]), encoded(1, &[2; 30])].concat();
             assert_eq!(parse(&[&both]), (vec![(0, vec![1; 506]), (1, vec![2; 30])], 0));
         }
 
         #[test]
-        fn garbage_costs_its_transfer_and_not_the_next() {
+        fn garbage_loses_its_transfer_and_not_the_next() {
             let good = encoded(3, &[1; 40]);
             assert_eq!(parse(&[&[0xFF; 700][..], &good]), (vec![(3, vec![1; 40])], 1));
             let too_long = [0xD7, 0, 0, 0, 0xFF, 0xFF, 1, 2, 3];

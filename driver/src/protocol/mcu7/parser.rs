@@ -19,7 +19,8 @@ pub enum BoardEvent<'a> {
     },
 }
 
-enum Candidate {
+/// Message at the start of received bytes.
+enum MessageStart {
     /// More bytes are needed to decide.
     Incomplete,
     /// No message begins here.
@@ -33,37 +34,37 @@ const MAX_ANSWER: usize = 16;
 /// Longest error code or text while data run, bytes.
 const MAX_TEXT: usize = 256;
 
-/// Returns what begins with these bytes. While slices of a layout are sent, a header counts only with a length that a
-/// message can then have.
-fn candidate(bytes: &[u8], slice: Option<SliceLayout>) -> Candidate {
-    let Some(&first) = bytes.first() else { return Candidate::Incomplete };
+/// Finds out whether a message begins with these bytes. While slices of a layout are sent, only headers with a length
+/// that a message can then have count.
+fn message_start(bytes: &[u8], slice: Option<SliceLayout>) -> MessageStart {
+    let Some(&first) = bytes.first() else { return MessageStart::Incomplete };
     let length = if first & 0xF0 == 0xD0 {
         let Some(header) = bytes.first_chunk() else {
             return if bytes.get(1).is_some_and(|channel| *channel != 0) {
-                Candidate::No
+                MessageStart::No
             } else {
-                Candidate::Incomplete
+                MessageStart::Incomplete
             };
         };
         match Packet::header(Framing::Serial, header) {
             Some((flags, length)) if is_expected(slice, flags.error, length) => Packet::HEADER_LENGTH + length + 2,
-            _ => return Candidate::No,
+            _ => return MessageStart::No,
         }
     } else if RequestKind::from_code(first).is_some() {
-        let Some(&[_, _, l0, l1]) = bytes.first_chunk() else { return Candidate::Incomplete };
+        let Some(&[_, _, l0, l1]) = bytes.first_chunk() else { return MessageStart::Incomplete };
         let length = usize::from(u16::from_le_bytes([l0, l1]));
         if slice.is_some() && length > MAX_ANSWER {
-            return Candidate::No;
+            return MessageStart::No;
         }
         Response::HEADER_LENGTH + length + 2
     } else {
-        return Candidate::No;
+        return MessageStart::No;
     };
     match bytes.get(..length) {
-        _ if length > MAX_MESSAGE => Candidate::No,
-        None => Candidate::Incomplete,
-        Some(message) if crc16(message) == 0 => Candidate::Message(length),
-        Some(_) => Candidate::No,
+        _ if length > MAX_MESSAGE => MessageStart::No,
+        None => MessageStart::Incomplete,
+        Some(message) if crc16(message) == 0 => MessageStart::Message(length),
+        Some(_) => MessageStart::No,
     }
 }
 
@@ -83,9 +84,8 @@ pub struct BoardParser {
     buffer: Vec<u8>,
     /// Bytes of `buffer` that have been handed out.
     used: usize,
-    /// Length of the message after them, if it is whole and its CRC has been checked: the CRC need not be computed
-    /// again.
-    checked: Option<usize>,
+    /// Length of the message after them, if its CRC has been checked and need not be computed again.
+    checked_length: Option<usize>,
     /// Layout of the slices that the board sends.
     slice: Option<SliceLayout>,
 }
@@ -98,9 +98,9 @@ impl BoardParser {
     }
 
     /// Sets the layout of the slices that the board sends; `None` while it sends none. A header with a length that no
-    /// message then has is garbage: without the layout it would hide the messages behind it until so many bytes came.
-    pub fn expect(&mut self, slice: Option<SliceLayout>) {
-        (self.slice, self.checked) = (slice, None);
+    /// message then has is garbage. Without the layout, it would hide messages until as many bytes have come.
+    pub fn set_slice_layout(&mut self, slice: Option<SliceLayout>) {
+        (self.slice, self.checked_length) = (slice, None);
     }
 
     /// Takes received bytes.
@@ -115,21 +115,21 @@ impl BoardParser {
     /// Returns the next message or stretch of garbage; `None` until more bytes come.
     pub fn next_event(&mut self) -> Option<BoardEvent<'_>> {
         let start = self.used;
-        if let Some(length) = self.checked.take() {
+        if let Some(length) = self.checked_length.take() {
             self.used = start + length;
             return self.buffer.get(start..start + length).and_then(decode);
         }
         let mut at = start;
         loop {
             let rest = self.buffer.get(at..).unwrap_or(&[]);
-            match candidate(rest, self.slice) {
-                Candidate::No => at += 1,
+            match message_start(rest, self.slice) {
+                MessageStart::No => at += 1,
                 _ if at > start => {
                     self.used = at;
                     return Some(BoardEvent::Damaged { bytes: at - start });
                 }
-                Candidate::Incomplete => return None,
-                Candidate::Message(length) => {
+                MessageStart::Incomplete => return None,
+                MessageStart::Message(length) => {
                     self.used = at + length;
                     return self.buffer.get(at..at + length).and_then(decode);
                 }
@@ -140,24 +140,24 @@ impl BoardParser {
     /// Returns whether the next event is an answer; `None` until more bytes come.
     pub fn peek_is_response(&mut self) -> Option<bool> {
         let rest = self.buffer.get(self.used..).unwrap_or(&[]);
-        let candidate = match self.checked {
-            Some(length) => Candidate::Message(length),
-            None => candidate(rest, self.slice),
+        let start = match self.checked_length {
+            Some(length) => MessageStart::Message(length),
+            None => message_start(rest, self.slice),
         };
-        match candidate {
-            Candidate::Incomplete => None,
-            Candidate::No => Some(false),
-            Candidate::Message(length) => {
-                self.checked = Some(length);
+        match start {
+            MessageStart::Incomplete => None,
+            MessageStart::No => Some(false),
+            MessageStart::Message(length) => {
+                self.checked_length = Some(length);
                 Some(rest.first().is_some_and(|first| first & 0xF0 != 0xD0))
             }
         }
     }
 
-    /// Notes that the line has been silent. The rest of an incomplete message will then not come, and its header may
-    /// have been garbage that hides a real message. Discards one byte; call [`Self::next_event`] again.
+    /// Notes that the line has been silent. The rest of an incomplete message is then given up. Its header may have been
+    /// garbage that hides a real message. Discards one byte; call [`Self::next_event`] again.
     pub fn on_silence(&mut self) {
-        self.checked = None;
+        self.checked_length = None;
         self.used = (self.used + 1).min(self.buffer.len());
     }
 

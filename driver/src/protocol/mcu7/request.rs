@@ -39,7 +39,7 @@ impl RequestKind {
         }
     }
 
-    /// Decodes the byte on the wire, which also tells the version.
+    /// Decodes the byte on the wire, which also determines the version.
     pub fn from_code(code: u8) -> Option<(Self, Protocol)> {
         let pairs = Protocol::ALL.into_iter().flat_map(|p| RequestKind::ALL.into_iter().map(move |k| (k, p)));
         pairs.into_iter().find(|(kind, protocol)| kind.code(*protocol) == code)

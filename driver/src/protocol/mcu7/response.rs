@@ -199,7 +199,7 @@ impl FirmwareVersion {
     /// Decodes the 16 bytes.
     ///
     /// # Errors
-    /// [`PayloadError`] if the payload is too short.
+    /// [`PayloadError`] if the payload has another length.
     pub fn decode(payload: &[u8]) -> Result<Self, PayloadError> {
         let error = PayloadError { what: "firmware version", got: payload.len(), expected: "16" };
         if payload.len() != 16 {

@@ -30,15 +30,15 @@ impl SliceLayout {
         let slice = |samples| SliceLayout { samples, framing };
         let half = FIFO_SAMPLES / 2;
         let codes = codes.max(1);
-        let exact = (codes.div_ceil(half)..=codes.div_ceil(half) * 16)
+        let equal_parts = (codes.div_ceil(half)..=codes.div_ceil(half) * 16)
             .filter(|parts| codes.is_multiple_of(*parts))
             .map(|parts| slice(codes / parts))
             .find(|slice| slice.is_safe());
-        let joined = (2..=half / codes).map(|frames| slice(frames * codes));
-        let any = (1..=half / 2).rev().map(|pairs| slice(2 * pairs));
-        exact
-            .or_else(|| joined.into_iter().find(|slice| slice.is_safe()))
-            .or_else(|| any.into_iter().find(|slice| slice.is_safe()))
+        let whole_frames = (2..=half / codes).map(|frames| slice(frames * codes));
+        let any_size = (1..=half / 2).rev().map(|pairs| slice(2 * pairs));
+        equal_parts
+            .or_else(|| whole_frames.into_iter().find(|slice| slice.is_safe()))
+            .or_else(|| any_size.into_iter().find(|slice| slice.is_safe()))
             .unwrap_or(slice(6144))
     }
 
@@ -46,12 +46,12 @@ impl SliceLayout {
     /// whole timestamp: otherwise firmware 2.x computes a negative length and sends 64 KiB of garbage. In bulk
     /// transfers no packet may fill USB packets exactly, since nothing then ends the transfer.
     pub fn is_safe(self) -> bool {
-        let tail = (self.data_bytes() + TIMESTAMP_LENGTH) % self.framing.max_packet_payload();
+        let last_part = (self.data_bytes() + TIMESTAMP_LENGTH) % self.framing.max_packet_payload();
         let last = self.payload_length(self.packets().saturating_sub(1)) + Packet::HEADER_LENGTH;
         self.samples > 0
             && self.samples.is_multiple_of(2)
             && self.samples <= FIFO_SAMPLES / 2
-            && !(1..TIMESTAMP_LENGTH).contains(&tail)
+            && !(1..TIMESTAMP_LENGTH).contains(&last_part)
             && !(self.framing == Framing::Bulk && last.is_multiple_of(Framing::USB_PACKET))
     }
 

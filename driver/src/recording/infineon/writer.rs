@@ -23,6 +23,22 @@ const HEADER_BYTES: usize = 1024;
 /// Clocks drift apart by less, and frames are not held up for so long.
 const CLOCK_SET_NS: u64 = 10_000_000_000;
 
+/// Times of a frame.
+#[derive(Debug, Clone, Copy)]
+struct FrameTime {
+    board_ns: u64,
+    host_ns: u64,
+}
+
+/// Temperature of a frame.
+#[derive(Debug, Clone, Copy)]
+struct FrameTemperature {
+    /// Index of the frame.
+    frame: usize,
+    /// Thousandths of a degree Celsius.
+    millicelsius: i32,
+}
+
 /// Header of an NPY file, padded as the vendor pads it.
 fn npy_header(descr: &str, shape: &str) -> Vec<u8> {
     let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
@@ -38,7 +54,7 @@ fn npy_header(descr: &str, shape: &str) -> Vec<u8> {
 /// completed it, and not at all otherwise.
 ///
 /// The format holds codes, times and temperatures. The times are the board's. They begin at the host's time of the first frame,
-/// if all frames have the host's time and nobody set that clock.
+/// if all frames have the host's time and that clock was not set meanwhile.
 /// The numbers of frames do not include gaps, and the format holds neither labels nor truth.
 #[derive(Debug)]
 pub(in crate::recording) struct InfineonWriter {
@@ -48,10 +64,10 @@ pub(in crate::recording) struct InfineonWriter {
     file: BufWriter<File>,
     header: RecordingHeader,
     bytes: Vec<u8>,
-    /// Board's and host's time of each frame, ns.
-    times_ns: Vec<(u64, u64)>,
-    /// Frame and temperature in thousandths of a degree Celsius, where it changed.
-    temperatures: Vec<(usize, i32)>,
+    /// Times of each frame.
+    times: Vec<FrameTime>,
+    /// Temperatures, where they changed.
+    temperatures: Vec<FrameTemperature>,
     /// Number of frames without a temperature behind the first one that has it.
     without_temperature: u64,
     /// Counts of the frames, and of the items that the format cannot hold.
@@ -82,7 +98,7 @@ impl InfineonWriter {
             file,
             header: header.clone(),
             bytes: Vec::new(),
-            times_ns: Vec::new(),
+            times: Vec::new(),
             temperatures: Vec::new(),
             without_temperature: 0,
             tally: Tally::default(),
@@ -95,18 +111,18 @@ impl InfineonWriter {
     /// [`RecordingError::FrameShape`] or [`RecordingError::Code`] for a frame that does not fit;
     /// [`RecordingError::Io`].
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
-        self.tally.frame(&self.data, self.header.waveform.shape(), frame)?;
+        self.tally.count_frame(&self.data, self.header.waveform.shape(), frame)?;
         self.bytes.clear();
         self.bytes.extend(frame.codes.iter().flat_map(|code| code.to_le_bytes()));
         self.file.write_all(&self.bytes).map_err(RecordingError::cannot_write(&self.data))?;
         if let Some(now) = frame.temperature_millicelsius
-            && self.temperatures.last().is_none_or(|(_, last)| *last != now)
+            && self.temperatures.last().is_none_or(|last| last.millicelsius != now)
         {
-            self.temperatures.push((self.times_ns.len(), now));
+            self.temperatures.push(FrameTemperature { frame: self.times.len(), millicelsius: now });
         }
         let has_none = frame.temperature_millicelsius.is_none();
         self.without_temperature += u64::from(has_none && !self.temperatures.is_empty());
-        self.times_ns.push((frame.time_ns, frame.host_time_ns));
+        self.times.push(FrameTime { board_ns: frame.time_ns, host_ns: frame.host_time_ns });
         Ok(())
     }
 
@@ -115,7 +131,7 @@ impl InfineonWriter {
     /// # Errors
     /// [`RecordingError::Io`], or [`RecordingError::Occupied`] if something has taken the name meanwhile.
     pub fn finish(mut self) -> Result<WriteReport, RecordingError> {
-        let frames = self.times_ns.len();
+        let frames = self.times.len();
         let shape = self.header.waveform.shape();
         let shape_text = format!("({frames}, {}, {}, {})", shape.rx, shape.chirps, shape.samples);
         let cannot = || RecordingError::cannot_write(&self.data);
@@ -125,7 +141,7 @@ impl InfineonWriter {
         let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
 
         let mut omitted = self.tally.omitted(&self.header.waveform);
-        let stamps_ns = self.stamps(&mut omitted);
+        let stamps_ns = self.time_stamps(&mut omitted);
         self.tally.report.time_shift_ns = self.time_shift_ns(stamps_ns.as_deref());
         if let Some(stamps_ns) = &stamps_ns {
             self.write_file(TIMES, seconds(stamps_ns.iter().copied()).as_bytes())?;
@@ -147,28 +163,28 @@ impl InfineonWriter {
     }
 
     /// Times to write; `None` if they equal those of the frame interval, or go backwards.
-    fn stamps(&self, omitted: &mut Vec<String>) -> Option<Vec<u64>> {
-        let board: Vec<u64> = self.times_ns.iter().map(|t| t.0).collect();
-        let host: Vec<u64> = self.times_ns.iter().map(|t| t.1).collect();
+    fn time_stamps(&self, omitted: &mut Vec<String>) -> Option<Vec<u64>> {
+        let board: Vec<u64> = self.times.iter().map(|time| time.board_ns).collect();
+        let host: Vec<u64> = self.times.iter().map(|time| time.host_ns).collect();
         let has_host = host.iter().any(|t| *t > 0);
         if has_host && host.iter().all(|t| *t >= FIRST_UNIX_NS) && host.is_sorted() && !self.was_host_clock_set() {
             if !board.is_sorted() {
                 omitted.push("times by the board's clock, which go backwards (the host's are kept)".into());
                 return Some(host);
             }
-            // The host's times give the date. They do not give the intervals: frames wait before the host takes them, and an
-            // emulated board may send them faster than they were measured.
-            let (first, start) = self.times_ns.first().map_or((0, 0), |(board, host)| (*host, *board));
+            // The host's times give the date, but not the intervals: frames wait before the host takes them, and an emulated board
+            // may send them faster than they were measured.
+            let (first, start) = self.times.first().map_or((0, 0), |time| (time.host_ns, time.board_ns));
             if start > 0 {
                 omitted.push(format!("the time of the first frame, {} s (readers count from 0 s)", start as f64 / 1e9));
             }
-            let dated: Vec<u64> = board.iter().map(|time| first.saturating_add(time - start)).collect();
-            if dated != host {
+            let dated_times: Vec<u64> = board.iter().map(|time| first.saturating_add(time - start)).collect();
+            if dated_times != host {
                 omitted.push(
                     "times by the host's clock, except that of the first frame (intervals are the board's)".into(),
                 );
             }
-            return Some(dated);
+            return Some(dated_times);
         }
         if has_host {
             omitted.push("times by the host's clock, absent from some frames or set while they were taken".into());
@@ -184,15 +200,15 @@ impl InfineonWriter {
     /// Greatest difference between a frame's time by the board's clock and the one that readers find, ns.
     fn time_shift_ns(&self, stamps_ns: Option<&[u64]>) -> u64 {
         let read = |index| frame_time_ns(stamps_ns, &self.header.waveform, index);
-        (0..).zip(&self.times_ns).map(|(index, (board, _))| board.abs_diff(read(index))).max().unwrap_or(0)
+        (0..).zip(&self.times).map(|(index, time)| time.board_ns.abs_diff(read(index))).max().unwrap_or(0)
     }
 
-    /// Returns whether the host's clock has jumped against the board's, as where a computer without a battery for its clock hears
-    /// the time from the network.
+    /// Returns whether the host's clock has jumped against the board's, such as when a computer without a battery for its clock
+    /// gets the time from the network.
     fn was_host_clock_set(&self) -> bool {
-        self.times_ns.windows(2).any(|pair| {
-            let &[(board, host), (next_board, next_host)] = pair else { return false };
-            next_host.abs_diff(host).abs_diff(next_board.abs_diff(board)) > CLOCK_SET_NS
+        self.times.windows(2).any(|pair| {
+            let [time, next] = pair else { return false };
+            next.host_ns.abs_diff(time.host_ns).abs_diff(next.board_ns.abs_diff(time.board_ns)) > CLOCK_SET_NS
         })
     }
 
@@ -201,9 +217,9 @@ impl InfineonWriter {
             return Ok(());
         }
         let mut bytes = npy_header("<f8", &format!("({},)", self.temperatures.len()));
-        bytes.extend(self.temperatures.iter().flat_map(|(_, milli)| (f64::from(*milli) / 1e3).to_le_bytes()));
+        bytes.extend(self.temperatures.iter().flat_map(|entry| (f64::from(entry.millicelsius) / 1e3).to_le_bytes()));
         self.write_file(TEMPERATURES, &bytes)?;
-        let times = self.temperatures.iter().filter_map(|(index, _)| stamps_ns.get(*index).copied());
+        let times = self.temperatures.iter().filter_map(|entry| stamps_ns.get(entry.frame).copied());
         self.write_file(TEMPERATURE_TIMES, seconds(times).as_bytes())
     }
 
@@ -220,11 +236,12 @@ impl InfineonWriter {
                 "uuid": board.map_or("0", |b| b.uuid.as_str()),
             }),
         )?;
+        let capture_s = self.times.first().filter(|time| time.host_ns > 0).map(|time| time.host_ns / 1_000_000_000);
         // The folder does not depend on the machine: the same recording gives the same folder.
         write_json(
             &self.partial.path().join(META),
             &json!({
-                "date_captured": self.times_ns.first().filter(|t| t.1 > 0).map(|t| utc::iso_8601(t.1 / 1_000_000_000)),
+                "date_captured": capture_s.map(utc::iso_8601),
                 "hostname": "unknown",
                 "ifxdaq_version": "1.0.0",
                 "machine": "",

@@ -10,9 +10,9 @@ use super::encode::{chunk_index_body, record};
 use super::records::RECORD_HEADER;
 use crate::recording::disk;
 
-/// Most bytes of entries that are held in memory: some forty entries.
-pub(super) const HELD_BYTES: usize = 4096;
-/// Most bytes that are read at once.
+/// Largest number of bytes of entries in memory: some forty entries.
+pub(super) const MAX_BUFFERED_BYTES: usize = 4096;
+/// Largest number of bytes that are read at once.
 const BLOCK_BYTES: u64 = 1 << 16;
 
 /// Chunk index records in the order of the chunks. They are in a file without a name, which vanishes when the list is
@@ -24,32 +24,32 @@ pub(super) struct ChunkIndexes {
     /// Number of bytes in the file; during reading, number of bytes left.
     stored: u64,
     /// Records that are not in the file yet.
-    held: Vec<u8>,
+    buffer: Vec<u8>,
 }
 
 impl ChunkIndexes {
     /// Starts an empty list for a recording: `recording` is its file, `path` its name.
     pub fn create(recording: &File, path: &Path) -> io::Result<Self> {
         let file = disk::unnamed(recording, path)?;
-        Ok(ChunkIndexes { file, path: path.to_owned(), stored: 0, held: Vec::with_capacity(HELD_BYTES) })
+        Ok(ChunkIndexes { file, path: path.to_owned(), stored: 0, buffer: Vec::with_capacity(MAX_BUFFERED_BYTES) })
     }
 
     /// Adds the entry of a chunk.
     pub fn push(&mut self, index: &ChunkIndex) -> io::Result<()> {
         let body = chunk_index_body(index);
-        if self.held.len() + RECORD_HEADER as usize + body.len() > HELD_BYTES {
-            disk::append(&self.file, &self.path, self.stored, &self.held)?;
-            self.stored += self.held.len() as u64;
-            self.held.clear();
+        if self.buffer.len() + RECORD_HEADER as usize + body.len() > MAX_BUFFERED_BYTES {
+            disk::append(&self.file, &self.path, self.stored, &self.buffer)?;
+            self.stored += self.buffer.len() as u64;
+            self.buffer.clear();
         }
-        record(&mut self.held, op::CHUNK_INDEX, &body);
+        record(&mut self.buffer, op::CHUNK_INDEX, &body);
         Ok(())
     }
 
     /// Number of bytes of entries in memory.
     #[cfg(test)]
-    pub fn held_bytes(&self) -> usize {
-        self.held.len()
+    pub fn buffered_bytes(&self) -> usize {
+        self.buffer.len()
     }
 
     /// Seeks the first record, to read all of them. Nothing can be added from then on.
@@ -67,8 +67,8 @@ impl ChunkIndexes {
         if self.stored > 0 {
             return Err(io::ErrorKind::UnexpectedEof.into());
         }
-        let held = std::mem::take(&mut self.held);
-        out.extend_from_slice(&held);
-        Ok(held.len() as u64)
+        let buffer = std::mem::take(&mut self.buffer);
+        out.extend_from_slice(&buffer);
+        Ok(buffer.len() as u64)
     }
 }

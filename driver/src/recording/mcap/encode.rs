@@ -25,7 +25,8 @@ pub(super) fn string(out: &mut Vec<u8>, text: &str) {
     out.extend_from_slice(text.as_bytes());
 }
 
-fn map(out: &mut Vec<u8>, entries: &BTreeMap<u16, u64>) {
+/// Appends a map from channels to numbers.
+fn channel_map(out: &mut Vec<u8>, entries: &BTreeMap<u16, u64>) {
     out.extend((10 * entries.len() as u32).to_le_bytes());
     for (key, value) in entries {
         out.extend(key.to_le_bytes());
@@ -89,7 +90,7 @@ pub(super) fn statistics_body(statistics: &Statistics) -> Vec<u8> {
     }
     out.extend(statistics.message_start_time.to_le_bytes());
     out.extend(statistics.message_end_time.to_le_bytes());
-    map(&mut out, &statistics.channel_message_counts);
+    channel_map(&mut out, &statistics.channel_message_counts);
     out
 }
 
@@ -98,7 +99,7 @@ pub(super) fn chunk_index_body(index: &ChunkIndex) -> Vec<u8> {
     for number in [index.message_start_time, index.message_end_time, index.chunk_start_offset, index.chunk_length] {
         out.extend(number.to_le_bytes());
     }
-    map(&mut out, &index.message_index_offsets);
+    channel_map(&mut out, &index.message_index_offsets);
     out.extend(index.message_index_length.to_le_bytes());
     string(&mut out, &index.compression);
     out.extend(index.compressed_size.to_le_bytes());
@@ -164,18 +165,18 @@ impl Chunk {
     /// The compressor fails; `out` is then as it was.
     pub fn finish(self, out: &mut Vec<u8>, start: u64) -> io::Result<ChunkIndex> {
         let Chunk { encoder, crc, length, times, messages } = self;
-        let packed = encoder.finish()?;
+        let compressed = encoder.finish()?;
         let (first, last) = times.unwrap_or((0, 0));
-        let mut head = [first.to_le_bytes(), last.to_le_bytes(), length.to_le_bytes()].concat();
-        head.extend(crc.finalize().to_le_bytes());
-        string(&mut head, COMPRESSION);
-        head.extend((packed.len() as u64).to_le_bytes());
+        let mut header = [first.to_le_bytes(), last.to_le_bytes(), length.to_le_bytes()].concat();
+        header.extend(crc.finalize().to_le_bytes());
+        string(&mut header, COMPRESSION);
+        header.extend((compressed.len() as u64).to_le_bytes());
 
         let chunk_start_offset = start + out.len() as u64;
         out.push(op::CHUNK);
-        out.extend(((head.len() + packed.len()) as u64).to_le_bytes());
-        out.extend_from_slice(&head);
-        out.extend_from_slice(&packed);
+        out.extend(((header.len() + compressed.len()) as u64).to_le_bytes());
+        out.extend_from_slice(&header);
+        out.extend_from_slice(&compressed);
         let chunk_end = start + out.len() as u64;
         let mut message_index_offsets = BTreeMap::new();
         for (channel, entries) in messages {
@@ -193,7 +194,7 @@ impl Chunk {
             message_index_offsets,
             message_index_length: start + out.len() as u64 - chunk_end,
             compression: COMPRESSION.to_owned(),
-            compressed_size: packed.len() as u64,
+            compressed_size: compressed.len() as u64,
             uncompressed_size: length,
         })
     }
@@ -208,14 +209,23 @@ pub(super) fn is_intact(mut crc: Hasher, footer: &[u8]) -> bool {
     rest.first_chunk::<4>().is_some_and(|stated| *stated == [0; 4] || *stated == crc.finalize().to_le_bytes())
 }
 
+/// Records of one kind in a summary.
+struct RecordGroup {
+    opcode: u8,
+    /// Offset in the file.
+    start: u64,
+    /// Length, bytes.
+    length: u64,
+}
+
 /// Layout of a summary: positions of its records, kind by kind, and their CRC. It holds no record itself.
 pub(super) struct SummaryLayout {
     /// Offset of the first record in the file.
     start: u64,
     /// Offset of the next record.
     end: u64,
-    /// Opcode, offset and length of the records of each kind.
-    groups: Vec<(u8, u64, u64)>,
+    /// Records of each kind.
+    groups: Vec<RecordGroup>,
     crc: Hasher,
 }
 
@@ -227,18 +237,18 @@ impl SummaryLayout {
 
     /// Appends a record to `out`, which ends where the summary ends so far.
     pub fn record(&mut self, out: &mut Vec<u8>, opcode: u8, body: &[u8]) {
-        let before = out.len();
+        let record_start = out.len();
         record(out, opcode, body);
-        self.add(opcode, out.get(before..).unwrap_or(&[]));
+        self.add(opcode, out.get(record_start..).unwrap_or(&[]));
     }
 
     /// Counts bytes of records of a kind that the caller writes itself.
     pub fn add(&mut self, opcode: u8, records: &[u8]) {
         let length = records.len() as u64;
         self.crc.update(records);
-        match self.groups.last_mut().filter(|group| group.0 == opcode) {
-            Some(group) => group.2 += length,
-            None => self.groups.push((opcode, self.end, length)),
+        match self.groups.last_mut().filter(|group| group.opcode == opcode) {
+            Some(group) => group.length += length,
+            None => self.groups.push(RecordGroup { opcode, start: self.end, length }),
         }
         self.end += length;
     }
@@ -246,12 +256,12 @@ impl SummaryLayout {
     /// Appends the offsets of the kinds to `out`. Returns the end of the file: the footer and the magic.
     pub fn finish(self, out: &mut Vec<u8>) -> Vec<u8> {
         let SummaryLayout { start, end, groups, mut crc } = self;
-        let before = out.len();
-        for (opcode, start, length) in groups {
+        let offsets_start = out.len();
+        for RecordGroup { opcode, start, length } in groups {
             let body = [&[opcode][..], &start.to_le_bytes(), &length.to_le_bytes()].concat();
             record(out, op::SUMMARY_OFFSET, &body);
         }
-        crc.update(out.get(before..).unwrap_or(&[]));
+        crc.update(out.get(offsets_start..).unwrap_or(&[]));
         // The CRC covers the footer too, up to the CRC itself.
         let mut footer = vec![op::FOOTER];
         footer.extend(FOOTER_BODY_BYTES.to_le_bytes());

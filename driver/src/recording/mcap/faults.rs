@@ -114,14 +114,14 @@ fn labels_of(path: &Path) -> Vec<LabelSpan> {
 }
 
 /// Checks that an error names a file of the folder and its first cause.
-fn assert_says(error: &RecordingError, folder: &Path, code: i32) {
+fn assert_names(error: &RecordingError, folder: &Path, code: i32) {
     let RecordingError::Io { path, source, .. } = error else { panic!("{error}") };
     assert!(path.starts_with(folder), "{error}");
     assert_eq!(source.raw_os_error(), Some(code), "{error}: {source}");
 }
 
 #[test]
-fn whatever_fails_is_said_with_its_path_and_costs_at_most_a_second() {
+fn every_failure_is_an_error_with_its_path_and_loses_at_most_a_second() {
     for (plan, code) in [(Plan::Fail as fn(usize) -> Plan, 5), (Plan::Full as fn(usize) -> Plan, 28)] {
         let mut failures = 0;
         for at in 0.. {
@@ -135,7 +135,7 @@ fn whatever_fails_is_said_with_its_path_and_costs_at_most_a_second() {
                 break;
             };
             failures += 1;
-            assert_says(&error, folder.path(), code);
+            assert_names(&error, folder.path(), code);
             if !path.exists() {
                 assert_eq!(taken, 0, "operation {at}");
                 continue;
@@ -176,7 +176,7 @@ fn record_chunks(folder: &Path, plan: Plan) -> (u64, Result<WriteReport, Recordi
 }
 
 #[test]
-fn an_index_of_chunks_that_the_disk_refuses_is_said_and_costs_no_frame() {
+fn an_index_of_chunks_that_the_disk_refuses_is_an_error_and_loses_no_frame() {
     let made = folder();
     let (_, outcome, changes) = record_chunks(made.path(), Plan::Work);
     outcome.expect("records");
@@ -195,7 +195,7 @@ fn an_index_of_chunks_that_the_disk_refuses_is_said_and_costs_no_frame() {
             let folder = folder();
             let path = folder.path().join("a.mcap");
             let (taken, outcome, _) = record_chunks(folder.path(), plan);
-            assert_says(&outcome.expect_err("refused"), folder.path(), code);
+            assert_names(&outcome.expect_err("refused"), folder.path(), code);
             assert_eq!(readable(&path), (taken + 1).min(MANY), "operation {number}");
             assert!(!McapReader::open(&path).expect("opens").is_complete(), "operation {number}");
             let report = repair(&path, &folder.path().join("b.mcap"), Existing::Replace).expect("repairs");
@@ -205,7 +205,7 @@ fn an_index_of_chunks_that_the_disk_refuses_is_said_and_costs_no_frame() {
 }
 
 #[test]
-fn labels_of_a_finished_recording_survive_whatever_fails() {
+fn labels_of_a_finished_recording_survive_every_failure() {
     for (plan, code) in [(Plan::Fail as fn(usize) -> Plan, 5), (Plan::Full as fn(usize) -> Plan, 28)] {
         let mut failures = 0;
         for at in 0.. {
@@ -228,7 +228,7 @@ fn labels_of_a_finished_recording_survive_whatever_fails() {
                 break;
             };
             failures += 1;
-            assert_says(&error, folder.path(), code);
+            assert_names(&error, folder.path(), code);
             assert!([3, 5, 9].iter().any(|count| found == labels(*count)), "operation {at}: {found:?}");
             // The interrupted change does not block the next one.
             set_labels(&path, &labels(2)).expect("sets");
@@ -263,7 +263,7 @@ fn a_disk_that_does_not_answer_ends_the_recording() {
     assert!(matches!(recorder.finish(), Err(RecordingError::Stalled { .. })));
 }
 
-/// A recording that is removed while it is made would end as a success, and nothing of it would be left.
+/// Regression test: a recording that was removed while it was made ended as a success.
 #[test]
 fn a_recording_that_is_removed_meanwhile_ends_with_an_error() {
     let folder = folder();
@@ -277,12 +277,12 @@ fn a_recording_that_is_removed_meanwhile_ends_with_an_error() {
         source.next_frame(&mut frame).expect("frame");
         recorder.frame(&frame).expect("records");
         std::fs::remove_file(&path).expect("removes");
-        let Err(RecordingError::Io { path: named, source, .. }) = recorder.finish() else { panic!("no error") };
-        assert!(named == path && source.to_string().contains("removed"), "{source}");
+        let Err(RecordingError::Io { path: error_path, source, .. }) = recorder.finish() else { panic!("no error") };
+        assert!(error_path == path && source.to_string().contains("removed"), "{source}");
     }
 }
 
-/// A recording that was cut while it was made ended as a success, and its beginning was a hole.
+/// Regression test: a recording that was cut while it was made ended as a success, and its beginning was a hole.
 #[test]
 fn a_recording_that_is_cut_meanwhile_ends_with_an_error() {
     let folder = folder();
@@ -297,8 +297,8 @@ fn a_recording_that_is_cut_meanwhile_ends_with_an_error() {
     std::fs::File::options().write(true).open(&path).and_then(|file| file.set_len(0)).expect("cuts");
     source.next_frame(&mut frame).expect("frame");
     recorder.frame(&frame).expect("records");
-    let Err(RecordingError::Io { path: named, source, .. }) = recorder.flush() else { panic!("no error") };
-    assert!(named == path && source.to_string().contains("cut to 0 of"), "{source}");
+    let Err(RecordingError::Io { path: error_path, source, .. }) = recorder.flush() else { panic!("no error") };
+    assert!(error_path == path && source.to_string().contains("cut to 0 of"), "{source}");
     assert!(recorder.finish().is_err());
     assert_eq!(std::fs::metadata(&path).expect("the file").len(), 0, "no hole is written");
 }
@@ -404,9 +404,9 @@ impl Disk {
                 Change::Remove { path } if keeps_name => drop(disk.names.remove(path)),
                 Change::Write { inode, at, bytes } => {
                     let file = disk.files.entry(*inode).or_default();
-                    let way = if is_synced(*inode) { 0 } else { random.below(3) };
+                    let storage = if is_synced(*inode) { 0 } else { random.below(3) };
                     for (sector, bytes) in bytes.chunks(512).enumerate() {
-                        if way == 0 || (way == 1 && random.below(2) == 0) {
+                        if storage == 0 || (storage == 1 && random.below(2) == 0) {
                             let start = *at as usize + 512 * sector;
                             file.resize(file.len().max(start + bytes.len()), 0);
                             file[start..start + bytes.len()].copy_from_slice(bytes);
@@ -445,10 +445,10 @@ fn with_own_numbers(changes: Vec<Change>) -> Vec<Change> {
 
 /// Simulates power cuts before every operation, in several ways each: fifty times as many where `RADOME_LONG` is set.
 fn power_cuts(base: &Disk, changes: &[Change], mut check: impl FnMut(&Path, &[Change])) {
-    let ways = if std::env::var_os("RADOME_LONG").is_some() { 400 } else { 8 };
+    let repetitions = if std::env::var_os("RADOME_LONG").is_some() { 400 } else { 8 };
     let mut random = Random(1);
     for cut in 0..=changes.len() {
-        for _ in 0..ways {
+        for _ in 0..repetitions {
             let folder = folder();
             base.after(changes, cut, &mut random).put(folder.path());
             check(folder.path(), &changes[..cut]);
@@ -457,7 +457,7 @@ fn power_cuts(base: &Disk, changes: &[Change], mut check: impl FnMut(&Path, &[Ch
 }
 
 #[test]
-fn a_power_cut_while_recording_costs_at_most_a_second() {
+fn a_power_cut_while_recording_loses_at_most_a_second() {
     let made = folder();
     let watched = Trial::start(made.path(), Plan::Work);
     record(&made.path().join("a.mcap"), &watched, true).1.expect("records");

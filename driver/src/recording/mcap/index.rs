@@ -44,6 +44,7 @@ impl Chunk {
     }
 }
 
+/// Positions of all chunks of a recording.
 #[derive(Debug, Default)]
 pub(super) struct Index {
     pub chunks: Vec<Chunk>,
@@ -55,8 +56,8 @@ pub(super) struct Index {
     pub end: Option<u64>,
     /// Whether an unfinished file ends within a record.
     pub ends_within_record: bool,
-    /// End of the recording, if the file goes on behind it.
-    pub file_goes_on_at: Option<u64>,
+    /// End of the recording, if other data follow in the file.
+    pub trailing_data_offset: Option<u64>,
 }
 
 impl Index {
@@ -88,7 +89,7 @@ impl Index {
                 records.path.display()
             ));
         }
-        if let Some(end) = index.file_goes_on_at {
+        if let Some(end) = index.trailing_data_offset {
             warn_once(format!(
                 "{}: the recording ends at byte {end}, but the file goes on; radome recording repair saves the recording",
                 records.path.display()
@@ -118,7 +119,7 @@ impl Index {
                 Err(RecordingError::Corrupt { reason, .. }) => reason,
                 Err(error) => return Err(error),
             };
-            warn_of_end(records, offset, &reason);
+            warn_of_damaged_end(records, offset, &reason);
             self.end = Some(offset);
             self.chunks.truncate(position);
             break;
@@ -134,9 +135,9 @@ pub(super) fn summary_start(records: &mut Records) -> Result<Option<u64>, Record
     if records.peek(at, &mut footer)? != footer.len() {
         return Ok(None);
     }
-    let ([opcode, rest @ ..], ends) = (&footer, footer.ends_with(mcap::MAGIC));
+    let ([opcode, rest @ ..], has_magic) = (&footer, footer.ends_with(mcap::MAGIC));
     let number = |at: usize| rest.get(at..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
-    Ok((ends && *opcode == op::FOOTER && number(0) == 20).then(|| number(8)))
+    Ok((has_magic && *opcode == op::FOOTER && number(0) == 20).then(|| number(8)))
 }
 
 /// Reads the index in the summary; `None` if it is damaged, contradicts the file or itself, or does not name all
@@ -147,7 +148,7 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
     }
     records.go_to(start)?;
     let (mut body, mut chunks, mut statistics) = (Vec::new(), Vec::new(), None);
-    let (mut known, mut crc) = (channels.clone(), Hasher::new());
+    let (mut all_channels, mut crc) = (channels.clone(), Hasher::new());
     let (mut end, mut first_ns) = (0, None::<u64>);
     loop {
         let next = records.next(&mut body, |_| true);
@@ -161,7 +162,7 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
                 match parse_record(opcode, &body) {
                     Ok(Record::Channel(channel)) => {
                         let topic = topic(&channel.topic);
-                        if known.insert(channel.id, topic).is_some_and(|before| before != topic) {
+                        if all_channels.insert(channel.id, topic).is_some_and(|other| other != topic) {
                             return Ok(None);
                         }
                     }
@@ -178,7 +179,7 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
                         }
                         let mut chunk = Chunk::new(index.chunk_start_offset);
                         for id in index.message_index_offsets.keys() {
-                            match known.get(id) {
+                            match all_channels.get(id) {
                                 Some(Some(Topic::Label)) => chunk.has_labels = true,
                                 Some(Some(Topic::Result)) => chunk.has_results = true,
                                 Some(_) => {}
@@ -209,66 +210,67 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
     let Some(statistics) = statistics.filter(|s| s.chunk_count as usize == chunks.len()) else { return Ok(None) };
     let counts = &statistics.channel_message_counts;
     let count = |wanted: Option<Topic>| {
-        let counts = counts.iter().filter(|(id, _)| known.get(id).copied().flatten() == wanted);
+        let counts = counts.iter().filter(|(id, _)| all_channels.get(id).copied().flatten() == wanted);
         counts.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count))
     };
     let [frames, gaps, labels, results] =
         [Topic::Frame, Topic::Gap, Topic::Label, Topic::Result].map(|topic| count(Some(topic)));
-    let all = [gaps, labels, results, count(None)].into_iter().fold(frames, u64::saturating_add);
-    // Messages outside of chunks, or chunks without an index of their messages, show here.
-    let agrees = counts.keys().all(|id| known.contains_key(id))
-        && all == statistics.message_count
-        && (all == 0 || !chunks.is_empty())
+    let total = [gaps, labels, results, count(None)].into_iter().fold(frames, u64::saturating_add);
+    // The counts disagree if messages are outside of chunks, or chunks lack an index of their messages.
+    let is_consistent = counts.keys().all(|id| all_channels.contains_key(id))
+        && total == statistics.message_count
+        && (total == 0 || !chunks.is_empty())
         && first_ns.is_none_or(|first| first == statistics.message_start_time)
         && (labels > 0) == chunks.iter().any(|chunk| chunk.has_labels)
         && (results > 0) == chunks.iter().any(|chunk| chunk.has_results);
-    if !agrees {
+    if !is_consistent {
         return Ok(None);
     }
-    *channels = known;
+    *channels = all_channels;
     Ok(Some(Index { chunks, frames, gaps, complete: true, ..Index::default() }))
 }
 
 /// Source of the counts of a chunk.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Counted {
-    Not,
+enum CountSource {
+    /// The chunk is not counted yet.
+    None,
     ByIndexes,
     ByContent,
 }
 
-/// Scans the records of the file. The content of a chunk is skipped where the indexes of its messages tell enough.
+/// Scans the records of the file. The content of a chunk is skipped if it has indexes of its messages.
 fn scan(records: &mut Records, has_footer: bool, channels: &mut Channels) -> Result<Index, RecordingError> {
     records.go_to(8)?;
     let (mut body, mut index) = (Vec::new(), Index::default());
-    // How the last chunk was counted; there is none yet.
-    let mut counted = Counted::ByContent;
+    // Source of the counts of the last chunk; there is no chunk yet.
+    let mut count_source = CountSource::ByContent;
     loop {
         let at = records.offset;
         let wanted = |opcode: u8| matches!(opcode, op::MESSAGE_INDEX | op::CHANNEL | op::MESSAGE);
         let next = match records.next(&mut body, wanted) {
             // The remains of the last second after a power cut need not be a record.
             Err(RecordingError::Corrupt { reason, .. }) if !has_footer => {
-                warn_of_end(records, at, &reason);
+                warn_of_damaged_end(records, at, &reason);
                 index.end = Some(at);
                 Next::CutShort
             }
             next => next?,
         };
-        // A chunk without an index is over.
-        if counted == Counted::Not
+        // The last chunk ends without an index of its messages.
+        if count_source == CountSource::None
             && !matches!(next, Next::Record(op::MESSAGE_INDEX, _))
             && let Some(chunk) = index.chunks.last_mut()
         {
             count_content(records, chunk, channels)?;
-            counted = Counted::ByContent;
+            count_source = CountSource::ByContent;
         }
         match next {
             Next::Record(op::CHUNK, offset) => {
                 index.chunks.push(Chunk::new(offset));
-                counted = Counted::Not;
+                count_source = CountSource::None;
             }
-            Next::Record(op::MESSAGE_INDEX, _) if counted != Counted::ByContent => {
+            Next::Record(op::MESSAGE_INDEX, _) if count_source != CountSource::ByContent => {
                 let Ok(Record::MessageIndex(messages)) = parse_record(op::MESSAGE_INDEX, &body) else { continue };
                 let Some(chunk) = index.chunks.last_mut() else { continue };
                 match channels.get(&messages.channel_id).copied() {
@@ -276,12 +278,12 @@ fn scan(records: &mut Records, has_footer: bool, channels: &mut Channels) -> Res
                         if let Some(topic) = topic {
                             chunk.count(topic, messages.records.len() as u64);
                         }
-                        counted = Counted::ByIndexes;
+                        count_source = CountSource::ByIndexes;
                     }
                     // The chunk itself names the channel, or the index is damaged.
                     None => {
                         count_content(records, chunk, channels)?;
-                        counted = Counted::ByContent;
+                        count_source = CountSource::ByContent;
                     }
                 }
             }
@@ -292,13 +294,13 @@ fn scan(records: &mut Records, has_footer: bool, channels: &mut Channels) -> Res
                     let mut message = Chunk::new(offset);
                     message.count(topic, 1);
                     index.chunks.push(message);
-                    counted = Counted::ByContent;
+                    count_source = CountSource::ByContent;
                 }
             }
             Next::Record(..) => {}
             Next::End => {
                 index.complete = has_footer;
-                index.file_goes_on_at = end_before_file(records, at)?;
+                index.trailing_data_offset = end_before_file(records, at)?;
                 return Ok(index);
             }
             Next::CutShort => {
@@ -342,7 +344,8 @@ fn count_content(records: &mut Records, chunk: &mut Chunk, channels: &mut Channe
     records.go_to(next)
 }
 
-fn warn_of_end(records: &Records, offset: u64, reason: &str) {
+/// Logs that an unfinished file is damaged from this offset on.
+fn warn_of_damaged_end(records: &Records, offset: u64, reason: &str) {
     tracing::warn!(
         "{}: never finished, and damaged at byte {offset} ({reason}): it is read up to there; radome recording repair looks for more behind it",
         records.path.display()

@@ -12,9 +12,9 @@ use super::encode::{Chunk, SummaryLayout, chunk_index_body, is_intact, record, s
 use super::index::{FOOTER, summary_start};
 use super::lengths::parse_record;
 use super::records::{DATA_END_BYTES, MAX_RECORD, Next, RECORD_HEADER, Records, Topic, topic};
-use super::staged::{self, End};
+use super::staged::{self, RecordingEnd};
 use super::{LABELS, LabelSpan, McapReader};
-use crate::recording::lock::{LABELS_PATIENCE, Locked, lock};
+use crate::recording::lock::{LABELS_LOCK_TIMEOUT, Locked, lock};
 use crate::recording::{RecordingError, disk};
 
 /// Editor of the labels of a finished recording, which it locks against other writers.
@@ -32,10 +32,10 @@ impl LabelEditor {
     /// never finished, and another [`RecordingError`] if the file cannot be read.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let open = || File::options().read(true).write(true).open(path);
-        let locked = lock(path, LABELS_PATIENCE, open)?;
+        let locked = lock(path, LABELS_LOCK_TIMEOUT, open)?;
         // Completes a write that a power cut has interrupted.
         if let Some(end) = staged::read(path)?.and_then(|staged| staged.end) {
-            staged::apply(locked.file(), path, &end).map_err(RecordingError::cannot_write(path))?;
+            staged::write_end(locked.file(), path, &end).map_err(RecordingError::cannot_write(path))?;
         }
         data_end(&mut Records::open(path)?)?;
         Ok(LabelEditor { path: path.to_owned(), locked })
@@ -74,7 +74,7 @@ impl LabelEditor {
         disk::reserve(self.locked.file(), end.at, end.bytes.len() as u64)
             .map_err(RecordingError::cannot_write(&self.path))?;
         staged::write(&self.path, end.at, labels, Some(&end))?;
-        staged::apply(self.locked.file(), &self.path, &end).map_err(RecordingError::cannot_write(&self.path))
+        staged::write_end(self.locked.file(), &self.path, &end).map_err(RecordingError::cannot_write(&self.path))
     }
 
     /// Moves staged labels into the recording.
@@ -128,7 +128,7 @@ fn data_end(records: &mut Records) -> Result<u64, RecordingError> {
 }
 
 /// Encodes the end of a recording with these labels, from its last frames on.
-fn new_end(records: &mut Records, labels: &[LabelSpan]) -> Result<End, RecordingError> {
+fn new_end(records: &mut Records, labels: &[LabelSpan]) -> Result<RecordingEnd, RecordingError> {
     let (end, length) = (data_end(records)?, records.length);
     // Checked before memory is allocated: a footer may be wrong.
     if length - end > MAX_RECORD {
@@ -158,7 +158,7 @@ fn new_end(records: &mut Records, labels: &[LabelSpan]) -> Result<End, Recording
     }
     let json = serde_json::to_vec(labels).map_err(|e| RecordingError::cannot_write(&records.path)(e.into()))?;
     let bytes = summary.with_labels(at, &json).map_err(RecordingError::cannot_write(&records.path))?;
-    Ok(End { at, bytes })
+    Ok(RecordingEnd { at, bytes })
 }
 
 /// Summary of a file, with its records in their order.
@@ -180,9 +180,9 @@ impl<'a> Summary<'a> {
             rest = next;
             match opcode {
                 op::STATISTICS | op::CHANNEL => match parse_record(opcode, body).map_err(|e| e.to_string())? {
-                    Record::Statistics(found) => statistics = Some(found),
-                    Record::Channel(found) if topic(&found.topic) == Some(Topic::Label) => {
-                        channel = Some((found.id, body))
+                    Record::Statistics(parsed) => statistics = Some(parsed),
+                    Record::Channel(parsed) if topic(&parsed.topic) == Some(Topic::Label) => {
+                        channel = Some((parsed.id, body))
                     }
                     _ => {}
                 },
@@ -211,15 +211,18 @@ impl<'a> Summary<'a> {
             let Some(Ok(Record::ChunkIndex(index))) = index else { break };
             let start = index.chunk_start_offset;
             let length = index.chunk_length.checked_add(index.message_index_length);
-            let place = index.message_index_offsets.get(&label_channel).copied();
-            let (Some(length), Some(place), 1) = (length, place, index.message_index_offsets.len()) else { break };
-            if start.checked_add(length) != Some(end) || start.checked_add(index.chunk_length) != Some(place) {
+            let index_offset = index.message_index_offsets.get(&label_channel).copied();
+            let (Some(length), Some(index_offset), 1) = (length, index_offset, index.message_index_offsets.len())
+            else {
+                break;
+            };
+            if start.checked_add(length) != Some(end) || start.checked_add(index.chunk_length) != Some(index_offset) {
                 break;
             }
             // The index may be wrong.
             records.go_to(start)?;
             match records.next(&mut body, |_| false) {
-                Ok(Next::Record(op::CHUNK, _)) if records.offset == place => {}
+                Ok(Next::Record(op::CHUNK, _)) if records.offset == index_offset => {}
                 Ok(_) | Err(RecordingError::Corrupt { .. }) => break,
                 Err(error) => return Err(error),
             }
@@ -261,8 +264,8 @@ impl<'a> Summary<'a> {
         let statistics = statistics_body(&statistics);
         // The new entry goes behind the last record of its kind, or behind all records.
         let last = self.records.iter().rposition(|(opcode, _)| *opcode == op::CHUNK_INDEX);
-        let place = last.map_or(self.records.len(), |last| last + 1);
-        let (before, after) = self.records.split_at(place);
+        let insert_position = last.map_or(self.records.len(), |last| last + 1);
+        let (before, after) = self.records.split_at(insert_position);
         let all = before.iter().copied().chain([(op::CHUNK_INDEX, new_index.as_slice())]).chain(after.iter().copied());
         let mut summary = SummaryLayout::new(end + tail.len() as u64);
         for (opcode, body) in all {
@@ -285,7 +288,7 @@ mod tests {
     use crate::pattern::waveform;
     use crate::recording::mcap::{Recorder, RecordingHeader};
 
-    /// Asserts that the reader does not take labels that are the only chunk in the index for all of the file.
+    /// Asserts that the reader finds the messages outside of chunks if labels are the only chunk in the index.
     #[test]
     fn labels_in_the_only_chunk_of_a_file_hide_no_frame() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -330,7 +333,7 @@ mod tests {
         assert_eq!((reader.whole_frames(), reader.labels().expect("labels")), (3, labels.to_vec()));
     }
 
-    /// Recordings of several months have such a summary; the test uses a hole in a file.
+    /// Recordings of several months have such a summary. The test uses a sparse file.
     #[test]
     fn labels_of_a_recording_with_a_huge_summary_stay_beside_it() {
         let folder = tempfile::tempdir().expect("a folder");

@@ -12,14 +12,14 @@ pub(super) fn parse_record(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
 
 /// Checks that every string of a record ends within it; `None` if one does not.
 pub(super) fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
-    let mut rest = Rest(body);
+    let mut rest = Unparsed(body);
     match opcode {
         op::CHANNEL | op::METADATA => return content_length(opcode, body).map(|_| ()),
         // The body begins with two times, the length without compression and the CRC; the compression follows.
         op::CHUNK => rest.skip(28)?.strings(1),
-        // The body begins with times, place and length of the chunk, a map of places and the length of the message
+        // The body begins with times, place and length of the chunk, a map of offsets and the length of the message
         // index.
-        op::CHUNK_INDEX => rest.skip(32)?.places()?.skip(8)?.strings(1),
+        op::CHUNK_INDEX => rest.skip(32)?.offset_map()?.skip(8)?.strings(1),
         _ => Some(&mut rest),
     }
     .map(|_| ())
@@ -28,9 +28,9 @@ pub(super) fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
 /// Compression of a chunk with its length, as it stands in the chunk's head.
 pub(super) const CHUNK_MARK: &[u8] = b"\x04\0\0\0zstd";
 
-/// Returns whether the content of a record that the recorder writes between its chunks ends within it. What MCAP may add behind the
-/// content in later versions is left over, and no chunk is among it. Records of other kinds are not checked.
-pub(super) fn is_filled(opcode: u8, body: &[u8]) -> bool {
+/// Returns whether the content of a record that the recorder writes between its chunks ends within it. Bytes behind the
+/// content, which later versions of MCAP may add, must not contain a chunk. Records of other kinds are not checked.
+pub(super) fn has_valid_content(opcode: u8, body: &[u8]) -> bool {
     let is_checked = matches!(opcode, op::HEADER | op::SCHEMA | op::CHANNEL | op::METADATA | op::MESSAGE_INDEX);
     let has_no_chunk = |rest: &[u8]| !rest.windows(CHUNK_MARK.len()).any(|bytes| bytes == CHUNK_MARK);
     !is_checked || content_length(opcode, body).and_then(|length| body.get(length..)).is_some_and(has_no_chunk)
@@ -39,18 +39,18 @@ pub(super) fn is_filled(opcode: u8, body: &[u8]) -> bool {
 /// Length of the content of a record that the recorder writes between its chunks; `None` if the content does not end, and for
 /// records of other kinds.
 pub(super) fn content_length(opcode: u8, body: &[u8]) -> Option<usize> {
-    let mut rest = Rest(body);
-    let behind = match opcode {
+    let mut rest = Unparsed(body);
+    let rest_after = match opcode {
         op::HEADER => rest.strings(2),
         // Number, name and encoding; the text of the schema has a length like a string.
         op::SCHEMA => rest.skip(2).and_then(|rest| rest.strings(3)),
-        op::CHANNEL => rest.skip(4).and_then(|rest| rest.strings(2)).and_then(Rest::string_map),
-        op::METADATA => rest.strings(1).and_then(Rest::string_map),
-        // Number of the channel; the list of places has a length in bytes like a string.
+        op::CHANNEL => rest.skip(4).and_then(|rest| rest.strings(2)).and_then(Unparsed::string_map),
+        op::METADATA => rest.strings(1).and_then(Unparsed::string_map),
+        // Number of the channel; the list of offsets has a length in bytes like a string.
         op::MESSAGE_INDEX => rest.skip(2).and_then(|rest| rest.strings(1)),
         _ => return None,
     };
-    behind.map(|rest| body.len() - rest.0.len())
+    rest_after.map(|rest| body.len() - rest.0.len())
 }
 
 /// Copy of the body of metadata in which each byte of a text that is not ASCII is a question mark; `None` if a text does not end
@@ -58,23 +58,25 @@ pub(super) fn content_length(opcode: u8, body: &[u8]) -> Option<usize> {
 pub(super) fn ascii_metadata(body: &[u8]) -> Option<Vec<u8>> {
     let number = |at: usize| Some(u32::from_le_bytes(*body.get(at..)?.first_chunk()?) as usize);
     let mut copy = body.to_vec();
-    let mut clean = |at: usize| {
+    let mut replace_non_ascii = |at: usize| {
         let end = (at + 4).checked_add(number(at)?)?;
         copy.get_mut(at + 4..end)?.iter_mut().filter(|byte| !byte.is_ascii()).for_each(|byte| *byte = b'?');
         Some(end)
     };
     // The name; the length of the map, and its keys and values.
-    let map = clean(0)?;
+    let map = replace_non_ascii(0)?;
     let (mut at, end) = (map + 4, (map + 4).checked_add(number(map)?)?);
     while at < end {
-        at = clean(at)?;
+        at = replace_non_ascii(at)?;
     }
     Some(copy)
 }
 
-struct Rest<'a>(&'a [u8]);
+/// Part of a record that has not been checked yet.
+struct Unparsed<'a>(&'a [u8]);
 
-impl Rest<'_> {
+impl Unparsed<'_> {
+    /// Skips bytes.
     fn skip(&mut self, bytes: usize) -> Option<&mut Self> {
         self.0 = self.0.get(bytes..)?;
         Some(self)
@@ -90,7 +92,7 @@ impl Rest<'_> {
     }
 
     /// Skips a length in bytes, and as many pairs of a channel and a place as begin within it.
-    fn places(&mut self) -> Option<&mut Self> {
+    fn offset_map(&mut self) -> Option<&mut Self> {
         let length = usize::try_from(u32::from_le_bytes(*self.0.first_chunk()?)).ok()?;
         self.skip(4)?.skip(length.checked_next_multiple_of(10)?)
     }
@@ -120,7 +122,7 @@ mod tests {
 
         /// Found by fuzzing: a length of a gigabyte in a record of 30 bytes made the parser allocate a gigabyte.
         #[test]
-        fn a_string_longer_than_its_record_is_refused_before_it_costs_memory() {
+        fn a_string_longer_than_its_record_is_refused_without_allocation() {
             let pair = [string("key"), string("value")].concat();
             let good = [string("radome"), (pair.len() as u32).to_le_bytes().to_vec(), pair].concat();
             assert!(parse_record(op::METADATA, &good).is_ok());

@@ -11,12 +11,12 @@ use super::records::{
     Channels, Next, Records, Topic, holds_messages, messages_at, messages_in, read_head, readable_messages_at,
 };
 use super::{
-    FrameResult, LabelSpan, RESULTS_VERSION, RecordingHeader, decode_frame, frame_position, staged, take_labels,
+    FrameResult, LabelSpan, RESULTS_VERSION, RecordingHeader, apply_label_message, decode_frame, frame_position, staged,
 };
 use crate::recording::{Extent, Position, RecordingError, first_index, time_ns, warn_once};
 
 /// Reason of an error where a file holds more than one recording.
-pub(super) const FILE_GOES_ON: &str =
+pub(super) const TRAILING_DATA: &str =
     "the recording ends here, but the file goes on: with another recording, or with bytes that another program added";
 
 /// Reader of a native recording, a [`FrameSource`].
@@ -33,12 +33,12 @@ pub struct McapReader {
     pending: VecDeque<(Topic, Vec<u8>)>,
     chunk_offset: u64,
     /// Number of the frame behind the last one that was read; `None` before the first one.
-    expected: Option<u64>,
+    expected_sequence: Option<u64>,
     ended: bool,
-    /// Whether the reader has told of the bytes at the end of the file that it cannot read.
-    has_told_of_end: bool,
+    /// Whether the reader has reported the bytes at the end of the file that it cannot read.
+    has_reported_end: bool,
     /// Target of a seek, until it is found.
-    wanted: Option<SeekTarget>,
+    seek_target: Option<SeekTarget>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -55,7 +55,7 @@ impl SeekTarget {
         }
     }
 
-    /// Returns whether a gap ends before the frame that is sought, and is therefore not reported.
+    /// Returns whether a gap ends before the frame that is sought; such a gap is not reported.
     fn is_behind(self, gap: &Gap) -> bool {
         match self {
             SeekTarget::Frame(sequence) => gap.frames > 0 && gap.first_sequence.saturating_add(gap.frames) <= sequence,
@@ -65,7 +65,7 @@ impl SeekTarget {
 }
 
 impl McapReader {
-    /// Opens a recording. An unfinished one is read up to its last complete chunk; a gap of unknown length at its end tells of
+    /// Opens a recording. An unfinished one is read up to its last complete chunk; a gap of unknown length at its end stands for
     /// bytes behind that chunk.
     ///
     /// # Errors
@@ -90,10 +90,10 @@ impl McapReader {
             body: Vec::new(),
             pending: VecDeque::new(),
             chunk_offset: 0,
-            expected: None,
+            expected_sequence: None,
             ended: false,
-            has_told_of_end: false,
-            wanted: None,
+            has_reported_end: false,
+            seek_target: None,
         })
     }
 
@@ -139,7 +139,7 @@ impl McapReader {
         for chunk in self.index.chunks.iter().filter(|chunk| chunk.has_labels) {
             for (topic, data) in messages_at(&mut records, chunk.offset, &mut self.channels.clone())? {
                 if topic == Topic::Label {
-                    take_labels(&data, &mut labels)
+                    apply_label_message(&data, &mut labels)
                         .map_err(|e| records.corrupt(chunk.offset, format!("a label is malformed: {e}")))?;
                 }
             }
@@ -205,19 +205,18 @@ impl McapReader {
         Ok(first.zip(last).map(|(first, last)| Extent { first, last }))
     }
 
-    /// Seeks the end of the last frame that has not `reached` the place, by bisection over the chunks; each step reads
-    /// one chunk.
-    fn seek(&mut self, place: SeekTarget) -> Result<(), RecordingError> {
+    /// Seeks the end of the last frame before the target, by bisection over the chunks. Each step reads one chunk.
+    fn seek(&mut self, target: SeekTarget) -> Result<(), RecordingError> {
         let count = self.index.chunks.len() as u64;
         let mut failure = None;
-        // First chunk that starts at the place or behind it; the place is in the chunk before.
+        // First chunk that starts at the target or behind it; the target is in the chunk before.
         let after = first_index(count, |middle| {
             if failure.is_some() {
                 return true;
             }
             (middle..count)
                 .find_map(|chunk| match self.first_position(chunk) {
-                    Ok(position) => position.map(|position| place.is_reached(position)),
+                    Ok(position) => position.map(|position| target.is_reached(position)),
                     Err(error) => {
                         failure = Some(error);
                         Some(true)
@@ -228,7 +227,7 @@ impl McapReader {
         if let Some(error) = failure {
             return Err(error);
         }
-        // Starts at a chunk that is known to be where the index says; the chunks behind it are found by reading on.
+        // Reading starts at a chunk that is where the index says. Later chunks are found by reading on.
         let mut start = 8;
         for chunk in (0..after).rev() {
             if self.first_position(chunk)?.is_some() {
@@ -238,18 +237,18 @@ impl McapReader {
             }
         }
         self.pending.clear();
-        (self.ended, self.has_told_of_end, self.expected) = (false, false, None);
+        (self.ended, self.has_reported_end, self.expected_sequence) = (false, false, None);
         self.records.go_to(start)?;
-        self.wanted = Some(place);
+        self.seek_target = Some(target);
         self.fill_pending()?;
         let is_earlier = |(topic, data): &(Topic, Vec<u8>)| {
-            *topic == Topic::Frame && frame_position(data).is_some_and(|position| !place.is_reached(position))
+            *topic == Topic::Frame && frame_position(data).is_some_and(|position| !target.is_reached(position))
         };
-        // Behind the last earlier frame of this chunk, if it has one; gaps at its end belong to the place.
+        // Behind the last earlier frame of this chunk, if it has one; gaps at its end belong to the target.
         if let Some(last) = self.pending.iter().rposition(is_earlier) {
             let skipped = self.pending.drain(..=last).next_back();
             let position = skipped.and_then(|(_, data)| frame_position(&data));
-            self.expected = position.and_then(|position| position.sequence.checked_add(1));
+            self.expected_sequence = position.and_then(|position| position.sequence.checked_add(1));
         }
         Ok(())
     }
@@ -259,8 +258,8 @@ impl McapReader {
         let Some(chunk) = usize::try_from(chunk).ok().and_then(|chunk| self.index.chunks.get_mut(chunk)) else {
             return Ok(None);
         };
-        if let Some(known) = chunk.first {
-            return Ok(known);
+        if let Some(position) = chunk.first {
+            return Ok(position);
         }
         let messages = readable_messages_at(&mut self.records, chunk.offset, &mut self.channels)?;
         let first =
@@ -300,31 +299,32 @@ impl McapReader {
     pub(super) fn read_next(&mut self, frame: &mut Frame) -> Result<SourceEvent, RecordingError> {
         loop {
             self.fill_pending()?;
-            let Some((topic, data)) = self.pending.pop_front() else { return self.end() };
+            let Some((topic, data)) = self.pending.pop_front() else { return self.report_end() };
             match topic {
                 Topic::Label | Topic::Result => {}
                 Topic::Gap => {
                     let gap: Gap = serde_json::from_slice(&data)
                         .map_err(|e| self.records.corrupt(self.chunk_offset, format!("a gap is malformed: {e}")))?;
-                    self.expected = gap.first_sequence.checked_add(gap.frames);
-                    if self.wanted.is_some_and(|place| place.is_behind(&gap)) {
+                    self.expected_sequence = gap.first_sequence.checked_add(gap.frames);
+                    if self.seek_target.is_some_and(|target| target.is_behind(&gap)) {
                         continue;
                     }
                     return Ok(SourceEvent::Gap(gap));
                 }
                 Topic::Frame => {
-                    // An index that lacks a chunk has led to a place before the one that was asked for.
+                    // If the index lacks a chunk, the seek has led to an earlier frame.
                     let position = frame_position(&data);
-                    let is_earlier = |place: SeekTarget| position.is_some_and(|at| !place.is_reached(at));
-                    if self.wanted.is_some_and(is_earlier) {
-                        self.expected = position.and_then(|at| at.sequence.checked_add(1));
+                    let is_earlier = |target: SeekTarget| position.is_some_and(|at| !target.is_reached(at));
+                    if self.seek_target.is_some_and(is_earlier) {
+                        self.expected_sequence = position.and_then(|at| at.sequence.checked_add(1));
                         continue;
                     }
-                    self.wanted = None;
-                    if let (Some(expected), Some(Position { sequence, .. })) = (self.expected, position)
-                        && sequence != expected
+                    self.seek_target = None;
+                    if let (Some(expected_sequence), Some(Position { sequence, .. })) =
+                        (self.expected_sequence, position)
+                        && sequence != expected_sequence
                     {
-                        // As other programs write them; the frames are handed out as they are.
+                        // Other programs write such recordings. Their frames are handed out unchanged.
                         warn_once(format!(
                             "{}: the numbers of frames do not go up by one, and no gap says why: frames are missing, twice there or \
                              in another order",
@@ -333,24 +333,24 @@ impl McapReader {
                     }
                     decode_frame(&data, self.header.waveform.shape(), frame)
                         .map_err(|reason| self.records.corrupt(self.chunk_offset, reason))?;
-                    self.expected = frame.sequence.checked_add(1);
+                    self.expected_sequence = frame.sequence.checked_add(1);
                     return Ok(SourceEvent::Frame);
                 }
             }
         }
     }
 
-    /// Tells once of bytes behind the last chunk, then that the recording is over.
-    fn end(&mut self) -> Result<SourceEvent, RecordingError> {
-        if std::mem::replace(&mut self.has_told_of_end, true) {
+    /// Reports once the bytes behind the last chunk, then the end of the recording.
+    fn report_end(&mut self) -> Result<SourceEvent, RecordingError> {
+        if std::mem::replace(&mut self.has_reported_end, true) {
             return Ok(SourceEvent::End);
         }
-        if let Some(at) = self.index.file_goes_on_at {
-            return Err(self.records.corrupt(at, FILE_GOES_ON.into()));
+        if let Some(at) = self.index.trailing_data_offset {
+            return Err(self.records.corrupt(at, TRAILING_DATA.into()));
         }
         Ok(match self.index.is_cut() {
             true => SourceEvent::Gap(Gap {
-                first_sequence: self.expected.unwrap_or(0),
+                first_sequence: self.expected_sequence.unwrap_or(0),
                 frames: 0,
                 reason: GapReason::Recorded,
             }),

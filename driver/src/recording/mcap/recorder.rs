@@ -98,7 +98,7 @@ pub struct Recorder {
     shape: FrameShape,
     takes_results: bool,
     /// Results that wait for a chunk of their own.
-    waiting: Vec<FrameResult>,
+    waiting_results: Vec<FrameResult>,
     buffer: Vec<u8>,
     chunk_bytes: usize,
     chunk_start_ns: u64,
@@ -109,7 +109,8 @@ pub struct Recorder {
     report: WriteReport,
     /// Number of frames in chunks that are in the file.
     frames_written: u64,
-    message: u32,
+    /// Sequence number of the next message.
+    next_message: u32,
 }
 
 /// Fields of the metadata record of a recording.
@@ -232,7 +233,7 @@ impl Recorder {
             failure: None,
             shape: header.waveform.shape(),
             takes_results,
-            waiting: Vec::new(),
+            waiting_results: Vec::new(),
             buffer: Vec::new(),
             chunk_bytes: 0,
             chunk_start_ns: 0,
@@ -240,7 +241,7 @@ impl Recorder {
             last_time_ns: 0,
             report: WriteReport::default(),
             frames_written: 0,
-            message: 0,
+            next_message: 0,
         };
         recorder.end_chunk()?;
         Ok(recorder)
@@ -252,7 +253,7 @@ impl Recorder {
     }
 
     /// Keeps an error of the system, or of an encoder, if it is the first; returns the first.
-    fn cannot(&mut self, what: &'static str, source: impl Into<io::Error>) -> RecordingError {
+    fn fail_io(&mut self, what: &'static str, source: impl Into<io::Error>) -> RecordingError {
         self.fail(Failure::io(what, &source.into()))
     }
 
@@ -269,11 +270,11 @@ impl Recorder {
 
     /// Writes the bytes that are pending to the file, at once.
     fn write_out(&mut self, what: &'static str) -> Result<(), RecordingError> {
-        disk::check_length(&self.file, self.end).map_err(|source| self.cannot(what, source))?;
+        disk::check_length(&self.file, self.end).map_err(|source| self.fail_io(what, source))?;
         if let Err(source) = disk::append(&self.file, &self.path, self.end, &self.pending) {
-            // A chunk that is cut short is of no use. If the disk does not even take this, readers skip it.
+            // A chunk that is cut short is useless. If the disk refuses this change too, readers skip the chunk.
             let _ = disk::set_length(&self.file, &self.path, self.end);
-            return Err(self.cannot(what, source));
+            return Err(self.fail_io(what, source));
         }
         self.crc.update(&self.pending);
         self.end += self.pending.len() as u64;
@@ -286,23 +287,24 @@ impl Recorder {
 
     /// Waits until all data of the file are on the disk.
     fn sync(&mut self) -> Result<(), RecordingError> {
-        let synced = match &self.syncer {
+        let result = match &self.syncer {
             Some(syncer) => syncer.wait(),
             None => disk::sync(&self.file, &self.path).map_err(|e| Failure::io("cannot be brought to the disk", &e)),
         };
-        synced.map_err(|failure| self.fail(failure))
+        result.map_err(|failure| self.fail(failure))
     }
 
+    /// Adds a message with its log time and publish time to the chunk.
     fn write(&mut self, channel_id: u16, times: Option<(u64, u64)>, data: &[u8]) -> Result<(), RecordingError> {
         self.check()?;
-        // Sources that have gaps alone need this: frames end their chunk earlier.
+        // This matters for sources with gaps only; frames end their chunk earlier.
         if self.chunk_bytes >= CHUNK_BYTES {
             self.end_chunk()?;
         }
         let (log_time, publish_time) = times.unwrap_or((self.last_time_ns, self.last_time_ns));
         self.last_time_ns = log_time;
-        let header = MessageHeader { channel_id, sequence: self.message, log_time, publish_time };
-        self.message = self.message.wrapping_add(1);
+        let header = MessageHeader { channel_id, sequence: self.next_message, log_time, publish_time };
+        self.next_message = self.next_message.wrapping_add(1);
         self.chunk_bytes += data.len();
         let statistics = &mut self.statistics;
         if statistics.message_count == 0 {
@@ -312,11 +314,12 @@ impl Recorder {
         statistics.message_end_time = statistics.message_end_time.max(log_time);
         statistics.message_count += 1;
         *statistics.channel_message_counts.entry(channel_id).or_default() += 1;
-        self.chunk.message(&header, data).map_err(|e| self.cannot(WRITING, e))
+        self.chunk.message(&header, data).map_err(|e| self.fail_io(WRITING, e))
     }
 
+    /// Adds a message in JSON to the chunk.
     fn write_json(&mut self, channel_id: u16, value: &impl serde::Serialize) -> Result<(), RecordingError> {
-        let json = serde_json::to_vec(value).map_err(|e| self.cannot(WRITING, e))?;
+        let json = serde_json::to_vec(value).map_err(|e| self.fail_io(WRITING, e))?;
         self.write(channel_id, None, &json)
     }
 
@@ -342,32 +345,33 @@ impl Recorder {
         self.frames_written
     }
 
+    /// Writes the chunk and starts another one.
     fn end_chunk(&mut self) -> Result<(), RecordingError> {
         if self.chunk.is_empty() {
             return Ok(());
         }
         self.chunk_bytes = 0;
-        let ended = Chunk::new().and_then(|next| {
+        let result = Chunk::new().and_then(|next| {
             let chunk = std::mem::replace(&mut self.chunk, next);
             chunk.finish(&mut self.pending, self.end)
         });
-        let index = ended.map_err(|e| self.cannot(WRITING, e))?;
+        let index = result.map_err(|e| self.fail_io(WRITING, e))?;
         self.write_out(WRITING)?;
         self.frames_written = self.report.frames;
         self.statistics.chunk_count += 1;
-        self.chunk_indexes.push(&index).map_err(|e| self.cannot(WRITING, e))
+        self.chunk_indexes.push(&index).map_err(|e| self.fail_io(WRITING, e))
     }
 
     /// Writes the results that wait, as a chunk of their own. Frames must not be waiting.
     fn write_results(&mut self) -> Result<(), RecordingError> {
-        if self.waiting.is_empty() {
+        if self.waiting_results.is_empty() {
             return Ok(());
         }
         let mut json = std::mem::take(&mut self.buffer);
         let last_time_ns = self.last_time_ns;
-        for result in std::mem::take(&mut self.waiting) {
+        for result in std::mem::take(&mut self.waiting_results) {
             json.clear();
-            serde_json::to_writer(&mut json, &result).map_err(|e| self.cannot(WRITING, e))?;
+            serde_json::to_writer(&mut json, &result).map_err(|e| self.fail_io(WRITING, e))?;
             let log_time = if result.host_time_ns > 0 { result.host_time_ns } else { result.time_ns };
             self.write(RESULT_CHANNEL, Some((log_time, result.time_ns)), &json)?;
         }
@@ -429,11 +433,11 @@ impl Recorder {
     /// The recording's first error.
     pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
         if !self.takes_results {
-            return Err(self.cannot(WRITING, io::Error::other("a result in a recording that names no judge")));
+            return Err(self.fail_io(WRITING, io::Error::other("a result in a recording that names no judge")));
         }
-        self.waiting.push(*result);
+        self.waiting_results.push(*result);
         self.report.results += 1;
-        if self.waiting.len() >= RESULTS_OF_A_CHUNK {
+        if self.waiting_results.len() >= RESULTS_OF_A_CHUNK {
             self.flush()?;
         }
         Ok(())
@@ -441,7 +445,7 @@ impl Recorder {
 
     /// Moves the labels that are staged beside the recording into it, as a chunk of their own. They replace the labels
     /// in the recording.
-    fn take_staged(&mut self) -> Result<bool, RecordingError> {
+    fn move_staged_labels(&mut self) -> Result<bool, RecordingError> {
         if !self.takes_labels {
             return Ok(false);
         }
@@ -462,7 +466,7 @@ impl Recorder {
 
     /// Ends the data and writes the summary, block by block. Returns the end of the file, which marks it finished.
     fn write_summary(&mut self) -> Result<Vec<u8>, RecordingError> {
-        self.chunk_indexes.rewind().map_err(|e| self.cannot(FINISHING, e))?;
+        self.chunk_indexes.rewind().map_err(|e| self.fail_io(FINISHING, e))?;
         let data_crc = self.crc.clone().finalize();
         record(&mut self.pending, op::DATA_END, &data_crc.to_le_bytes());
         let mut summary = SummaryLayout::new(self.end + self.pending.len() as u64);
@@ -471,11 +475,11 @@ impl Recorder {
         }
         summary.record(&mut self.pending, op::STATISTICS, &statistics_body(&self.statistics));
         loop {
-            let before = self.pending.len();
+            let start = self.pending.len();
             let read = self.chunk_indexes.read(&mut self.pending);
-            match read.map_err(|e| self.cannot(FINISHING, e))? {
+            match read.map_err(|e| self.fail_io(FINISHING, e))? {
                 0 => break,
-                _ => summary.add(op::CHUNK_INDEX, self.pending.get(before..).unwrap_or(&[])),
+                _ => summary.add(op::CHUNK_INDEX, self.pending.get(start..).unwrap_or(&[])),
             }
             if self.pending.len() >= SUMMARY_BLOCK_BYTES {
                 self.write_out(FINISHING)?;
@@ -494,7 +498,7 @@ impl Recorder {
     /// The recording's first error.
     pub fn finish(mut self) -> Result<WriteReport, RecordingError> {
         self.flush()?;
-        let has_taken = self.take_staged()?;
+        let took_labels = self.move_staged_labels()?;
         let data_end = self.end;
         let footer = self.write_summary().inspect_err(|_| {
             // A part of a summary is of no use.
@@ -507,8 +511,8 @@ impl Recorder {
         self.pending = footer;
         self.write_out(FINISHING)?;
         self.sync()?;
-        if has_taken {
-            staged::remove(&self.path).map_err(|e| self.cannot(FINISHING, e))?;
+        if took_labels {
+            staged::remove(&self.path).map_err(|e| self.fail_io(FINISHING, e))?;
         }
         self.report.bytes = self.end;
         Ok(std::mem::take(&mut self.report))
@@ -527,8 +531,8 @@ impl Drop for Recorder {
     }
 }
 
-/// Opens a device or a pipe to write to. A pipe without a reader is refused: opening it would wait for one, and hear no
-/// signal meanwhile.
+/// Opens a device or a pipe to write to. A pipe without a reader is refused, because opening it would wait for one and
+/// ignore signals.
 fn open_device(path: &Path) -> Result<File, RecordingError> {
     use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 
@@ -544,7 +548,7 @@ fn open_device(path: &Path) -> Result<File, RecordingError> {
         Err(error) if error.raw_os_error() == Some(Errno::NXIO.raw_os_error()) => {
             return Err(RecordingError::NoReader { path: path.to_owned() });
         }
-        opened => opened.map_err(RecordingError::cannot_write(path))?,
+        result => result.map_err(RecordingError::cannot_write(path))?,
     };
     // Writes wait for the reader.
     fcntl_getfl(&pipe)
@@ -561,7 +565,7 @@ mod tests {
 
     use super::*;
     use crate::pattern::{Pattern, waveform};
-    use crate::recording::mcap::chunk_indexes::HELD_BYTES;
+    use crate::recording::mcap::chunk_indexes::MAX_BUFFERED_BYTES;
     use crate::recording::mcap::index::FOOTER;
     use crate::recording::mcap::{Judge, RESULTS_VERSION};
 
@@ -639,7 +643,7 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_of_many_chunks_is_the_one_that_the_library_writes() {
+    fn a_recording_of_many_chunks_equals_that_of_the_library() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.mcap");
         let recorded = record(&path, |_| {});
@@ -662,14 +666,14 @@ mod tests {
     }
 
     #[test]
-    fn memory_holds_no_more_of_the_index_however_long_a_recording_is() {
+    fn memory_of_the_index_does_not_grow_with_the_recording() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.mcap");
-        record(&path, |recorder| assert!(recorder.chunk_indexes.held_bytes() <= HELD_BYTES));
+        record(&path, |recorder| assert!(recorder.chunk_indexes.buffered_bytes() <= MAX_BUFFERED_BYTES));
         let bytes = std::fs::read(&path).expect("reads");
         let summary = Summary::read(&bytes).expect("reads").expect("a summary");
         // An entry has more than 80 bytes.
-        assert!(80 * summary.chunk_indexes.len() > 8 * HELD_BYTES, "{} chunks", summary.chunk_indexes.len());
+        assert!(80 * summary.chunk_indexes.len() > 8 * MAX_BUFFERED_BYTES, "{} chunks", summary.chunk_indexes.len());
         assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1, "nothing is left beside it");
     }
 

@@ -24,7 +24,7 @@ pub(super) const RECORD_HEADER: u64 = 9;
 /// Bytes of the record that ends the data, with its header.
 pub(super) const DATA_END_BYTES: u64 = RECORD_HEADER + 4;
 
-/// Place of the compression in the body of a chunk.
+/// Position of the compression in the body of a chunk.
 const COMPRESSION_AT: usize = 28;
 /// Compression of MCAP that is not supported, with its length.
 const LZ4_MARK: &[u8] = b"\x03\0\0\0lz4";
@@ -40,11 +40,13 @@ pub(super) enum Topic {
 /// Channels of a file by their numbers; `None` for a channel of another program.
 pub(super) type Channels = BTreeMap<u16, Option<Topic>>;
 
+/// Topic of a channel; `None` for a channel of another program.
 pub(super) fn topic(name: &str) -> Option<Topic> {
     let topics = [(FRAMES, Topic::Frame), (GAPS, Topic::Gap), (LABELS, Topic::Label), (RESULTS, Topic::Result)];
     topics.into_iter().find(|t| t.0 == name).map(|t| t.1)
 }
 
+/// File whose records are read one by one.
 #[derive(Debug)]
 pub(super) struct Records {
     pub path: PathBuf,
@@ -54,6 +56,7 @@ pub(super) struct Records {
     pub offset: u64,
 }
 
+/// Outcome of reading the next record.
 pub(super) enum Next {
     /// Opcode, and the offset of the record; its body is in the buffer.
     Record(u8, u64),
@@ -104,8 +107,8 @@ impl Records {
     /// Reads the next record; the bodies of records that `wanted` refuses are skipped and left empty.
     pub fn next(&mut self, body: &mut Vec<u8>, wanted: impl Fn(u8) -> bool) -> Result<Next, RecordingError> {
         let at = self.offset;
-        let left = self.length.saturating_sub(at);
-        if left < RECORD_HEADER {
+        let remaining = self.length.saturating_sub(at);
+        if remaining < RECORD_HEADER {
             return Ok(Next::CutShort);
         }
         let mut header = [0; RECORD_HEADER as usize];
@@ -119,7 +122,7 @@ impl Records {
         };
         if let Some(expected) = end_length {
             self.go_to(at)?;
-            // The opcode alone would let one damaged byte end a recording.
+            // The length is checked because one damaged opcode would end the recording.
             return match length == expected {
                 true => Ok(Next::End),
                 false => {
@@ -131,7 +134,7 @@ impl Records {
         if opcode == 0 || (opcode < 0x80 && opcode > op::DATA_END) {
             return Err(self.corrupt(at, format!("{opcode:#04x} is no MCAP record")));
         }
-        if length > left - RECORD_HEADER {
+        if length > remaining - RECORD_HEADER {
             // The file may have grown since: labels are written behind the last frame.
             self.length =
                 self.file.get_ref().metadata().map_err(RecordingError::io(&self.path, "cannot be read"))?.len();
@@ -241,7 +244,7 @@ pub(super) fn messages_in(
     }
     let mut messages = Vec::new();
     if holds_messages(opcode) {
-        take_record(opcode, body, channels, &mut messages)
+        collect_record(opcode, body, channels, &mut messages)
             .map_err(|error| records.corrupt(at, format!("a record outside of chunks is damaged: {error}")))?;
     }
     Ok(messages)
@@ -261,7 +264,7 @@ pub(super) fn messages_at(
     }
 }
 
-/// The same, without messages where the chunk is damaged.
+/// Reads messages as [`messages_at`] does; a damaged chunk has none.
 pub(super) fn readable_messages_at(
     records: &mut Records,
     offset: u64,
@@ -269,7 +272,7 @@ pub(super) fn readable_messages_at(
 ) -> Result<Vec<(Topic, Vec<u8>)>, RecordingError> {
     match messages_at(records, offset, channels) {
         Err(RecordingError::Corrupt { .. }) => Ok(Vec::new()),
-        read => read,
+        result => result,
     }
 }
 
@@ -298,13 +301,13 @@ fn read_chunk(
             op::SCHEMA | 0x80.. => continue,
             _ => return Err(damaged(format!("it holds a record {opcode:#04x}"))),
         }
-        take_record(opcode, record, channels, &mut messages).map_err(|e| damaged(e.to_string()))?;
+        collect_record(opcode, record, channels, &mut messages).map_err(|e| damaged(e.to_string()))?;
     }
     if rest.is_empty() { Ok(messages) } else { Err(damaged(format!("{} bytes behind its last record", rest.len()))) }
 }
 
 /// Takes a channel or a message from its record. Messages of other programs' channels are left out.
-fn take_record(
+fn collect_record(
     opcode: u8,
     body: &[u8],
     channels: &mut Channels,
@@ -330,34 +333,35 @@ fn chunk_content(body: &[u8]) -> Result<Vec<u8>, String> {
     let short = || "its header is cut short".to_owned();
     strings_fit(op::CHUNK, body).ok_or_else(short)?;
     // Times of the first and the last message, length without compression, CRC, compression, length; the records.
-    let long = |at: usize| body.get(at..)?.first_chunk().map(|b| u64::from_le_bytes(*b));
-    let word = |at: usize| body.get(at..)?.first_chunk().map(|b| u32::from_le_bytes(*b));
-    let (claimed, crc, name_length) = (long(16).ok_or_else(short)?, word(24).ok_or_else(short)?, word(28).unwrap_or(0));
+    let u64_at = |at: usize| body.get(at..)?.first_chunk().map(|b| u64::from_le_bytes(*b));
+    let u32_at = |at: usize| body.get(at..)?.first_chunk().map(|b| u32::from_le_bytes(*b));
+    let (stated_length, crc, name_length) =
+        (u64_at(16).ok_or_else(short)?, u32_at(24).ok_or_else(short)?, u32_at(28).unwrap_or(0));
     let behind_name = 32 + name_length as usize;
     let compression = body.get(32..behind_name).unwrap_or(&[]);
-    let length = long(behind_name).ok_or_else(short)?;
+    let length = u64_at(behind_name).ok_or_else(short)?;
     let records = body.get(behind_name + 8..).unwrap_or(&[]);
     if length != records.len() as u64 {
         return Err(format!("it has {} bytes of records, its header says {length}", records.len()));
     }
-    if claimed > MAX_RECORD {
-        return Err(format!("it claims {claimed} bytes, expected at most {MAX_RECORD}"));
+    if stated_length > MAX_RECORD {
+        return Err(format!("it claims {stated_length} bytes, expected at most {MAX_RECORD}"));
     }
     let content = match compression {
         b"" => records.to_vec(),
         b"zstd" => {
-            let mut content = Vec::with_capacity((claimed as usize).min(32 * records.len()));
-            let unzipped = zstd::Decoder::with_buffer(records).and_then(|decoder| {
-                // One byte more than claimed is read, to detect excess data.
-                decoder.take(claimed + 1).read_to_end(&mut content)
+            let mut content = Vec::with_capacity((stated_length as usize).min(32 * records.len()));
+            let result = zstd::Decoder::with_buffer(records).and_then(|decoder| {
+                // One byte more than stated is read, to detect excess data.
+                decoder.take(stated_length + 1).read_to_end(&mut content)
             });
-            unzipped.map_err(|e| e.to_string())?;
+            result.map_err(|e| e.to_string())?;
             content
         }
         other => return Err(format!("its compression is '{}', expected zstd or none", String::from_utf8_lossy(other))),
     };
-    if content.len() as u64 != claimed {
-        return Err(format!("it claims {claimed} bytes, but there are {}", content.len()));
+    if content.len() as u64 != stated_length {
+        return Err(format!("it claims {stated_length} bytes, but there are {}", content.len()));
     }
     // A CRC of zero stands for none.
     let found = crc32fast::hash(&content);
@@ -386,7 +390,7 @@ fn parse_header(
     }
     let stored: Waveform =
         serde_json::from_str(field("waveform")?).map_err(|e| records.corrupt(at, malformed("waveform", &e)))?;
-    // A stored waveform counts only as far as the chip could produce it.
+    // A stored waveform is used only as far as the chip can produce it.
     let mut waveform = Waveform::realise(stored.request.clone())
         .map_err(|source| RecordingError::Waveform { path: records.path.clone(), source })?;
     if (stored.chirp_interval_s / waveform.chirp_interval_s - 1.0).abs() < 0.05 {

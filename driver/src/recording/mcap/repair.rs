@@ -6,19 +6,19 @@ use mcap::records::{Record, op};
 use radome_dsp::{Frame, Gap, GapReason};
 
 use super::index::end_before_file;
-use super::lengths::{CHUNK_MARK, content_length, is_filled, parse_record};
-use super::reader::{FILE_GOES_ON, parse_result};
+use super::lengths::{CHUNK_MARK, content_length, has_valid_content, parse_record};
+use super::reader::{TRAILING_DATA, parse_result};
 use super::records::{Channels, Flaw, MAX_RECORD, Next, RECORD_HEADER, Records, Topic, messages_in, read_header_alone};
-use super::{LabelSpan, McapWriter, RecordingHeader, decode_frame, staged, take_labels};
+use super::{LabelSpan, McapWriter, RecordingHeader, apply_label_message, decode_frame, staged};
 use crate::recording::{Existing, RecordingError};
 
 /// Length of the head of a chunk: everything before its compressed records.
 const CHUNK_HEAD: usize = RECORD_HEADER as usize + 44;
-/// Place of the compression in the head of a chunk.
+/// Position of the compression in the head of a chunk.
 const CHUNK_MARK_AT: std::ops::Range<usize> = 37..45;
 /// Bytes that are read of a record between chunks, to find the end of its content.
 const RECORD_BLOCK: usize = 1 << 16;
-/// Duration below which the rest of a label that is cut counts for nothing, s.
+/// Shortest duration of a label that was clipped, s; shorter ones are left out.
 const SHORTEST_LABEL_S: f64 = 1e-3;
 
 /// Part of a file that cannot be read.
@@ -112,7 +112,7 @@ pub fn repair_unless(
         header,
         frame,
         report,
-        expected: None,
+        expected_sequence: None,
         extent_s: None,
         unread: None,
         labels: Vec::new(),
@@ -144,7 +144,7 @@ struct Repair {
     frame: Frame,
     report: RepairReport,
     /// Number of the frame that should come next.
-    expected: Option<u64>,
+    expected_sequence: Option<u64>,
     /// Start of the earliest frame that was written, and end of the latest one, s.
     extent_s: Option<(f64, f64)>,
     /// Frames that could not be read since the last good one.
@@ -176,14 +176,14 @@ impl Repair {
                 // Records of other programs look like damaged ones.
                 Ok(Next::Record(opcode, _)) if opcode >= 0x80 => format!("{opcode:#04x} is no record of a recording"),
                 // A damaged length may reach over chunks that are intact.
-                Ok(Next::Record(opcode, _)) if opcode != op::CHUNK && !is_whole(records, opcode, &body)? => {
+                Ok(Next::Record(opcode, _)) if opcode != op::CHUNK && !has_exact_length(records, opcode, &body)? => {
                     "the length of a record is not that of its content".to_owned()
                 }
                 Ok(Next::Record(opcode, _)) => match messages_in(records, opcode, at, &body, &mut channels) {
                     Ok(messages) => {
                         self.has_loose_messages |= opcode == op::MESSAGE;
                         for (topic, data) in messages {
-                            self.message(at, topic, &data)?;
+                            self.copy_message(at, topic, &data)?;
                         }
                         continue;
                     }
@@ -193,7 +193,7 @@ impl Repair {
                 Ok(Next::End) => {
                     self.report.was_finished = true;
                     if let Some(end) = end_before_file(records, at)? {
-                        let reason = FILE_GOES_ON.to_owned();
+                        let reason = TRAILING_DATA.to_owned();
                         let damage = Damage { offset: end, bytes: records.length - end, frames: None, reason };
                         self.report.damage.push(damage);
                     }
@@ -209,12 +209,12 @@ impl Repair {
             }
         }
         // Frames lost at the end.
-        self.found(None)?;
+        self.write_gap_before(None)?;
         if let Some(staged) = self.staged.take() {
             self.labels = staged;
         }
         for label in std::mem::take(&mut self.labels) {
-            match self.extent_s.and_then(|extent_s| cut(&label, extent_s)) {
+            match self.extent_s.and_then(|extent_s| clip_label(&label, extent_s)) {
                 Some(label) => {
                     self.writer.recorder.label(&label)?;
                     self.report.labels += 1;
@@ -241,12 +241,12 @@ impl Repair {
         let frames = if is_chunk { frames_by_index(records, at, channels)? } else { None };
         let chunk = next_chunk(records, at + 1)?;
         // Where the content leads to the next record, and over no chunk, only a length is damaged.
-        let behind = if is_chunk { None } else { behind_content(records, at, opcode)? };
-        let behind = behind.filter(|behind| chunk.is_none_or(|chunk| *behind <= chunk));
-        let next = behind.or(chunk);
+        let after_content = if is_chunk { None } else { content_end(records, at, opcode)? };
+        let after_content = after_content.filter(|after_content| chunk.is_none_or(|chunk| *after_content <= chunk));
+        let next = after_content.or(chunk);
         let damage = Damage { offset: at, bytes: next.unwrap_or(records.length) - at, frames, reason };
-        match behind.is_none() && (is_chunk || chunk.is_some() || self.has_loose_messages) {
-            true => self.damaged(damage),
+        match after_content.is_none() && (is_chunk || chunk.is_some() || self.has_loose_messages) {
+            true => self.note_damage(damage),
             // Behind the last chunk there are no frames.
             false => self.report.damage.push(damage),
         }
@@ -256,40 +256,41 @@ impl Repair {
         Ok(next.is_some())
     }
 
-    /// Notes damage that may have cost frames.
-    fn damaged(&mut self, damage: Damage) {
+    /// Notes damage that may have lost frames.
+    fn note_damage(&mut self, damage: Damage) {
         let unread = self.unread.get_or_insert_default();
         unread.frames += damage.frames.unwrap_or(0);
         unread.uncounted |= damage.frames.is_none();
         self.report.damage.push(damage);
     }
 
-    fn message(&mut self, at: u64, topic: Topic, data: &[u8]) -> Result<(), RecordingError> {
+    /// Copies a message.
+    fn copy_message(&mut self, at: u64, topic: Topic, data: &[u8]) -> Result<(), RecordingError> {
         let malformed = |reason| Damage { offset: at, bytes: data.len() as u64, frames: None, reason };
         match topic {
             Topic::Frame => match decode_frame(data, self.header.waveform.shape(), &mut self.frame) {
                 Ok(()) => {
-                    self.found(Some(self.frame.sequence))?;
+                    self.write_gap_before(Some(self.frame.sequence))?;
                     self.writer.recorder.frame(&self.frame)?;
-                    self.expected = self.frame.sequence.checked_add(1);
+                    self.expected_sequence = self.frame.sequence.checked_add(1);
                     let (start_s, interval_s) = (self.frame.time_s(), self.header.waveform.frame_interval_s());
                     let (first_s, end_s) = self.extent_s.unwrap_or((start_s, start_s));
                     self.extent_s = Some((first_s.min(start_s), end_s.max(start_s + interval_s)));
                     self.report.frames += 1;
                 }
-                Err(reason) => self.damaged(Damage { frames: Some(1), ..malformed(reason) }),
+                Err(reason) => self.note_damage(Damage { frames: Some(1), ..malformed(reason) }),
             },
             Topic::Gap => match serde_json::from_slice::<Gap>(data) {
                 Ok(gap) => {
-                    self.found(Some(gap.first_sequence))?;
+                    self.write_gap_before(Some(gap.first_sequence))?;
                     self.writer.recorder.gap(&gap)?;
-                    self.expected = gap.first_sequence.checked_add(gap.frames);
+                    self.expected_sequence = gap.first_sequence.checked_add(gap.frames);
                     self.report.gaps += 1;
                 }
-                Err(error) => self.damaged(malformed(format!("a gap is malformed: {error}"))),
+                Err(error) => self.note_damage(malformed(format!("a gap is malformed: {error}"))),
             },
             Topic::Label => {
-                if let Err(error) = take_labels(data, &mut self.labels) {
+                if let Err(error) = apply_label_message(data, &mut self.labels) {
                     self.report.damage.push(malformed(format!("a label is malformed: {error}")));
                 }
             }
@@ -312,9 +313,9 @@ impl Repair {
     }
 
     /// Writes the frames that are missing before this number as a gap; `None` at the end of the file.
-    fn found(&mut self, sequence: Option<u64>) -> Result<(), RecordingError> {
+    fn write_gap_before(&mut self, sequence: Option<u64>) -> Result<(), RecordingError> {
         let Some(unread) = self.unread.take() else { return Ok(()) };
-        let (first_sequence, frames) = match (self.expected, sequence) {
+        let (first_sequence, frames) = match (self.expected_sequence, sequence) {
             // Sequence numbers count more than the index: gaps may be lost with the frames.
             (Some(expected), Some(sequence)) => (expected, sequence.saturating_sub(expected)),
             (Some(expected), None) => (expected, unread.frames),
@@ -335,7 +336,7 @@ impl Repair {
 
 /// Cuts a label to a span of time; `None` if it lies outside of it. A label within it stays as it is, also one of free text without
 /// duration.
-fn cut(label: &LabelSpan, (first_s, end_s): (f64, f64)) -> Option<LabelSpan> {
+fn clip_label(label: &LabelSpan, (first_s, end_s): (f64, f64)) -> Option<LabelSpan> {
     let rest = LabelSpan { start_s: label.start_s.max(first_s), end_s: label.end_s.min(end_s), ..label.clone() };
     (rest == *label || rest.end_s - rest.start_s >= SHORTEST_LABEL_S).then_some(rest)
 }
@@ -363,18 +364,18 @@ fn frames_by_index(records: &mut Records, at: u64, channels: &Channels) -> Resul
 
 /// Returns whether the record that was just read is as long as its content, or longer as later versions of MCAP may make it: then
 /// another record follows.
-fn is_whole(records: &mut Records, opcode: u8, body: &[u8]) -> Result<bool, RecordingError> {
+fn has_exact_length(records: &mut Records, opcode: u8, body: &[u8]) -> Result<bool, RecordingError> {
     let end = records.offset;
     // A chunk whose opcode has become another one's.
     if body.get(CHUNK_MARK_AT.start - RECORD_HEADER as usize..).is_some_and(|rest| rest.starts_with(CHUNK_MARK)) {
         return Ok(false);
     }
     let is_exact = content_length(opcode, body).is_none_or(|length| length == body.len());
-    Ok(is_filled(opcode, body) && (is_exact || starts_record(records, end)?))
+    Ok(has_valid_content(opcode, body) && (is_exact || starts_record(records, end)?))
 }
 
 /// End of the content of the record that starts here, if the next record starts there. The record's own length is not used.
-fn behind_content(records: &mut Records, at: u64, opcode: u8) -> Result<Option<u64>, RecordingError> {
+fn content_end(records: &mut Records, at: u64, opcode: u8) -> Result<Option<u64>, RecordingError> {
     let mut block = vec![0; RECORD_BLOCK];
     let filled = records.peek(at + RECORD_HEADER, &mut block)?;
     let Some(length) = content_length(opcode, block.get(..filled).unwrap_or(&[])) else { return Ok(None) };

@@ -6,7 +6,7 @@
 //! the summary, so the file first takes the new end of the recording too. After a power cut the next opener writes that
 //! end once more.
 //!
-//! The file holds a line of JSON ([`Head`]), then the new end of the recording, if there is one. It states the CRC of
+//! The file holds a line of JSON ([`Header`]), then the new end of the recording, if there is one. It states the CRC of
 //! the recording's first bytes: a file that belongs to another recording of the same name is ignored.
 
 use std::fs::File;
@@ -24,23 +24,23 @@ use crate::recording::partial::{Partial, hidden};
 use crate::recording::{Existing, RecordingError, disk};
 
 const VERSION: u32 = 1;
-/// Most bytes that are compared at the start of the recording.
+/// Largest number of bytes that are compared at the start of the recording.
 const PREFIX_BYTES: u64 = 1 << 16;
 
 #[derive(Debug, Serialize, Deserialize)]
-struct Head {
+struct Header {
     version: u32,
     /// Length of the recording's start, bytes, and its CRC-32.
     prefix_bytes: u64,
     prefix_crc: u32,
     /// Offset, length and CRC-32 of the recording's new end; absent if the recording needs none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    end: Option<EndHead>,
+    end: Option<EndHeader>,
     labels: Vec<LabelSpan>,
 }
 
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
-struct EndHead {
+struct EndHeader {
     at: u64,
     bytes: u64,
     crc: u32,
@@ -48,7 +48,7 @@ struct EndHead {
 
 /// End of a recording: all bytes from an offset on.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct End {
+pub(super) struct RecordingEnd {
     /// Offset of the first byte.
     pub at: u64,
     /// Bytes from that offset on.
@@ -61,10 +61,11 @@ pub(super) struct Staged {
     /// All labels of the recording.
     pub labels: Vec<LabelSpan>,
     /// The end of the recording that holds them.
-    pub end: Option<End>,
+    pub end: Option<RecordingEnd>,
 }
 
-fn name(recording: &Path) -> Result<PathBuf, RecordingError> {
+/// Path of the file of staged labels.
+fn staged_path(recording: &Path) -> Result<PathBuf, RecordingError> {
     hidden(recording, ".labels")
 }
 
@@ -84,20 +85,20 @@ pub(super) fn write(
     recording: &Path,
     data_end: u64,
     labels: &[LabelSpan],
-    end: Option<&End>,
+    end: Option<&RecordingEnd>,
 ) -> Result<(), RecordingError> {
-    let path = name(recording)?;
+    let path = staged_path(recording)?;
     let cannot = || RecordingError::cannot_write(&path);
     let prefix_bytes = data_end.min(PREFIX_BYTES);
     let prefix = prefix_crc(recording, prefix_bytes).map_err(RecordingError::io(recording, "cannot be read"))?;
-    let head = Head {
+    let header = Header {
         version: VERSION,
         prefix_bytes,
         prefix_crc: prefix.unwrap_or(0),
-        end: end.map(|end| EndHead { at: end.at, bytes: end.bytes.len() as u64, crc: crc32fast::hash(&end.bytes) }),
+        end: end.map(|end| EndHeader { at: end.at, bytes: end.bytes.len() as u64, crc: crc32fast::hash(&end.bytes) }),
         labels: labels.to_vec(),
     };
-    let mut bytes = serde_json::to_vec(&head).map_err(|e| cannot()(e.into()))?;
+    let mut bytes = serde_json::to_vec(&header).map_err(|e| cannot()(e.into()))?;
     bytes.push(b'\n');
     if let Some(end) = end {
         bytes.extend_from_slice(&end.bytes);
@@ -112,7 +113,7 @@ pub(super) fn write(
 /// # Errors
 /// [`RecordingError`] if the file cannot be read, is damaged or was written by a newer program.
 pub(super) fn read(recording: &Path) -> Result<Option<Staged>, RecordingError> {
-    let path = name(recording)?;
+    let path = staged_path(recording)?;
     let file = match open_file(&path) {
         Err(RecordingError::Missing { .. }) => return Ok(None),
         file => file?,
@@ -127,21 +128,21 @@ pub(super) fn read(recording: &Path) -> Result<Option<Staged>, RecordingError> {
         let got = format!("{} of staged labels", version.version);
         return Err(RecordingError::Newer { path: path.clone(), got, supported: "1" });
     }
-    let head: Head = serde_json::from_slice(line).map_err(|e| corrupt(format!("malformed labels: {e}")))?;
-    let prefix = prefix_crc(recording, head.prefix_bytes.min(PREFIX_BYTES));
-    if prefix.map_err(RecordingError::io(recording, "cannot be read"))? != Some(head.prefix_crc) {
+    let header: Header = serde_json::from_slice(line).map_err(|e| corrupt(format!("malformed labels: {e}")))?;
+    let prefix = prefix_crc(recording, header.prefix_bytes.min(PREFIX_BYTES));
+    if prefix.map_err(RecordingError::io(recording, "cannot be read"))? != Some(header.prefix_crc) {
         tracing::warn!("{}: labels of another recording of this name; they are left out", path.display());
         return Ok(None);
     }
     let rest = rest.get(1..).unwrap_or(&[]);
-    let end = match head.end {
+    let end = match header.end {
         Some(end) if (rest.len() as u64, crc32fast::hash(rest)) == (end.bytes, end.crc) => {
-            Some(End { at: end.at, bytes: rest.to_vec() })
+            Some(RecordingEnd { at: end.at, bytes: rest.to_vec() })
         }
         Some(_) => return Err(corrupt("the recording's end in it is damaged".into())),
         None => None,
     };
-    Ok(Some(Staged { labels: head.labels, end }))
+    Ok(Some(Staged { labels: header.labels, end }))
 }
 
 #[derive(Deserialize)]
@@ -151,7 +152,7 @@ struct Version {
 
 /// Removes the labels beside a recording, once they are in it, or are those of a recording that was replaced.
 pub(super) fn remove(recording: &Path) -> std::io::Result<()> {
-    let Ok(path) = name(recording) else { return Ok(()) };
+    let Ok(path) = staged_path(recording) else { return Ok(()) };
     if !path.exists() {
         return Ok(());
     }
@@ -160,7 +161,7 @@ pub(super) fn remove(recording: &Path) -> std::io::Result<()> {
 }
 
 /// Writes the end of a recording that its staged labels hold, and removes them. The caller has locked `file`.
-pub(super) fn apply(file: &File, recording: &Path, end: &End) -> std::io::Result<()> {
+pub(super) fn write_end(file: &File, recording: &Path, end: &RecordingEnd) -> std::io::Result<()> {
     disk::overwrite(file, recording, end.at, &end.bytes)?;
     disk::set_length(file, recording, end.at + end.bytes.len() as u64)?;
     disk::sync(file, recording)?;
@@ -176,9 +177,9 @@ pub(super) fn recover(recording: &Path) {
     }
     let open = || File::options().read(true).write(true).open(recording);
     let Ok(locked) = lock(recording, Duration::ZERO, open) else { return };
-    // The former holder of the lock may have done it.
+    // The earlier holder of the lock may have completed it.
     if let Ok(Some(Staged { end: Some(end), .. })) = read(recording)
-        && let Err(error) = apply(locked.file(), recording, &end)
+        && let Err(error) = write_end(locked.file(), recording, &end)
     {
         tracing::warn!(%error, "{}: labels are beside the recording and cannot be put into it", recording.display());
     }

@@ -11,10 +11,10 @@ use crossbeam::channel::{Receiver, SendTimeoutError, Sender, bounded, select};
 use crate::recording::{RecordingError, disk};
 
 /// Duration of a sync beyond which a warning is logged.
-const SLOW: Duration = Duration::from_secs(1);
+const SLOW_SYNC: Duration = Duration::from_secs(1);
 
-/// Interval at which a wait looks at the sync in progress.
-const CHECK: Duration = Duration::from_millis(50);
+/// Interval at which a wait checks the sync in progress.
+const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Limits on how far the disk lags behind a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -90,7 +90,7 @@ pub(super) struct Syncer {
     /// Result of the thread: the first error, or success after the last request.
     outcome: Receiver<io::Result<()>>,
     /// Start of the sync in progress.
-    since: Arc<Mutex<Option<Instant>>>,
+    sync_start: Arc<Mutex<Option<Instant>>>,
     patience: Duration,
 }
 
@@ -99,12 +99,12 @@ impl Syncer {
     pub fn start(file: File, path: PathBuf, options: SyncOptions) -> io::Result<Self> {
         let (requests, receiver) = bounded(1);
         let (sender, outcome) = bounded(1);
-        let since = Arc::new(Mutex::new(None));
-        let work = Work { file, path, requests: receiver, since: since.clone(), interval: options.interval };
+        let sync_start = Arc::new(Mutex::new(None));
+        let work = Work { file, path, requests: receiver, sync_start: sync_start.clone(), interval: options.interval };
         std::thread::Builder::new().name("sync".into()).spawn(move || {
             let _ = sender.send(work.run());
         })?;
-        Ok(Syncer { requests, outcome, since, patience: options.patience })
+        Ok(Syncer { requests, outcome, sync_start, patience: options.patience })
     }
 
     /// Requests a sync of all data written so far. Does not wait.
@@ -118,8 +118,8 @@ impl Syncer {
         if let Ok(Err(source)) = self.outcome.try_recv() {
             return Err(Failure::sync(&source));
         }
-        let since = *self.since.lock().unwrap_or_else(PoisonError::into_inner);
-        match since.map(|since| since.elapsed()).filter(|waited| *waited > self.patience) {
+        let sync_start = *self.sync_start.lock().unwrap_or_else(PoisonError::into_inner);
+        match sync_start.map(|sync_start| sync_start.elapsed()).filter(|waited| *waited > self.patience) {
             Some(waited) => Err(Failure::Stalled(waited)),
             None => Ok(()),
         }
@@ -128,27 +128,28 @@ impl Syncer {
     /// Syncs all data written so far and waits for it, as long as no single sync exceeds the patience. A thread that the
     /// disk blocks is abandoned.
     pub fn wait(&self) -> Result<(), Failure> {
-        let (done, is_done) = bounded(1);
-        let mut request = Some(done);
+        let (answer_sender, answer) = bounded(1);
+        let mut request = Some(answer_sender);
         loop {
-            match self.requests.send_timeout(request, CHECK) {
+            match self.requests.send_timeout(request, CHECK_INTERVAL) {
                 Ok(()) => break,
-                Err(SendTimeoutError::Timeout(back)) => request = back,
-                Err(SendTimeoutError::Disconnected(_)) => return Err(self.ended()),
+                Err(SendTimeoutError::Timeout(unsent)) => request = unsent,
+                Err(SendTimeoutError::Disconnected(_)) => return Err(self.thread_failure()),
             }
             self.check()?;
         }
         loop {
             // A thread that fails at this moment leaves the request in the queue, so its outcome is awaited, too.
             select! {
-                recv(is_done) -> done => return done.map_err(|_| self.ended()),
+                recv(answer) -> done => return done.map_err(|_| self.thread_failure()),
                 recv(self.outcome) -> outcome => return Err(Failure::ended(outcome.ok())),
-                default(CHECK) => self.check()?,
+                default(CHECK_INTERVAL) => self.check()?,
             }
         }
     }
 
-    fn ended(&self) -> Failure {
+    /// Failure of the thread, which has ended.
+    fn thread_failure(&self) -> Failure {
         Failure::ended(self.outcome.recv_timeout(self.patience).ok())
     }
 }
@@ -157,7 +158,7 @@ struct Work {
     file: File,
     path: PathBuf,
     requests: Receiver<Option<Sender<()>>>,
-    since: Arc<Mutex<Option<Instant>>>,
+    sync_start: Arc<Mutex<Option<Instant>>>,
     interval: Duration,
 }
 
@@ -191,15 +192,15 @@ impl Work {
     }
 
     fn sync(&self) -> io::Result<()> {
-        let set = |since| *self.since.lock().unwrap_or_else(PoisonError::into_inner) = since;
+        let set = |sync_start| *self.sync_start.lock().unwrap_or_else(PoisonError::into_inner) = sync_start;
         let start = Instant::now();
         set(Some(start));
-        let done = disk::sync(&self.file, &self.path);
+        let result = disk::sync(&self.file, &self.path);
         set(None);
-        if start.elapsed() > SLOW {
+        if start.elapsed() > SLOW_SYNC {
             tracing::warn!("{}: the disk took {:.1} s to store it", self.path.display(), start.elapsed().as_secs_f64());
         }
-        done
+        result
     }
 }
 
@@ -209,10 +210,10 @@ mod tests {
 
     /// The request is still in the queue of a thread that has just failed.
     #[test]
-    fn a_failure_while_its_end_is_awaited_is_said_at_once() {
+    fn a_failure_during_a_wait_is_returned_at_once() {
         let ((requests, _queue), (sender, outcome)) = (bounded(1), bounded(1));
         sender.send(Err(io::Error::from_raw_os_error(5))).expect("room for one");
-        let syncer = Syncer { requests, outcome, since: Arc::default(), patience: Duration::from_secs(600) };
+        let syncer = Syncer { requests, outcome, sync_start: Arc::default(), patience: Duration::from_secs(600) };
         assert!(matches!(syncer.wait(), Err(Failure::Io { code: Some(5), .. })));
     }
 }

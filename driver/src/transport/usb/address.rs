@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_form_is_understood_and_written_as_it_was_read() {
+    fn every_form_round_trips() {
         for (text, expected) in [
             ("", UsbAddress::Any),
             ("1-4", UsbAddress::Device { bus: 1, address: 4 }),
@@ -106,7 +106,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn buses_and_addresses_that_cannot_be_are_refused() {
+        fn invalid_buses_and_addresses_are_refused() {
             for text in ["0-4", "1-0", "1-256", "99999-1"] {
                 assert!(text.parse::<UsbAddress>().is_err(), "{text}");
             }

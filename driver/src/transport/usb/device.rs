@@ -34,16 +34,16 @@ pub(crate) fn open(usb_id: (u16, u16), address: &UsbAddress) -> Result<(Box<dyn 
     let has_ids =
         |device: &Device<Context>| device.device_descriptor().is_ok_and(|d| (d.vendor_id(), d.product_id()) == usb_id);
     let devices: Vec<Device<Context>> = devices.iter().filter(has_ids).collect();
-    let mut found = devices.iter().filter(|device| is_meant(device, address));
+    let mut found = devices.iter().filter(|device| matches_address(device, address));
     let Some(device) = found.next() else {
         // A serial number cannot be read without permission: the device may be the requested one.
         let is_closed = |device: &Device<Context>| matches!(device.open(), Err(rusb::Error::Access));
         let is_hidden = matches!(address, UsbAddress::Serial(_)) && devices.iter().any(is_closed);
         return Err(if is_hidden { OpenError::PermissionDenied } else { OpenError::Absent });
     };
-    let others: Vec<_> = found.collect();
-    if !others.is_empty() {
-        let all = std::iter::once(device).chain(others);
+    let further: Vec<_> = found.collect();
+    if !further.is_empty() {
+        let all = std::iter::once(device).chain(further);
         return Err(OpenError::Ambiguous(all.map(bus_address).collect()));
     }
     let handle = device.open().map_err(open_error)?;
@@ -51,21 +51,21 @@ pub(crate) fn open(usb_id: (u16, u16), address: &UsbAddress) -> Result<(Box<dyn 
     let _ = handle.set_auto_detach_kernel_driver(true);
     handle.claim_interface(INTERFACE).map_err(open_error)?;
     let bulk_in = bulk_in_endpoint(device).map_err(open_error)?;
-    let settled = match (serial_number(device, &handle), address) {
+    let stable_address = match (serial_number(device, &handle), address) {
         (Some(serial), _) => UsbAddress::Serial(serial),
         (None, UsbAddress::Device { bus, .. }) => {
             UsbAddress::Port { bus: *bus, ports: device.port_numbers().unwrap_or_default() }
         }
         (None, _) => address.clone(),
     };
-    Ok((Box::new(LibusbDevice { handle, bulk_in }), settled))
+    Ok((Box::new(LibusbDevice { handle, bulk_in }), stable_address))
 }
 
 fn bus_address(device: &Device<Context>) -> UsbAddress {
     UsbAddress::Device { bus: device.bus_number(), address: device.address() }
 }
 
-fn is_meant(device: &Device<Context>, address: &UsbAddress) -> bool {
+fn matches_address(device: &Device<Context>, address: &UsbAddress) -> bool {
     match address {
         UsbAddress::Any => true,
         UsbAddress::Device { .. } => bus_address(device) == *address,

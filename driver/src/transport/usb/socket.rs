@@ -51,16 +51,22 @@ pub(crate) struct HostSockets {
 }
 
 impl HostSockets {
+    /// Connects to the sockets of an emulated device.
+    ///
     /// # Errors
-    /// The folder has no sockets, or nobody listens to them.
+    /// The folder has no sockets, or no device listens to them.
     pub fn connect(folder: &Path) -> io::Result<Self> {
-        let to = |name| -> io::Result<OwnedFd> {
+        let connect_to = |name| -> io::Result<OwnedFd> {
             let socket = socket(SocketFlags::empty())?;
             connect(&socket, &SocketAddrUnix::new(folder.join(name))?)?;
             Ok(socket)
         };
         let [control, data] = NAMES;
-        Ok(HostSockets { control: to(control)?, data: to(data)?, message: vec![0; 1 + usize::from(u16::MAX)] })
+        Ok(HostSockets {
+            control: connect_to(control)?,
+            data: connect_to(data)?,
+            message: vec![0; 1 + usize::from(u16::MAX)],
+        })
     }
 
     /// Makes a control transfer; returns the data of an IN transfer.
@@ -110,12 +116,12 @@ impl Endpoints for HostSockets {
 /// The device's side. Its sockets are removed with it, and so is the folder if it was created for them.
 pub(crate) struct DeviceSockets {
     folder: PathBuf,
-    made_folder: bool,
+    created_folder: bool,
     listeners: [OwnedFd; 2],
     /// The host's control and bulk connections.
     host: [Option<OwnedFd>; 2],
-    /// A host has disconnected, which [`DeviceSockets::was_abandoned`] has not reported yet.
-    was_abandoned: bool,
+    /// Whether a host has disconnected, which [`DeviceSockets::has_disconnected`] has not reported yet.
+    has_disconnected: bool,
 }
 
 impl DeviceSockets {
@@ -125,16 +131,18 @@ impl DeviceSockets {
     /// The folder or a socket in it cannot be created, or a file that is no socket has the name of one.
     pub fn bind(folder: &Path) -> io::Result<Self> {
         // Nothing is removed before both names are known to be free.
-        let left: Vec<PathBuf> = NAMES.map(|name| folder.join(name)).into_iter().filter(|path| exists(path)).collect();
-        if let Some(other) = left.iter().find(|path| !is_socket(path)) {
+        let old_sockets: Vec<PathBuf> =
+            NAMES.map(|name| folder.join(name)).into_iter().filter(|path| exists(path)).collect();
+        if let Some(other) = old_sockets.iter().find(|path| !is_socket(path)) {
             let why = format!("{} is no socket that an emulated board has left", other.display());
             return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
         }
-        // A folder with sockets was left by an emulated device, which had made it or not: an empty one is no loss.
-        let made_folder = !folder.exists() || !left.is_empty();
+        // A folder with sockets was left by an emulated device, which may have created it. It is removed in the end, because
+        // an empty folder is no loss.
+        let created_folder = !folder.exists() || !old_sockets.is_empty();
         std::fs::create_dir_all(folder)?;
-        left.iter().try_for_each(std::fs::remove_file)?;
-        let at = |name| -> io::Result<OwnedFd> {
+        old_sockets.iter().try_for_each(std::fs::remove_file)?;
+        let listen_at = |name| -> io::Result<OwnedFd> {
             let path = folder.join(name);
             let socket = socket(SocketFlags::NONBLOCK)?;
             bind(&socket, &SocketAddrUnix::new(&path)?)?;
@@ -144,10 +152,10 @@ impl DeviceSockets {
         let [control, data] = NAMES;
         Ok(DeviceSockets {
             folder: folder.into(),
-            made_folder,
-            listeners: [at(control)?, at(data)?],
+            created_folder,
+            listeners: [listen_at(control)?, listen_at(data)?],
             host: [None, None],
-            was_abandoned: false,
+            has_disconnected: false,
         })
     }
 
@@ -160,8 +168,8 @@ impl DeviceSockets {
     /// `timeout`.
     pub fn wait(&self, write: bool, timeout: Duration) -> io::Result<()> {
         let [control, data] = &self.host;
-        let vacant = self.listeners.iter().zip(&self.host).filter(|(_, host)| host.is_none());
-        let mut interests: Vec<PollFd<'_>> = vacant.map(|(l, _)| PollFd::new(l, PollFlags::IN)).collect();
+        let free_listeners = self.listeners.iter().zip(&self.host).filter(|(_, host)| host.is_none());
+        let mut interests: Vec<PollFd<'_>> = free_listeners.map(|(l, _)| PollFd::new(l, PollFlags::IN)).collect();
         interests.extend(control.iter().map(|c| PollFd::new(c, PollFlags::IN)));
         if write {
             interests.extend(data.iter().map(|d| PollFd::new(d, PollFlags::OUT)));
@@ -188,7 +196,7 @@ impl DeviceSockets {
             Err(Errno::AGAIN | Errno::INTR) => Ok(0),
             // The host has disconnected.
             Ok((0, _)) | Err(Errno::CONNRESET) => {
-                (self.host, self.was_abandoned) = ([None, None], true);
+                (self.host, self.has_disconnected) = ([None, None], true);
                 Ok(0)
             }
             Ok((count, _)) => Ok(count),
@@ -197,8 +205,8 @@ impl DeviceSockets {
     }
 
     /// Returns whether the host has disconnected since the last call.
-    pub fn was_abandoned(&mut self) -> bool {
-        std::mem::take(&mut self.was_abandoned)
+    pub fn has_disconnected(&mut self) -> bool {
+        std::mem::take(&mut self.has_disconnected)
     }
 
     /// Answers the control transfer: with the data of an IN transfer, with nothing for an OUT transfer, or by a stall.
@@ -231,7 +239,7 @@ impl Drop for DeviceSockets {
             let _ = std::fs::remove_file(self.folder.join(name));
         }
         // A folder that holds other files stays.
-        if self.made_folder {
+        if self.created_folder {
             let _ = std::fs::remove_dir(&self.folder);
         }
     }
@@ -253,7 +261,7 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Files of the user that had the names of the endpoints were removed, and an empty folder too.
+        /// Regression test: files of the user with the names of the endpoints were removed, and an empty folder too.
         #[test]
         fn files_that_are_no_sockets_and_folders_of_the_user_stay() {
             let scratch = tempfile::tempdir().expect("a folder");
@@ -265,11 +273,11 @@ mod tests {
             let refused = DeviceSockets::bind(&folder).err().expect("a refusal");
             assert!(refused.to_string().contains("ep1 is no socket"), "{refused}");
             assert_eq!(std::fs::read_to_string(folder.join("ep1")).expect("the file"), "precious");
-            // Sockets that were left are replaced, and a folder that was made goes with its sockets.
-            let made = scratch.path().join("made");
-            std::mem::forget(DeviceSockets::bind(&made).expect("a new folder"));
-            drop(DeviceSockets::bind(&made).expect("left sockets"));
-            assert!(!made.exists());
+            // Sockets that were left are replaced, and a folder that was created goes with its sockets.
+            let created = scratch.path().join("made");
+            std::mem::forget(DeviceSockets::bind(&created).expect("a new folder"));
+            drop(DeviceSockets::bind(&created).expect("left sockets"));
+            assert!(!created.exists());
         }
     }
 }

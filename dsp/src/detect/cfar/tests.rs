@@ -25,15 +25,15 @@ fn spec(guard: (usize, usize), training: (usize, usize), false_alarm_rate: f64, 
 /// Threshold by the definition: collect the whole window, sort, take the ranked cell.
 fn reference(spec: &CfarSpec, power: &[f64], (rows, columns): (usize, usize), doppler: usize, range: usize) -> f64 {
     let reach = |guard: usize, training: usize| (guard + training) as i64;
-    let (across, along) =
+    let (doppler_reach, range_reach) =
         (reach(spec.guard.doppler, spec.training.doppler), reach(spec.guard.range, spec.training.range));
     let mut cells = Vec::new();
-    for d in -across..=across {
-        for r in -along..=along {
-            let guarded =
+    for d in -doppler_reach..=doppler_reach {
+        for r in -range_reach..=range_reach {
+            let is_guard =
                 d.unsigned_abs() as usize <= spec.guard.doppler && r.unsigned_abs() as usize <= spec.guard.range;
             let at = range as i64 + r;
-            if !guarded && (0..columns as i64).contains(&at) {
+            if !is_guard && (0..columns as i64).contains(&at) {
                 let row = (doppler as i64 + d).rem_euclid(rows as i64) as usize;
                 cells.push(power[row * columns + at as usize]);
             }
@@ -64,12 +64,12 @@ fn thresholds_are_those_of_the_definition_everywhere() {
 
 /// Closed forms against the rates that they are derived from.
 #[test]
-fn factors_give_the_rates_that_they_are_for() {
-    let known: f64 =
+fn factors_give_their_rates() {
+    let rate: f64 =
         (0..10).map(|i| f64::from(16 - i) / (f64::from(16 - i) + ordered_factor(16, 10, 1, 1e-4))).product();
-    assert!((known / 1e-4 - 1.0).abs() < 1e-9);
+    assert!((rate / 1e-4 - 1.0).abs() < 1e-9);
     for (cells, order, rate) in [(16, 12, 1e-2), (40, 30, 1e-4), (100, 75, 1e-6), (3, 1, 0.1)] {
-        // The integral that serves several looks, asked for one, is the product.
+        // For one look, the integral equals the product.
         let (product, integral) =
             (ordered_factor(cells, order, 1, rate), ordered_factor_by_integral(cells, order, 1, rate));
         assert!((integral / product - 1.0).abs() < 1e-5, "{cells} {order}: {integral} {product}");
@@ -117,7 +117,7 @@ fn map(rows: usize, columns: usize, power: &[f64]) -> Rdm {
 }
 
 #[test]
-fn a_target_is_found_where_it_is_across_the_seam_of_doppler_too() {
+fn targets_are_found_at_their_cells_also_at_the_ends_of_doppler() {
     let (rows, columns) = (64, 64);
     let mut draw = Draw(3);
     let mut power: Vec<f64> = (0..rows * columns).map(|_| draw.power(1)).collect();
@@ -130,7 +130,7 @@ fn a_target_is_found_where_it_is_across_the_seam_of_doppler_too() {
     assert_eq!(found, [(0, 40), (20, 30), (63, 0)]);
 }
 
-/// Counting which cells can exceed an ordered threshold loses none and adds none, at a rate at which many do.
+/// The preselection of candidates loses no detection and adds none, at a rate at which many cells are detections.
 #[test]
 fn detections_are_the_cells_above_their_thresholds() {
     let (rows, columns) = (24, 40);
@@ -139,7 +139,7 @@ fn detections_are_the_cells_above_their_thresholds() {
     let mut power: Vec<f64> = (0..rows * columns).map(|_| draw.power(2)).collect();
     power[5 * columns + 7] = 1e3;
     power[5 * columns + 8] = 900.0;
-    // As a map holds them.
+    // With the precision of a map.
     let map = map(rows, columns, &power);
     let power: Vec<f64> = map.db.iter().map(|&db| 10f64.powf(f64::from(db) / 10.0)).collect();
     let thresholds = cfar.thresholds(&power).expect("of this size");
@@ -184,7 +184,7 @@ fn hann_windows_raise_the_rate_less_than_twofold() {
             *code = (2048.0 + 30.0 * gauss).round() as u16;
         });
         processor.process(&frame, &mut out).expect("processes");
-        // Zero Doppler has been taken out, and zero range is real.
+        // Zero Doppler is removed, and zero range is real.
         let free = |d: &CellDetection| d.doppler.abs_diff(32) > 8 && d.range > 8;
         alarms += cfar.detect(&out, 0).iter().filter(|d| free(d)).count();
         cells += (64 - 17) * (64 - 9);
@@ -197,7 +197,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn windows_that_do_not_fit_and_rates_that_are_none_are_refused() {
+    fn windows_that_do_not_fit_and_invalid_rates_are_refused() {
         let new = |spec| Cfar::new(spec, 16, 16).map(|_| ()).expect_err("refused");
         assert!(matches!(new(spec((1, 1), (7, 1), 1e-3, 1)), CfarError::TooWide { doppler: 17, .. }));
         assert!(matches!(new(spec((0, 16), (0, 1), 1e-3, 1)), CfarError::TooWide { .. }));
@@ -216,7 +216,7 @@ mod hard_cases {
         let cfar = Cfar::new(spec((1, 1), (2, 2), 1e-3, 1), 16, 16).expect("fits");
         assert!(cfar.thresholds(&[1.0; 255]).is_none());
         let mut power = vec![1.0; 256];
-        assert!(cfar.detect(&map(16, 16, &power), 0).is_empty(), "nothing stands out of what is flat");
+        assert!(cfar.detect(&map(16, 16, &power), 0).is_empty(), "a flat map has no detections");
         power[40] = f64::NAN;
         assert!(cfar.detect(&map(16, 16, &power), 0).is_empty());
         assert!(cfar.detect(&map(16, 16, &vec![0.0; 256]), 0).is_empty());

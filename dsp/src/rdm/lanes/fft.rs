@@ -32,12 +32,13 @@ impl<V: Sub<Output = V>> Sub for Complex<V> {
     }
 }
 
-/// `(a + j b, a - j b)`: multiplication by j is an exchange of parts and one sign, which addition takes in.
+/// `(a + j b, a - j b)`. The multiplication by j swaps real and imaginary part and changes one sign, so it needs no operation.
 #[inline(always)]
 fn plus_minus_j<V: Copy + Add<Output = V> + Sub<Output = V>>(a: Complex<V>, b: Complex<V>) -> (Complex<V>, Complex<V>) {
     (Complex { re: a.re - b.im, im: a.im + b.re }, Complex { re: a.re + b.im, im: a.im - b.re })
 }
 
+/// `x (cos + j sin)`.
 #[inline(always)]
 fn rotate<const L: usize, V: Vector<L>>(x: Complex<V>, (cos, sin): (f32, f32)) -> Complex<V> {
     let (c, s) = (V::splat(cos), V::splat(sin));
@@ -85,7 +86,7 @@ enum Pass {
 #[derive(Debug, Clone)]
 pub(super) struct Plan {
     length: usize,
-    /// All but the last, which has no twiddle factors.
+    /// All passes but the last, which has no twiddle factors.
     passes: Vec<Pass>,
     last_radix: usize,
 }
@@ -121,6 +122,7 @@ impl Plan {
         Plan { length, passes, last_radix }
     }
 
+    /// Position at which a transform leaves each bin.
     pub(super) fn position_of_bin(&self) -> Vec<usize> {
         let radices = self.passes.iter().map(|pass| match pass {
             Pass::Radix4(_) => 4,
@@ -148,7 +150,7 @@ impl Plan {
         buffer: &mut [Complex<V>],
         sink: &mut impl Sink<L, V>,
     ) {
-        self.all_but_last(source, buffer);
+        self.all_passes_but_last(source, buffer);
         match self.last_radix {
             4 => last_pass_4(buffer, sink),
             _ => last_pass_8(buffer, sink),
@@ -162,7 +164,7 @@ impl Plan {
         source: &impl Source<L, V>,
         buffer: &mut [Complex<V>],
     ) {
-        self.all_but_last(source, buffer);
+        self.all_passes_but_last(source, buffer);
         match self.last_radix {
             4 => {
                 for block in buffer.as_chunks_mut::<4>().0 {
@@ -178,7 +180,7 @@ impl Plan {
     }
 
     #[inline(always)]
-    fn all_but_last<const L: usize, V: Vector<L>>(&self, source: &impl Source<L, V>, buffer: &mut [Complex<V>]) {
+    fn all_passes_but_last<const L: usize, V: Vector<L>>(&self, source: &impl Source<L, V>, buffer: &mut [Complex<V>]) {
         let mut passes = self.passes.iter();
         match passes.next() {
             Some(Pass::Radix4(twiddles)) => first_pass_4(twiddles, source, buffer),
@@ -267,7 +269,7 @@ mod tests {
         }
     }
 
-    /// A tone on a bin gives its length there and nothing elsewhere, in every lane by itself, at every length.
+    /// A tone on a bin gives the length of the FFT in this bin and nothing in others, separately in every lane, at every length.
     #[test]
     fn each_lane_finds_its_own_tone() {
         for length in [16, 32, 64, 128, 256, 512, 1024] {

@@ -38,14 +38,14 @@ impl LaneTransform {
             KernelLevel::Avx2 => 8,
             KernelLevel::Avx512 => 16,
         };
-        let suits = |length: usize| length.is_power_of_two() && FFT_LENGTHS.contains(&length);
-        let fits = suits(plan.shape.range)
+        let is_supported = |length: usize| length.is_power_of_two() && FFT_LENGTHS.contains(&length);
+        let sizes_fit = is_supported(plan.shape.range)
             && plan.range_fft_length == 2 * plan.shape.range
-            && suits(plan.shape.doppler)
+            && is_supported(plan.shape.doppler)
             && plan.frame_shape.samples.is_multiple_of(2 * lanes)
             && plan.frame_shape.chirps.is_multiple_of(lanes)
             && !plan.is_across_frames;
-        if !fits {
+        if !sizes_fit {
             return None;
         }
         Some(LaneTransform(match level {
@@ -61,9 +61,9 @@ impl LaneTransform {
 
     /// Transforms one channel into `cells`, `[doppler][range]`. Returns true only if all cells are finite. It may
     /// return false even though all cells are finite.
-    pub(super) fn channel(&mut self, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
+    pub(super) fn transform_channel(&mut self, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
         match &mut self.0 {
-            Level::Portable(stages) => stages.channel(input, output, cells),
+            Level::Portable(stages) => stages.transform_channel(input, output, cells),
             // SAFETY: a transform of this level is only created where the level is available.
             #[cfg(target_arch = "x86_64")]
             Level::Avx2(stages) => unsafe { channel_avx2(stages, input, output, cells) },
@@ -77,11 +77,11 @@ impl LaneTransform {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 fn channel_avx2(stages: &mut Stages<8, x86::F32x8>, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
-    stages.channel(input, output, cells)
+    stages.transform_channel(input, output, cells)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
 fn channel_avx512(stages: &mut Stages<16, x86::F32x16>, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
-    stages.channel(input, output, cells)
+    stages.transform_channel(input, output, cells)
 }

@@ -37,7 +37,7 @@ const BINS_AT_ONCE: usize = 128;
 #[derive(Debug, Clone, Copy)]
 struct Untangling {
     /// Position of `Z[k]`.
-    own: usize,
+    direct: usize,
     /// Position of `Z[n-k]`.
     mirror: usize,
     one_minus_sin: f32,
@@ -55,7 +55,7 @@ pub(super) struct Stages<const L: usize, V> {
     tile_length: usize,
     removes_chirp_mean: bool,
     removes_slow_time_mean: bool,
-    /// Code that stands for zero.
+    /// Code of a sample of zero.
     zero_code: f32,
     /// Window, scale and the half of [`Untangling`] for even and odd sample; zero in the padding.
     code_gains: Vec<[f32; 2]>,
@@ -69,7 +69,7 @@ pub(super) struct Stages<const L: usize, V> {
     /// `L` chirps, `[pair]` of codes or `[sample]`.
     transposed: Vec<V>,
     buffer: Vec<Complex<V>>,
-    /// Buffer of `L` bins of `L` chirps on their way into `matrix`. It is kept, to save setting it to zero each time.
+    /// Buffer of `L` bins of `L` chirps that are transposed into `matrix`. It is kept, so that it need not be set to zero each time.
     untangled: Vec<Complex<V>>,
     /// `[range / L][chirp]`, padded with zeros to the Doppler FFT and then to `tile_length`.
     matrix: Vec<Complex<V>>,
@@ -92,7 +92,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
                 let (sin, cos) = (0.5 * TAU * k as f64 / range as f64).sin_cos();
                 let scale = if k == 0 { plan.dc_amplitude } else { 1.0 };
                 Untangling {
-                    own: position[k],
+                    direct: position[k],
                     mirror: position[(range - k) % range],
                     one_minus_sin: (scale * (1.0 - sin)) as f32,
                     one_plus_sin: (scale * (1.0 + sin)) as f32,
@@ -135,7 +135,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
 
     /// Transforms one channel into `cells`, `[doppler][range]`. Returns whether all are finite.
     #[inline(always)]
-    pub(super) fn channel(&mut self, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
+    pub(super) fn transform_channel(&mut self, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
         for first in (0..self.chirps).step_by(L) {
             match input {
                 Input::Codes(codes) => {
@@ -210,12 +210,12 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
             let untangled = &mut self.untangled[..L];
             for i in 0..L {
                 let bin = bins[i];
-                let (own, mirror) = (z[bin.own], z[bin.mirror]);
+                let (direct, mirror) = (z[bin.direct], z[bin.mirror]);
                 let (minus, plus) = (V::splat(bin.one_minus_sin), V::splat(bin.one_plus_sin));
                 let cos = V::splat(bin.cos);
                 untangled[i] = Complex {
-                    re: own.re.mul_add(minus, mirror.re.mul_add(plus, (own.im + mirror.im) * cos)),
-                    im: own.im.mul_add(minus, mirror.im.neg_mul_add(plus, (mirror.re - own.re) * cos)),
+                    re: direct.re.mul_add(minus, mirror.re.mul_add(plus, (direct.im + mirror.im) * cos)),
+                    im: direct.im.mul_add(minus, mirror.im.neg_mul_add(plus, (mirror.re - direct.re) * cos)),
                 };
             }
             let (mut re, mut im) = ([V::splat(0.0); L], [V::splat(0.0); L]);
@@ -266,19 +266,20 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
             // The guarded logarithm below keeps NaN and infinity, and takes longer.
             Output::Decibels { floor_power } if is_finite => {
                 let floor_power = V::splat(floor_power);
-                self.write(first_bin, cells, |power, _| power.finite_to_db(floor_power));
+                self.write_cells(first_bin, cells, |power, _| power.finite_to_db(floor_power));
             }
             Output::Decibels { floor_power } => {
                 let floor_power = V::splat(floor_power);
-                self.write(first_bin, cells, |power, _| power.to_db(floor_power));
+                self.write_cells(first_bin, cells, |power, _| power.to_db(floor_power));
             }
-            Output::Power { adds: false } => self.write(first_bin, cells, |power, _| power),
-            Output::Power { adds: true } => self.write(first_bin, cells, |power, before| power + V::load(before)),
+            Output::Power { adds: false } => self.write_cells(first_bin, cells, |power, _| power),
+            Output::Power { adds: true } => self.write_cells(first_bin, cells, |power, before| power + V::load(before)),
         }
     }
 
+    /// Writes what `cell` computes from the powers and the previous cells.
     #[inline(always)]
-    fn write(&self, first_bin: usize, cells: &mut [f32], cell: impl Fn(V, &[f32]) -> V) {
+    fn write_cells(&self, first_bin: usize, cells: &mut [f32], cell: impl Fn(V, &[f32]) -> V) {
         for (row, position) in cells.chunks_exact_mut(self.range).zip(&self.position_of_row) {
             let powers = self.powers.chunks_exact(self.doppler);
             for (cells, powers) in row[first_bin..].chunks_exact_mut(L).zip(powers) {
@@ -300,7 +301,7 @@ impl<const L: usize, V: Vector<L>> Source<L, V> for CodeSource<'_, V> {
     fn get(&self, index: usize) -> Complex<V> {
         let (even, odd) = self.pairs[index].split_code_pairs();
         let [even_gain, odd_gain] = self.gains[index];
-        // Exact until the product: codes and their zero are small multiples of a half.
+        // Exact up to the product, unless chirp means are removed: codes and `zero_code` are small multiples of a half.
         Complex { re: (even - self.zero_code) * V::splat(even_gain), im: (odd - self.zero_code) * V::splat(odd_gain) }
     }
 }

@@ -1,4 +1,4 @@
-//! Vector of `f32`, each lane another transform. The stages are generic over it.
+//! Vector of `f32` in which each lane belongs to another transform. The stages are generic over it.
 
 use std::ops::{Add, Mul, Sub};
 
@@ -7,8 +7,8 @@ use crate::decibel::{self, SQRT_HALF_BITS};
 /// Vector of `L` numbers.
 ///
 /// Some implementations need registers that not every processor has. Use them only inside functions that are entered
-/// after a check of [`KernelLevel::is_available`](crate::KernelLevel::is_available). Only `channel` of the parent
-/// module's transform does so. Every method is inlined into such a function, and so becomes one instruction.
+/// after a check of [`KernelLevel::is_available`](crate::KernelLevel::is_available). Only `LaneTransform::transform_channel` of
+/// the parent module does so. Every method is inlined into such a function, and so becomes one instruction.
 pub(super) trait Vector<const L: usize>:
     Copy + Send + Sync + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
 {

@@ -10,7 +10,7 @@ fn spec() -> RdmSpec {
     RdmSpec { static_removal: StaticRemoval::SlowTimeMean, change_over_s: Some(TIME_S), ..on_axes(AXES) }
 }
 
-/// Samples of one receiver: echoes of amplitude 0.1 from reflectors that do not move within a frame, `(range_m, amplitude)`, and noise.
+/// Samples of a frame: echoes of reflectors `(range_m, amplitude)` that do not move within the frame, and noise.
 fn samples(w: &Waveform, reflectors: &[(f64, f64)], noise: f64, random: &mut Random) -> Vec<f32> {
     let shape = w.shape();
     let mut samples = Vec::with_capacity(shape.codes());
@@ -47,7 +47,7 @@ fn strongest(cells: &[f32]) -> (usize, f32) {
 }
 
 #[test]
-fn it_is_that_of_the_slow_formula() {
+fn change_agrees_with_the_reference() {
     for w in [realised(|_| ()), realised(|w| (w.rx_antennas, w.frame_interval_s) = (RxMask::ALL, 0.05))] {
         let mut random = Random(7);
         let shape = w.shape();
@@ -72,18 +72,21 @@ fn it_is_that_of_the_slow_formula() {
                 let row = AXES.velocity_bins / 2 * AXES.range_bins;
                 let coverage = AXES.coverage(&w);
                 for bin in 0..coverage.range_bins {
-                    let (got, of) = (f64::from(map.db[row + bin]), expected[row + bin]);
-                    // f32 sums: what lies 110 dB below full scale is rounding.
-                    assert!((got - of).abs() < 0.05 || got.max(of) < -110.0, "frame {count}, bin {bin}: {got}, {of}");
+                    let (got, expected) = (f64::from(map.db[row + bin]), expected[row + bin]);
+                    // Below -110 dBFS, f32 sums hold rounding errors.
+                    assert!(
+                        (got - expected).abs() < 0.05 || got.max(expected) < -110.0,
+                        "frame {count}, bin {bin}: {got}, {expected}"
+                    );
                 }
             }
         }
     }
 }
 
-/// A chest that moves by millimetres in seconds shows; a wall of a hundred times its power that drifts by a hundredth does not.
+/// A chest that moves by millimetres in seconds shows. A wall of a hundred times its power that drifts by a hundredth does not.
 #[test]
-fn who_breathes_is_seen_and_clutter_that_drifts_is_not() {
+fn breathing_shows_and_drifting_clutter_does_not() {
     let w = realised(|_| ());
     let mut random = Random(11);
     let mut frames = |breath_m: f64| -> Vec<Vec<f32>> {
@@ -99,8 +102,8 @@ fn who_breathes_is_seen_and_clutter_that_drifts_is_not() {
     let (breathing, at_rest) = (frames(0.004), frames(0.0));
     let noise_db = -86.0;
     let (person, wall) = (10, 30);
-    let seen = zero_velocity(&spec(), &w, &breathing);
-    for cells in &seen[10..] {
+    let changes = zero_velocity(&spec(), &w, &breathing);
+    for cells in &changes[10..] {
         assert_eq!(strongest(cells).0, person);
         assert!(cells[person] > noise_db + 20.0, "{} dB", cells[person]);
         assert!(cells[wall] < cells[person] - 15.0, "{} and {} dB", cells[wall], cells[person]);
@@ -109,7 +112,7 @@ fn who_breathes_is_seen_and_clutter_that_drifts_is_not() {
         assert!(cells[person] < noise_db, "{} dB", cells[person]);
     }
     // One frame alone shows no change, nor does the first one after a gap.
-    assert!(seen[0].iter().all(|cell| f64::from(*cell) == spec().floor_db));
+    assert!(changes[0].iter().all(|cell| f64::from(*cell) == spec().floor_db));
     let mut processor = RdmProcessor::new(&spec(), &w).expect("spec fits");
     let mut map = processor.empty_map();
     let row = AXES.velocity_bins / 2 * AXES.range_bins;
@@ -121,7 +124,7 @@ fn who_breathes_is_seen_and_clutter_that_drifts_is_not() {
 
 /// If only noise changes and nothing is static, the change has the level of noise.
 #[test]
-fn of_noise_alone_it_is_noise() {
+fn change_of_noise_has_the_level_of_noise() {
     let w = realised(|_| ());
     let mut random = Random(13);
     let frames: Vec<Vec<f32>> = (0..200).map(|_| samples(&w, &[], 0.01, &mut random)).collect();
@@ -130,14 +133,14 @@ fn of_noise_alone_it_is_noise() {
         let powers = cells.iter().flatten().map(|db| 10f64.powf(0.1 * f64::from(*db)));
         10.0 * (powers.sum::<f64>() / (cells.len() * AXES.range_bins) as f64).log10()
     };
-    // Mean power of a cell: 4 sigma^2 1.5^2 / (N M); a tenth of the variance goes into the mean that moves along.
+    // Mean power of a cell: 4 sigma^2 1.5^2 / (N M); a tenth of the variance goes into the running mean.
     let expected = 10.0 * (4.0 * 1e-4 * 2.25 / (128.0 * 64.0_f64)).log10();
     let found = mean_db(&cells[50..]);
     assert!((found - expected).abs() < 1.0, "{found} dB, expected {expected}");
 }
 
 #[test]
-fn a_sample_that_is_no_number_is_counted_and_forgotten() {
+fn a_nan_sample_is_counted_and_does_not_affect_later_frames() {
     let w = realised(|_| ());
     let mut random = Random(17);
     let mut frames: Vec<Vec<f32>> = (0..12).map(|_| samples(&w, &[(2.0, 0.1)], 0.001, &mut random)).collect();
@@ -148,7 +151,7 @@ fn a_sample_that_is_no_number_is_counted_and_forgotten() {
 }
 
 #[test]
-fn without_axes_or_with_an_odd_time_it_is_refused() {
+fn change_without_axes_or_with_an_invalid_time_is_refused() {
     let w = realised(|_| ());
     let refused = |spec: RdmSpec| spec.shape(&w).expect_err("refused").to_string();
     assert!(refused(RdmSpec { physical_axes: None, ..spec() }).contains("physical_axes"));

@@ -28,8 +28,8 @@ fn saturation_is_counted_in_the_used_channels_only() {
 }
 
 #[test]
-fn one_not_a_number_stays_visible_and_is_flagged_in_its_channel() {
-    // On the lane kernel, padded there, and beside it.
+fn one_non_finite_sample_stays_visible_and_is_flagged_in_its_channel() {
+    // Sizes of the lane transform, one of them padded, and other sizes.
     for (chirps, samples, padded) in [(16, 32, 32), (16, 32, 64), (8, 16, 16), (7, 30, 30)] {
         let w = waveform(2, chirps, samples);
         for channels in [Channels::All, Channels::IncoherentSum] {
@@ -41,9 +41,14 @@ fn one_not_a_number_stays_visible_and_is_flagged_in_its_channel() {
                     let mut x = vec![0.25; w.shape().codes()];
                     x[at] = bad;
                     processor.process_samples(0, &x, &mut map).expect("length fits");
-                    let poisoned = chirps * padded / 2;
-                    assert_eq!(map.flags.non_finite_cells as usize, poisoned, "{bad} at {at}, {}", name(&processor));
-                    assert!(map.db[..poisoned].iter().all(|v| !v.is_finite()));
+                    let cells_of_channel = chirps * padded / 2;
+                    assert_eq!(
+                        map.flags.non_finite_cells as usize,
+                        cells_of_channel,
+                        "{bad} at {at}, {}",
+                        name(&processor)
+                    );
+                    assert!(map.db[..cells_of_channel].iter().all(|v| !v.is_finite()));
                     // The value does not affect the next frame.
                     x[at] = 0.25;
                     processor.process_samples(1, &x, &mut map).expect("length fits");
@@ -88,9 +93,9 @@ fn a_level_that_the_machine_lacks_is_refused_by_name() {
     }
 }
 
-/// Sizes at the limits of the lane transform, small on one axis only.
+/// Sizes at and below the limits of the lane transform, on one axis or both.
 #[test]
-fn sizes_beside_the_lane_kernel_go_the_general_way() {
+fn sizes_that_the_lane_transform_lacks_use_the_fourier_transform() {
     for (chirps, samples, lanes) in [(16, 32, true), (8, 32, false), (16, 16, false), (20, 32, false), (16, 48, false)]
     {
         let w = waveform(1, chirps, samples);
@@ -145,7 +150,7 @@ fn a_gap_empties_the_window_of_frames() {
 }
 
 #[test]
-fn specs_that_cannot_be_are_refused() {
+fn invalid_specs_are_refused() {
     let w = waveform(1, 8, 16);
     let base = RdmSpec::default();
     for bad in [

@@ -73,8 +73,8 @@ fn power(db: f32) -> f64 {
 fn measured_error_dbc(map: &Rdm, expected: &[f64], coverage: &AxesCoverage) -> f64 {
     let cells =
         coverage.velocity_bins.clone().flat_map(|d| (0..coverage.range_bins).map(move |r| d * AXES.range_bins + r));
-    let (got, of): (Vec<f32>, Vec<f64>) = cells.map(|cell| (map.db[cell], expected[cell])).unzip();
-    error_dbc(&got, &of)
+    let (got, expected): (Vec<f32>, Vec<f64>) = cells.map(|cell| (map.db[cell], expected[cell])).unzip();
+    error_dbc(&got, &expected)
 }
 
 #[test]
@@ -120,7 +120,7 @@ fn natural_axes_give_the_ordinary_map() {
 
 /// Within half a step of the truth: between two cells, receding and approaching.
 #[test]
-fn a_point_is_where_it_is_whatever_the_waveform() {
+fn a_point_is_at_its_range_and_velocity_in_every_waveform() {
     for (title, w) in waveforms() {
         for (range_m, velocity) in [(2.42, 0.62), (3.3, -1.17), (1.58, 2.03)] {
             let frame = frame_of(w.shape(), 0, |_, m, n| 0.3 * echo(&w, range_m, velocity, m, n));
@@ -215,7 +215,7 @@ fn cells_that_are_not_measured_hold_noise() {
         assert!(level_db.abs() < 1.0, "{} receivers: {level_db} dB", antennas.len());
         let ratio = outside[outside.len() / 4] / mean(&outside);
         assert!((ratio / quartile - 1.0f64).abs() < 0.15, "{} receivers: {ratio} for {quartile}", antennas.len());
-        // Far away, where nothing is measured, no picture stands from frame to frame; the same frame gives the same map.
+        // Cells that are not measured differ from frame to frame. The same frame gives the same map.
         assert!(maps.windows(2).all(|pair| pair[0].at(0, 3, 60) != pair[1].at(0, 3, 60)));
         let frame = frame_of(w.shape(), 7, |_, m, n| ((m * 31 + n * 17) % 13) as f64 * 0.01);
         let twice = [0, 1].map(|_| last_map(&mut processor, std::slice::from_ref(&frame)).db);
@@ -223,9 +223,9 @@ fn cells_that_are_not_measured_hold_noise() {
     }
 }
 
-/// Up to a greatest range a map is what it is without one. Beyond, no echo shows, and cells hold noise.
+/// Up to the greatest range, a map is the same as without one. Cells beyond it show no echo and hold noise.
 #[test]
-fn beyond_a_greatest_range_nothing_is_seen() {
+fn echoes_beyond_the_greatest_range_do_not_show() {
     for (title, w) in waveforms() {
         let whole = RdmSpec { change_over_s: Some(0.3), ..on_axes(AXES) };
         for (max_range_m, bins) in [(1.5, 11), (1.64, 11), (0.01, 1), (1e300, AXES.coverage(&w).range_bins)] {
@@ -239,12 +239,12 @@ fn beyond_a_greatest_range_nothing_is_seen() {
                 })
             };
             let frames: Vec<Frame> = (0..3).map(&mut frame).collect();
-            let of = |spec: &RdmSpec| last_map(&mut RdmProcessor::new(spec, &w).expect("spec fits"), &frames);
-            let (map, all) = (of(&spec), of(&whole));
-            for (cell, (db, of_all)) in map.db.iter().zip(&all.db).enumerate() {
+            let map_by = |spec: &RdmSpec| last_map(&mut RdmProcessor::new(spec, &w).expect("spec fits"), &frames);
+            let (map, unlimited) = (map_by(&spec), map_by(&whole));
+            for (cell, (db, unlimited_db)) in map.db.iter().zip(&unlimited.db).enumerate() {
                 let (d, r) = (cell / AXES.range_bins, cell % AXES.range_bins);
                 if r < bins && coverage.velocity_bins.contains(&d) {
-                    assert_eq!(db, of_all, "{title}, {max_range_m} m");
+                    assert_eq!(db, unlimited_db, "{title}, {max_range_m} m");
                 }
             }
             let expected = reference::map(&spec, &w, &frames).expect("spec fits");
@@ -254,7 +254,7 @@ fn beyond_a_greatest_range_nothing_is_seen() {
                     let cells = (0..AXES.velocity_bins).flat_map(|d| bins.clone().map(move |r| (d, r)));
                     cells.map(|(d, r)| map.at(0, d, r)).fold(f32::MIN, f32::max)
                 };
-                assert!(strongest(&all, 12..64) > strongest(&all, 0..11), "{title}");
+                assert!(strongest(&unlimited, 12..64) > strongest(&unlimited, 0..11), "{title}");
                 assert!(strongest(&map, 12..64) < strongest(&map, 0..11) - 10.0, "{title}");
             }
         }
@@ -285,7 +285,7 @@ fn a_dead_receiver_is_left_out() {
     assert!(map.db.iter().all(|db| db.is_finite() && *db < -100.0));
 }
 
-/// Noise that drives a receiver's samples to the ends of the ADC or beyond took it out of the mean.
+/// Noise that fills the range of the ADC does not exclude a receiver from the mean.
 #[test]
 fn a_receiver_with_strong_noise_stays_in_the_mean() {
     let w = realised(|w| w.rx_antennas = RxMask::ALL);
@@ -312,7 +312,7 @@ fn a_receiver_with_strong_noise_stays_in_the_mean() {
     assert!(peak(&map) > clean_db + 12.0, "{} dB, {clean_db} dB", peak(&map));
 }
 
-/// The first receiver that gives a signal replaces one that gives none, and no other.
+/// The first receiver that gives a signal replaces a receiver that gives none. Receivers with a signal are not replaced.
 #[test]
 fn a_dead_receiver_is_replaced_by_another() {
     let w = realised(|w| w.rx_antennas = RxMask::ALL);
@@ -323,7 +323,7 @@ fn a_dead_receiver_is_replaced_by_another() {
     let dead = frame_of(w.shape(), 0, |rx, m, n| if rx == 0 { 0.3 } else { sample(rx, m, n) });
     assert_eq!(map(0, &dead).db, map(1, &alive).db);
     assert_eq!(map(2, &dead).db, map(2, &alive).db);
-    // Those of changed samples are the receivers of the frame as it was received.
+    // With changed samples, the frame as it was received decides which receiver is dead.
     let mut processor = RdmProcessor::new(&spec(0), &w).expect("spec fits");
     let (factor, offset) = spec(0).scale.affine();
     let samples: Vec<f32> = dead.codes.iter().map(|code| f32::from(*code) * factor as f32 + offset as f32).collect();
@@ -378,14 +378,14 @@ fn frames_beyond_the_limits_are_refused_by_quantity() {
     let each = RdmSpec { channels: Channels::All, ..spec };
     let all = realised(|w| w.rx_antennas = RxMask::ALL);
     assert!(matches!(each.check_compatible(&all, &nominal), Err(MapMismatch::Waveform(_))));
-    // Without physical axes waveforms are compared as ever.
+    // Without physical axes, waveforms themselves are compared.
     let ordinary = RdmSpec { physical_axes: None, ..spec };
     let short = realised(|w| w.chirps_per_frame = 16);
     assert!(matches!(ordinary.check_compatible(&short, &nominal), Err(MapMismatch::Waveform(_))));
 }
 
 #[test]
-fn axes_that_cannot_be_are_refused_by_key() {
+fn invalid_axes_are_refused_by_key() {
     let w = realised(|_| ());
     for (axes, key) in [
         (PhysicalAxes { range_step_m: 0.0, ..AXES }, "range_step_m"),

@@ -12,15 +12,15 @@ use crate::transport::usb::{self, Endpoints, Setup, TransferError, UsbAddress};
 /// Vendor and product id of firmware built for bulk transfers.
 const USB_ID: (u16, u16) = (0x058B, 0x0252);
 /// Silence after which a stopped board sends nothing more.
-const DRAINED: Duration = Duration::from_millis(50);
+const DRAIN_SILENCE: Duration = Duration::from_millis(50);
 
 pub(super) struct Bulk {
     endpoints: Box<dyn Endpoints>,
     parser: BulkParser,
     buffer: Vec<u8>,
     last_byte: Instant,
-    /// Set when the rest of a packet did not come.
-    cut: bool,
+    /// Whether the rest of a packet did not come.
+    is_cut: bool,
 }
 
 impl From<TransferError> for Failure {
@@ -37,9 +37,10 @@ impl Bulk {
     pub fn open(address: &UsbAddress) -> Result<(Self, UsbAddress), BoardError> {
         let path = address.name();
         trace::opened(&path.display());
-        let (endpoints, settled) = usb::open(USB_ID, address).map_err(|error| BoardError::opening(path, error))?;
+        let (endpoints, stable_address) =
+            usb::open(USB_ID, address).map_err(|error| BoardError::opening(path, error))?;
         let (parser, buffer) = (BulkParser::new(), vec![0; MAX_BULK]);
-        Ok((Bulk { endpoints, parser, buffer, last_byte: Instant::now(), cut: false }, settled))
+        Ok((Bulk { endpoints, parser, buffer, last_byte: Instant::now(), is_cut: false }, stable_address))
     }
 
     pub fn receive(&mut self, timeout: Duration) -> Result<bool, Failure> {
@@ -54,13 +55,13 @@ impl Bulk {
             self.last_byte = Instant::now();
             self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
         } else if self.parser.is_waiting() && self.last_byte.elapsed() > SILENCE {
-            self.cut = self.parser.give_up() > 0;
+            self.is_cut = self.parser.give_up() > 0;
         }
-        Ok(count > 0 || self.cut)
+        Ok(count > 0 || self.is_cut)
     }
 
     pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
-        if std::mem::take(&mut self.cut) {
+        if std::mem::take(&mut self.is_cut) {
             return Some(Incoming::Damaged);
         }
         match self.parser.next_event()? {
@@ -72,7 +73,7 @@ impl Bulk {
     pub fn request(&mut self, request: &Request) -> Result<(Status, Vec<u8>), Failure> {
         let setup = request.header();
         let mut payload = vec![0; MAX_CONTROL];
-        let answered = match request.kind {
+        let result = match request.kind {
             RequestKind::Write => {
                 self.control_out(&setup, &request.payload)?;
                 return Ok((self.last_error()?, Vec::new()));
@@ -83,12 +84,12 @@ impl Bulk {
                 self.control_in(&answer_setup(request), &mut payload)
             }
         };
-        match answered {
+        match result {
             Ok(count) => {
                 payload.truncate(count);
                 Ok((Status::Ok, payload))
             }
-            // The firmware stalled and reports no error: the request failed all the same.
+            // A stall without an error code is a failed request, too.
             Err(TransferError::Stall) => match self.last_error()? {
                 Status::Ok => Ok((Status::Failed, Vec::new())),
                 status => Ok((status, Vec::new())),
@@ -121,9 +122,9 @@ impl Bulk {
     /// of the next start.
     pub fn drain(&mut self) -> Result<(), Failure> {
         let end = Instant::now() + ANSWER_TIMEOUT;
-        while Instant::now() < end && self.endpoints.read_bulk(&mut self.buffer, DRAINED)? > 0 {}
+        while Instant::now() < end && self.endpoints.read_bulk(&mut self.buffer, DRAIN_SILENCE)? > 0 {}
         self.parser.give_up();
-        self.cut = false;
+        self.is_cut = false;
         Ok(())
     }
 }
@@ -152,10 +153,10 @@ mod tests {
     /// The error must not have the kind of a broken pipe: callers that check only the kind take that for a closed
     /// stdout.
     #[test]
-    fn a_halted_endpoint_is_a_lost_board_that_says_so() {
+    fn a_halted_endpoint_is_a_lost_board_with_this_message() {
         let parser = BulkParser::new();
         let endpoints = Box::new(Halted);
-        let mut bulk = Bulk { endpoints, parser, buffer: vec![0; MAX_BULK], last_byte: Instant::now(), cut: false };
+        let mut bulk = Bulk { endpoints, parser, buffer: vec![0; MAX_BULK], last_byte: Instant::now(), is_cut: false };
         match bulk.receive(Duration::ZERO) {
             Err(Failure::Lost(error)) => {
                 assert_ne!(error.kind(), std::io::ErrorKind::BrokenPipe);

@@ -14,7 +14,7 @@ use serial::Serial;
 
 /// Longest time that a board takes to answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
-/// Silence after which the rest of a message will not come.
+/// Silence after which the rest of a message is given up.
 const SILENCE: Duration = Duration::from_millis(200);
 
 pub(super) enum Incoming<'a> {
@@ -29,7 +29,7 @@ enum Failure {
     Lost(std::io::Error),
 }
 
-enum Carrier {
+enum Connection {
     Serial(Serial),
     Bulk(Bulk),
 }
@@ -41,36 +41,36 @@ pub(super) struct Link {
     pub address: Address,
     /// Version that requests are sent in.
     pub protocol: Protocol,
-    carrier: Carrier,
+    connection: Connection,
 }
 
 impl Link {
     pub fn open(address: &Address) -> Result<Self, BoardError> {
         let path = address.name();
-        let (carrier, address) = match address {
-            Address::Serial(port) => (Carrier::Serial(Serial::open(port)?), address.clone()),
+        let (connection, address) = match address {
+            Address::Serial(port) => (Connection::Serial(Serial::open(port)?), address.clone()),
             Address::Usb(usb) => {
-                let (bulk, settled) = Bulk::open(usb)?;
-                (Carrier::Bulk(bulk), Address::Usb(settled))
+                let (bulk, stable_address) = Bulk::open(usb)?;
+                (Connection::Bulk(bulk), Address::Usb(stable_address))
             }
         };
-        Ok(Link { path, address, protocol: Protocol::default(), carrier })
+        Ok(Link { path, address, protocol: Protocol::default(), connection })
     }
 
     /// Framing of data packets on this transport.
     pub fn framing(&self) -> Framing {
-        match self.carrier {
-            Carrier::Serial(_) => Framing::Serial,
-            Carrier::Bulk(_) => Framing::Bulk,
+        match self.connection {
+            Connection::Serial(_) => Framing::Serial,
+            Connection::Bulk(_) => Framing::Bulk,
         }
     }
 
     /// Sets the layout of the slices that the board sends; `None` while it sends none.
-    pub fn expect(&mut self, slice: Option<SliceLayout>) {
-        match &mut self.carrier {
-            Carrier::Serial(serial) => serial.expect(slice),
+    pub fn set_slice_layout(&mut self, slice: Option<SliceLayout>) {
+        match &mut self.connection {
+            Connection::Serial(serial) => serial.set_slice_layout(slice),
             // The end of a transfer is the end of a packet.
-            Carrier::Bulk(_) => {}
+            Connection::Bulk(_) => {}
         }
     }
 
@@ -84,18 +84,18 @@ impl Link {
 
     /// Waits for data, at most `timeout`; returns whether any came.
     pub fn receive(&mut self, timeout: Duration) -> Result<bool, BoardError> {
-        let received = match &mut self.carrier {
-            Carrier::Serial(serial) => serial.receive(timeout),
-            Carrier::Bulk(bulk) => bulk.receive(timeout),
+        let received = match &mut self.connection {
+            Connection::Serial(serial) => serial.receive(timeout),
+            Connection::Bulk(bulk) => bulk.receive(timeout),
         };
         received.map_err(|failure| self.error(failure, "data"))
     }
 
     /// Returns the next packet among the bytes received; answers to earlier requests are discarded.
     pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
-        let incoming = match &mut self.carrier {
-            Carrier::Serial(serial) => serial.next_incoming(),
-            Carrier::Bulk(bulk) => bulk.next_incoming(),
+        let incoming = match &mut self.connection {
+            Connection::Serial(serial) => serial.next_incoming(),
+            Connection::Bulk(bulk) => bulk.next_incoming(),
         };
         match &incoming {
             Some(Incoming::Packet(packet)) => trace::packet(packet),
@@ -108,28 +108,28 @@ impl Link {
     /// Sends a request and waits for its answer. After [`Command::StopData`] no packet sent before is left.
     pub fn request(&mut self, command: &Command) -> Result<(Status, Vec<u8>), BoardError> {
         let request: Request = command.to_request(self.protocol);
-        let answered = match &mut self.carrier {
-            Carrier::Serial(serial) => serial.request(&request),
-            Carrier::Bulk(bulk) => bulk.request(&request).and_then(|answer| {
+        let result = match &mut self.connection {
+            Connection::Serial(serial) => serial.request(&request),
+            Connection::Bulk(bulk) => bulk.request(&request).and_then(|answer| {
                 if *command == Command::StopData {
                     bulk.drain()?;
                 }
                 Ok(answer)
             }),
         };
-        answered.map_err(|failure| self.error(failure, name(command)))
+        result.map_err(|failure| self.error(failure, command_name(command)))
     }
 
     /// Sends a request that must succeed; returns the payload of the answer.
     pub fn request_ok(&mut self, command: &Command) -> Result<Vec<u8>, BoardError> {
         match self.request(command)? {
             (Status::Ok, payload) => Ok(payload),
-            (status, _) => Err(BoardError::Refused { path: self.path.clone(), command: name(command), status }),
+            (status, _) => Err(BoardError::Refused { path: self.path.clone(), command: command_name(command), status }),
         }
     }
 }
 
-fn name(command: &Command) -> &'static str {
+fn command_name(command: &Command) -> &'static str {
     match command {
         Command::BoardInfo | Command::BoardInfoFixed { .. } => "board info",
         Command::FirmwareVersion => "firmware version",

@@ -31,8 +31,8 @@ impl Serial {
     }
 
     /// Sets the layout of the slices that the board sends.
-    pub fn expect(&mut self, slice: Option<SliceLayout>) {
-        self.parser.expect(slice);
+    pub fn set_slice_layout(&mut self, slice: Option<SliceLayout>) {
+        self.parser.set_slice_layout(slice);
     }
 
     pub fn receive(&mut self, timeout: Duration) -> Result<bool, Failure> {
@@ -50,7 +50,7 @@ impl Serial {
     }
 
     pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
-        // Peeking and taking are two steps because the borrow checker asks for it.
+        // Peeking and taking are two steps because of the borrow checker.
         while self.parser.peek_is_response()? {
             self.parser.next_event();
         }
