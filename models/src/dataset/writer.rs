@@ -15,7 +15,7 @@ use super::header::DatasetHeader;
 use super::layout::{MAPS_PER_SHARD, shard_name};
 use super::lock::{LOCK, lock_folder};
 use super::manifest::ManifestRow;
-use crate::whole_file::sync_folder;
+use crate::atomic_file::sync_folder;
 
 /// Writer of a dataset, map by map. [`DatasetWriter::finish`] gives the folder its name. Until then it is called `NAME.partial`:
 /// the next writer removes the files of a killed one, and only one process at a time may write it. A folder of this name that

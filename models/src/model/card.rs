@@ -10,7 +10,7 @@ use thiserror::Error;
 use super::adapted::Adapted;
 use super::onnx_runtime::OnnxError;
 use crate::dataset::{Dataset, SplitSpec, sequence_hash};
-use crate::evidence_mean::{MEMORIES, is_memory};
+use crate::evidence_mean::{MEMORY_RANGE, is_valid_memory};
 use crate::kernel::KernelLevel;
 use crate::metrics::Metrics;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, Normalisation, PAPER_POOLED};
@@ -236,12 +236,12 @@ impl ModelCard {
         let fits_latent = mean.len() == sigma.len() && (mean.is_empty() || mean.len() == width);
         let found = format!("{} means and {} sigmas", mean.len(), sigma.len());
         check(fits_latent, "latent", format!("{width} constants or none"), found)?;
-        check(is_memory(self.memory_s), "memory_s", MEMORIES.to_owned(), self.memory_s.to_string())?;
-        if let Some((name, value, expected)) = self.smoothing.fault() {
+        check(is_valid_memory(self.memory_s), "memory_s", MEMORY_RANGE.to_owned(), self.memory_s.to_string())?;
+        if let Some((name, value, expected)) = self.smoothing.invalid_setting() {
             return check(false, name, expected.to_owned(), value.to_string());
         }
         let Standardisation { reference, mean_db, sigma_db, ref label_leaking_cells } = self.standardisation;
-        if let Some((name, value, expected)) = reference.fault() {
+        if let Some((name, value, expected)) = reference.invalid_setting() {
             return check(false, name, expected.to_owned(), value.to_string());
         }
         let range = if self.is_transposed() { columns } else { rows };

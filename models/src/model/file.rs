@@ -8,10 +8,10 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 use super::card::{CARD_KEY, ModelCard, ModelError};
 use crate::array_hash::{self, Damaged};
+use crate::atomic_file;
 use crate::kernel::KernelLevel;
 use crate::layer::{DESCRIPTORS, EARLIER_DESCRIPTORS};
 use crate::network::Network;
-use crate::whole_file;
 
 /// A network with its card.
 pub struct Model {
@@ -41,7 +41,7 @@ impl Model {
     /// Those of [`Model::to_bytes`], and [`ModelError::Io`] if the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), ModelError> {
         let data = self.to_bytes(path)?;
-        whole_file::write(path, &data).map_err(|source| ModelError::Io {
+        atomic_file::write(path, &data).map_err(|source| ModelError::Io {
             path: path.to_owned(),
             action: "writing",
             source,

@@ -18,12 +18,12 @@ use super::outcome::{Job, Noisy, Outcome};
 use super::report::{Report, report};
 use super::spec::StudySpec;
 use super::times::{Times, times};
+use crate::atomic_file;
 use crate::dataset::{Dataset, DatasetError, lock_file, lock_folder, share_folder};
 use crate::evaluate::{evaluate, evaluate_changed};
 use crate::interval::median;
 use crate::model::{Classifier, Model, input_shape};
 use crate::train::{EpochReport, Indices, Maps, TrainError, TrainOutcome, TrainSpec, check_memory, train_on};
-use crate::whole_file;
 
 /// Longest `study.json` that is read: a spec as JSON is longer than as TOML.
 const IDENTITY_LIMIT_BYTES: u64 = 16 << 20;
@@ -507,7 +507,7 @@ fn write_json(path: &Path, value: &impl Serialize) -> Result<(), StudyError> {
 }
 
 fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), StudyError> {
-    whole_file::write(path, bytes).map_err(|e| file(path, e))
+    atomic_file::write(path, bytes).map_err(|e| file(path, e))
 }
 
 fn file(path: &Path, reason: impl std::fmt::Display) -> StudyError {

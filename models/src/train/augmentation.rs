@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use super::error::{TrainError, check_setting};
 use crate::metrics::CLASSES;
 use crate::random::stream;
-use crate::standardise::{MapReference, echo_share, gain_of_echo, levels_over_noise, noise_power, powers_over_noise};
+use crate::standardise::{MapReference, apply_echo_gain, echo_share, levels_to_powers, noise_power, powers_to_levels};
 
 /// Largest gain on echoes, dB. Up to it, stronger cells stay stronger.
 const MOST_GAIN_DB: f32 = 15.0;
@@ -174,15 +174,15 @@ impl Augmentation {
         let doppler = doppler.max(1);
         let first = skip.saturating_mul(doppler).min(cells.len());
         let (_, powers) = cells.split_at_mut(first);
-        powers_over_noise(powers);
+        levels_to_powers(powers);
         if let Some(other) = other {
             let mut other = other.get(first..).unwrap_or_default().to_vec();
-            powers_over_noise(&mut other);
+            levels_to_powers(&mut other);
             add_echoes(powers, &other);
         }
         if let Some([low, high]) = self.echo_gain_db {
             let gain_db = map_use.stream("echo gain").random_range(low..=high);
-            powers.iter_mut().for_each(|power| *power = gain_of_echo(*power, gain_db));
+            powers.iter_mut().for_each(|power| *power = apply_echo_gain(*power, gain_db));
         }
         let factor = |rng: &mut Xoshiro256PlusPlus, most: f32| 1.0 + f64::from(rng.random_range(-most..=most));
         if self.range_stretch > 0.0 {
@@ -207,7 +207,7 @@ impl Augmentation {
                 add_sway(powers, doppler, &sway, &mut rng);
             }
         }
-        levels_over_noise(powers);
+        powers_to_levels(powers);
     }
 
     /// Flips a standardised map `[range][doppler]` and adds noise to it; `sigma_db` is the deviation that maps were divided by.
@@ -503,7 +503,7 @@ mod tests {
         let skip = 3;
         let mut levels = noise(RANGE, 5);
         levels[20 * DOPPLER + 9] = 1e3;
-        levels_over_noise(&mut levels);
+        powers_to_levels(&mut levels);
         for gain_db in [-7.0f32, 7.0] {
             let augmentation = Augmentation { echo_gain_db: Some([gain_db; 2]), ..Augmentation::default() };
             let mut changed = levels.clone();
@@ -582,7 +582,7 @@ mod tests {
     #[test]
     fn changes_are_a_function_of_the_showing() {
         let mut levels = noise(RANGE, 8);
-        levels_over_noise(&mut levels);
+        powers_to_levels(&mut levels);
         let change = |index| {
             let mut changed = levels.clone();
             everything().change_powers(&mut changed, None, DOPPLER, 3, MapUse { seed: 5, index });

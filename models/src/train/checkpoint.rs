@@ -12,9 +12,9 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::error::TrainError;
 use super::outcome::EpochReport;
 use crate::array_hash;
+use crate::atomic_file;
 use crate::dataset::{DatasetError, lock_file};
 use crate::network::Normalisation;
-use crate::whole_file;
 
 /// Largest checkpoint that is read: two starts with moments and best weights, seven times the largest model.
 const LIMIT_BYTES: u64 = 4 << 30;
@@ -128,7 +128,7 @@ impl Checkpoint {
             .map_err(|e| unwritten(path, e))?;
         let metadata = HashMap::from([(KEY.to_owned(), text)]);
         let data = safetensors::serialize(views, Some(metadata)).map_err(|e| unwritten(path, e))?;
-        whole_file::write(path, &data).map_err(|e| unwritten(path, e))
+        atomic_file::write(path, &data).map_err(|e| unwritten(path, e))
     }
 
     /// Reads a checkpoint; `None` if there is no file.

@@ -156,7 +156,7 @@ impl Data {
 
     /// Bounds and scales a map for the network; `None` if the part has no such map.
     fn standardise(&self, part: &Part, position: usize, cells: &mut [f32]) -> Option<()> {
-        self.standardisation.reference.bound(cells);
+        self.standardisation.reference.clip(cells);
         part.scales.get(position)?.apply(cells);
         Some(())
     }
@@ -267,8 +267,8 @@ fn class_weights(spec: &TrainSpec, train: &Part, partners: Option<&Partners>) ->
 }
 
 fn standardisation(spec: &TrainSpec, rows: &[ManifestRow], train: &Part) -> Result<Standardisation, TrainError> {
-    let bounded = train.maps.iter().map(|map| spec.reference.bounded(map));
-    let mut standardisation = Standardisation::measure(spec.reference, bounded)?;
+    let clipped = train.maps.iter().map(|map| spec.reference.clipped(map));
+    let mut standardisation = Standardisation::measure(spec.reference, clipped)?;
     if spec.network.reads_descriptors() {
         // Descriptors are computed from levels in dB, which must not be standardised.
         (standardisation.mean_db, standardisation.sigma_db) = (0.0, 1.0);
@@ -277,7 +277,7 @@ fn standardisation(spec: &TrainSpec, rows: &[ManifestRow], train: &Part) -> Resu
         let cells: BTreeSet<_> = train.indices.iter().filter_map(|&index| cell(rows, index)).collect();
         for of in cells {
             let maps = train.indices.iter().zip(&train.maps).filter(|(index, _)| cell(rows, **index) == Some(of));
-            standardisation.add_cell(of.0, of.1, maps.map(|(_, map)| spec.reference.bounded(map)))?;
+            standardisation.add_scene_and_class(of.0, of.1, maps.map(|(_, map)| spec.reference.clipped(map)))?;
         }
     }
     Ok(standardisation)

@@ -33,7 +33,7 @@ impl<'a> Maps<'a> {
             return Ok(Arc::clone(map));
         }
         let mut cells = self.dataset.input(index, 0)?;
-        self.reference.measure(&mut cells, self.dataset.header().shape.doppler);
+        self.reference.apply_unclipped(&mut cells, self.dataset.header().shape.doppler);
         let map: Arc<[f32]> = cells.into();
         if let Some(place) = place {
             // Another thread may have read the same cells meanwhile.

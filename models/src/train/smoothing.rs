@@ -62,7 +62,7 @@ pub fn fit_smoothing(groups: &[Vec<FilterSequence>], kept: Smoothing) -> Option<
                 let mut next = at;
                 next[coordinate] += direction;
                 let tried = settings(next);
-                if tried.fault().is_some() {
+                if tried.invalid_setting().is_some() {
                     continue;
                 }
                 let loss = log_loss(groups, Some(tried))?;
@@ -215,7 +215,7 @@ mod tests {
             odd.frames.iter_mut().step_by(3).for_each(|frame| frame.probabilities = [f32::NAN, 0.0, f32::INFINITY]);
             odd.frames.truncate(100);
             let fit = fit_smoothing(&[vec![odd]], KEPT).expect("labels");
-            assert!(fit.smoothing.fault().is_none() && fit.log_loss.is_finite(), "{fit:?}");
+            assert!(fit.smoothing.invalid_setting().is_none() && fit.log_loss.is_finite(), "{fit:?}");
         }
     }
 }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::augmentation::Augmentation;
 use super::error::{TrainError, check_setting};
 use crate::dataset::SplitSpec;
-use crate::evidence_mean::{MEMORIES, is_memory};
+use crate::evidence_mean::{MEMORY_RANGE, is_valid_memory};
 use crate::kernel::KernelLevel;
 use crate::metrics::CLASSES;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
@@ -281,7 +281,7 @@ impl TrainSpec {
         {
             return check_setting(false, "head.circuit", error, "a circuit that can be run");
         }
-        if let Some((name, value, expected)) = self.reference.fault() {
+        if let Some((name, value, expected)) = self.reference.invalid_setting() {
             return check_setting(false, name, value, expected);
         }
         self.augmentation.check(self.reference)?;
@@ -290,8 +290,8 @@ impl TrainSpec {
         check_setting(is_labelled, "label_leaking_cells", true, expected)?;
         let is_pooled = self.pooled.iter().all(|n| (1..=MOST_POOLED).contains(n));
         check_setting(is_pooled, "pooled", format!("{:?}", self.pooled), "1 to 64 rows and columns")?;
-        check_setting(is_memory(self.memory_s), "memory_s", self.memory_s, MEMORIES)?;
-        if let Some((name, value, expected)) = self.smoothing.fault() {
+        check_setting(is_valid_memory(self.memory_s), "memory_s", self.memory_s, MEMORY_RANGE)?;
+        if let Some((name, value, expected)) = self.smoothing.invalid_setting() {
             return check_setting(false, name, value, expected);
         }
         self.network.check_maps(self.reference, self.transposed, self.label_leaking_cells)?;
