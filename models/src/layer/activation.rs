@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::level::{for_each_level, multiply_add};
 
 const ADD_RELU: &str = "add_relu";
@@ -169,7 +169,7 @@ struct Activate {
 impl Operation for Activate {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { bail!("activation: expected one input") };
-        let mut output = unwritten(input.values.len());
+        let mut output = uninitialised(input.values.len());
         output
             .par_chunks_mut(CHUNK)
             .zip(input.values.par_chunks(CHUNK))
@@ -205,7 +205,7 @@ pub(super) fn each_pair(
     if a.dims != b.dims {
         bail!("{name}: expected equal shapes, got {:?} and {:?}", a.dims, b.dims);
     }
-    let mut output = unwritten(a.values.len());
+    let mut output = uninitialised(a.values.len());
     let parts = output.par_chunks_mut(CHUNK).zip(a.values.par_chunks(CHUNK)).zip(b.values.par_chunks(CHUNK));
     parts.for_each(|((output, a), b)| function(a, b, output));
     Ok((output, Shape::from(a.dims)))

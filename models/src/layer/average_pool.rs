@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::feature::Feature;
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::level::for_each_level;
 use crate::kernel::spin_pool::for_each_chunk;
 
@@ -123,7 +123,7 @@ impl Operation for AveragePool {
         let [input] = inputs else { bail!("{NAME}: expected one input") };
         let sizes @ [batch, _, _, channels] = self.sizes(input.dims)?;
         let length = channels * self.rows * self.columns;
-        let mut result = unwritten(batch * length);
+        let mut result = uninitialised(batch * length);
         self.run(sizes, input.values, &mut result);
         Ok((result, Shape::from((batch, length))))
     }

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::activation::{Activation, activate, by_activation, descend};
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::level::{for_each_level, multiply_add};
 
 const NAME: &str = "batch_norm";
@@ -303,7 +303,7 @@ impl Operation for BatchNorm {
         let epsilon = f64::from(self.statistics.constants.epsilon);
         let inverse: Vec<f32> = variance.iter().map(|&v| (1.0 / (f64::from(v) + epsilon).sqrt()) as f32).collect();
         let (scale, shift) = scale_and_shift(weight.values, bias.values, &mean, &inverse);
-        let mut output = unwritten(input.values.len());
+        let mut output = uninitialised(input.values.len());
         let chunk = scale.len() * (BLOCK / scale.len()).max(1);
         output
             .par_chunks_mut(chunk)

@@ -4,22 +4,22 @@ use candle_core::{Error, Result, Shape, Tensor, bail};
 
 use super::operation::{Argument, Gradients, InputGradient, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::depthwise;
 use crate::kernel::implicit_gemm::{ImplicitGemm, KernelOffset};
 use crate::kernel::packed::{Packed, Side};
 use crate::kernel::tile::Tiles;
 use crate::kernel::weight_gradient::{column_sums, weight_gradient};
-use crate::kernel::winograd::{Finish, Winograd};
+use crate::kernel::winograd::{Epilogue, Winograd};
 use crate::kernel::winograd_gradient;
 
 const NAME: &str = "conv2d";
 
 /// Least number of channels on either side for which Winograd's transforms are worth their cost.
-const FEW_CHANNELS: usize = 16;
+const LEAST_CHANNELS: usize = 16;
 /// Least number of rows and columns for which Winograd's transforms are worth their cost. With fewer, much of the
 /// windows lies outside.
-const FEW_CELLS: usize = 4;
+const LEAST_CELLS: usize = 4;
 
 /// Stride, padding and groups of a convolution, equal along rows and columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -146,11 +146,11 @@ impl ConvSizes {
     }
 
     /// Returns whether a training step computes the convolution by Winograd's algorithm.
-    fn in_windows(&self) -> bool {
+    fn uses_winograd(&self) -> bool {
         self.kernel == [3, 3]
             && self.geometry == ConvGeometry::dense(1, 1)
-            && self.inputs.min(self.outputs) >= FEW_CHANNELS
-            && self.input[0].min(self.input[1]) >= FEW_CELLS
+            && self.inputs.min(self.outputs) >= LEAST_CHANNELS
+            && self.input[0].min(self.input[1]) >= LEAST_CELLS
     }
 
     /// Batch, rows and columns of the input.
@@ -178,7 +178,7 @@ impl ConvSizes {
         let padding = -(self.geometry.padding as isize);
         let offsets = (0..self.offsets())
             .map(|t| KernelOffset {
-                by: [(t / self.kernel[1]) as isize, (t % self.kernel[1]) as isize],
+                shift: [(t / self.kernel[1]) as isize, (t % self.kernel[1]) as isize],
                 index: t as u32,
             })
             .collect();
@@ -218,7 +218,7 @@ impl ConvSizes {
                 .flat_map(|&(y, ky)| {
                     offsets_along[1]
                         .iter()
-                        .map(move |&(x, kx)| KernelOffset { by: [y, x], index: (ky * self.kernel[1] + kx) as u32 })
+                        .map(move |&(x, kx)| KernelOffset { shift: [y, x], index: (ky * self.kernel[1] + kx) as u32 })
                 })
                 .collect();
             if offsets.is_empty() || grid.contains(&0) {
@@ -253,16 +253,16 @@ impl Conv2d {
     /// Gradient of the input, from that of the output.
     fn input_gradient(&self, sizes: &ConvSizes, weight: &[f32], gradient: &[f32]) -> Vec<f32> {
         let cells: usize = sizes.input_cells().iter().product();
-        if sizes.in_windows() {
-            let mut target = unwritten(cells * sizes.inputs);
+        if sizes.uses_winograd() {
+            let mut target = uninitialised(cells * sizes.inputs);
             let winograd = Winograd::backward(weight, [sizes.outputs, sizes.inputs], self.tiles);
-            winograd.run(gradient, sizes.input_cells(), Finish::NONE, &mut target);
+            winograd.run(gradient, sizes.input_cells(), Epilogue::NONE, &mut target);
             return target;
         }
         let gemms = sizes.backward_gemms();
         // With strides longer than the kernel there are cells that no offset touches, and no gemm writes.
         let all = gemms.iter().map(ImplicitGemm::cells).sum::<usize>() == cells;
-        let mut target = if all { unwritten(cells * sizes.inputs) } else { vec![0.0; cells * sizes.inputs] };
+        let mut target = if all { uninitialised(cells * sizes.inputs) } else { vec![0.0; cells * sizes.inputs] };
         if sizes.is_depthwise() {
             let weight = depthwise::transposed(weight, sizes.offsets());
             for gemm in &gemms {
@@ -284,15 +284,15 @@ impl Operation for Conv2d {
         let sizes = self.sizes(inputs)?;
         let [input, weight, ..] = inputs else { bail!("{NAME}: no weight") };
         let bias = inputs.get(2).map(|b| b.values);
-        let mut output = unwritten(sizes.output_count());
+        let mut output = uninitialised(sizes.output_count());
         let gemm = sizes.forward_gemm();
         if sizes.is_depthwise() {
             let weight = depthwise::transposed(weight.values, sizes.offsets());
             depthwise::run(&gemm, input.values, &weight, bias, &mut output, self.tiles);
-        } else if sizes.in_windows() {
+        } else if sizes.uses_winograd() {
             let channels = [sizes.outputs, sizes.inputs];
             let winograd = Winograd::new(weight.values, channels, bias.unwrap_or_default(), self.tiles);
-            winograd.run(input.values, sizes.input_cells(), Finish::NONE, &mut output);
+            winograd.run(input.values, sizes.input_cells(), Epilogue::NONE, &mut output);
         } else {
             let weight =
                 Packed::new(weight.values, [sizes.outputs, sizes.inputs, sizes.offsets()], Side::Forward, self.tiles);
@@ -307,7 +307,7 @@ impl Operation for Conv2d {
         let gemm = sizes.forward_gemm();
         let weight_gradient = if sizes.is_depthwise() {
             depthwise::weight_gradient(&gemm, input.values, &gradient, self.tiles)
-        } else if sizes.in_windows() {
+        } else if sizes.uses_winograd() {
             let channels = [sizes.outputs, sizes.inputs];
             winograd_gradient::weight_gradient(input.values, sizes.input_cells(), &gradient, channels, self.tiles)
         } else {

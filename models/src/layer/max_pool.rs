@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::feature::Feature;
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::level::for_each_level;
 use crate::kernel::spin_pool::for_each_chunk;
 
@@ -193,7 +193,7 @@ impl Operation for MaxPool {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { bail!("{NAME}: expected one input") };
         let (batch, sizes) = self.sizes(input.dims)?;
-        let mut output = unwritten(batch * sizes.output[0] * sizes.output[1] * sizes.channels);
+        let mut output = uninitialised(batch * sizes.output[0] * sizes.output[1] * sizes.channels);
         let mut winners = vec![0u8; output.len()];
         self.run(&sizes, input.values, &mut output, &mut winners);
         let _ = self.winners.set(winners);

@@ -12,7 +12,7 @@ use crate::kernel::conv_pool::{Block, LANES};
 use crate::kernel::level::{for_each_level, multiply_add};
 use crate::kernel::spin_pool::for_each_chunk;
 use crate::kernel::tile::Tiles;
-use crate::kernel::winograd::{Finish, Winograd};
+use crate::kernel::winograd::{Epilogue, Winograd};
 
 /// Pooled rows of one task for an input of a single channel.
 const STRIP_ROWS: usize = 2;
@@ -86,7 +86,7 @@ impl PreparedBlock {
         output.reshape([batch, pooled_rows, pooled_columns, self.outputs]);
         match &self.weight {
             Weight::Winograd(winograd) => {
-                winograd.run(input.values(), [batch, rows, columns], Finish::Pool, output.values_mut());
+                winograd.run(input.values(), [batch, rows, columns], Epilogue::Pool, output.values_mut());
             }
             Weight::Single(weight, init) => {
                 let row = pooled_columns * self.outputs;

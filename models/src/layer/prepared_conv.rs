@@ -6,12 +6,12 @@ use super::feature::{Affine, Feature, fold};
 use crate::kernel::packed::{Packed, Side};
 use crate::kernel::spin_pool::for_each_chunk;
 use crate::kernel::tile::Tiles;
-use crate::kernel::winograd::{Finish, Winograd};
+use crate::kernel::winograd::{Epilogue, Winograd};
 use crate::kernel::{KernelLevel, depthwise};
 use candle_core::{Result, bail};
 
 /// Least number of input channels for which Winograd's transforms are worth their cost.
-const FEW_CHANNELS: usize = 8;
+const LEAST_CHANNELS: usize = 8;
 /// Largest number of weights for which Winograd's transforms are worth their cost. There are 16 transformed weights for
 /// nine, and loading more takes longer than the saved sums.
 const MOST_TRANSFORMED: usize = 1 << 16;
@@ -66,11 +66,11 @@ impl PreparedConv {
         }
         let (folded, bias) = fold(weight, outputs, bias, affine);
         let tiles = Tiles::new(level);
-        let in_windows = [rows, columns] == [3, 3]
+        let uses_winograd = [rows, columns] == [3, 3]
             && geometry == ConvGeometry::dense(1, 1)
-            && inputs >= FEW_CHANNELS
+            && inputs >= LEAST_CHANNELS
             && inputs * outputs <= MOST_TRANSFORMED;
-        let weight = if in_windows {
+        let weight = if uses_winograd {
             Weight::Winograd(Winograd::new(&folded, [outputs, inputs], &bias, tiles))
         } else if geometry.groups > 1 {
             Weight::Depthwise(depthwise::transposed(&folded, rows * columns))
@@ -103,8 +103,8 @@ impl PreparedConv {
                 let rectified = self.activation == Activation::Relu;
                 let whole = rectified || self.activation == Activation::None;
                 let residual = residual.filter(|_| whole).map(|residual| residual.values.as_slice());
-                let finish = Finish::Cells { residual, rectified };
-                winograd.run(&input.values, [batch, rows, columns], finish, &mut output.values);
+                let epilogue = Epilogue::Cells { residual, rectified };
+                winograd.run(&input.values, [batch, rows, columns], epilogue, &mut output.values);
                 if whole {
                     return Ok(());
                 }
