@@ -17,8 +17,8 @@ const NAME: &str = "conv2d";
 
 /// Least number of channels on either side for which Winograd's transforms are worth their cost.
 const LEAST_CHANNELS: usize = 16;
-/// Least number of rows and columns for which Winograd's transforms are worth their cost. With fewer, much of the
-/// windows lies outside.
+/// Least number of rows and columns for which Winograd's transforms are worth their cost. With fewer, large parts of the
+/// windows lie outside the map.
 const LEAST_CELLS: usize = 4;
 
 /// Stride, padding and groups of a convolution, equal along rows and columns.
@@ -45,8 +45,8 @@ impl ConvGeometry {
 
     /// Cells along an axis of the output; `None` if the kernel does not fit into the padded input.
     pub fn output_length(&self, input: usize, kernel: usize) -> Option<usize> {
-        let room = (input + 2 * self.padding).checked_sub(kernel)?;
-        Some(room.checked_div(self.stride)? + 1)
+        let last_start = (input + 2 * self.padding).checked_sub(kernel)?;
+        Some(last_start.checked_div(self.stride)? + 1)
     }
 }
 
@@ -196,18 +196,19 @@ impl ConvSizes {
         }
     }
 
-    /// Products from the output's gradient to the input's. With a stride of s, cells fall into s x s kinds by the kernel offsets
-    /// that touch them; each kind is one product. Cells that no offset touches are in none.
+    /// Products from the output's gradient to the input's. With a stride of s, input cells have s x s phases, each of which is
+    /// read by other kernel offsets. Each phase is one product. Cells that no offset reads are in none.
     pub fn backward_gemms(&self) -> Vec<ImplicitGemm> {
         let ConvGeometry { stride, padding, .. } = self.geometry;
         let mut gemms = Vec::new();
-        for kind in 0..stride * stride {
-            let start = [kind / stride, kind % stride];
+        for phase in 0..stride * stride {
+            let start = [phase / stride, phase % stride];
             let mut grid = [0; 2];
+            // For each axis, pairs of shift in the output and kernel offset.
             let mut offsets_along: [Vec<(isize, usize)>; 2] = Default::default();
             for axis in 0..2 {
                 grid[axis] = self.input[axis].saturating_sub(start[axis]).div_ceil(stride);
-                // Input cell y is touched by offset k of output cell (y + padding - k) / stride where that is whole.
+                // Kernel offset k of output cell (y + padding - k) / stride reads input cell y, if this is a whole number.
                 offsets_along[axis] = (0..self.kernel[axis])
                     .filter(|k| (start[axis] + padding + stride * self.kernel[axis] - k).is_multiple_of(stride))
                     .map(|k| (((start[axis] + padding) as isize - k as isize).div_euclid(stride as isize), k))
@@ -260,9 +261,10 @@ impl Conv2d {
             return target;
         }
         let gemms = sizes.backward_gemms();
-        // With strides longer than the kernel there are cells that no offset touches, and no gemm writes.
-        let all = gemms.iter().map(ImplicitGemm::cells).sum::<usize>() == cells;
-        let mut target = if all { uninitialised(cells * sizes.inputs) } else { vec![0.0; cells * sizes.inputs] };
+        // With a stride longer than the kernel, no product writes the cells that no offset reads.
+        let all_written = gemms.iter().map(ImplicitGemm::cells).sum::<usize>() == cells;
+        let mut target =
+            if all_written { uninitialised(cells * sizes.inputs) } else { vec![0.0; cells * sizes.inputs] };
         if sizes.is_depthwise() {
             let weight = depthwise::transposed(weight, sizes.offsets());
             for gemm in &gemms {

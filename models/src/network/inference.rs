@@ -16,7 +16,7 @@ use crate::layer::{
     Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense, run_circuit,
     scaled_sigmoid_of, with_values,
 };
-use crate::quantum::{Circuit, Trained, expectations_of_rows, features};
+use crate::quantum::{Circuit, ClosedForm, expectations_of_rows, features};
 
 /// Number of values that one task processes in a step without sums.
 const CHUNK: usize = 1 << 14;
@@ -59,7 +59,7 @@ enum Kernel {
     Affine { scale: Vec<f32>, shift: Vec<f32>, activation: Activation },
     Standardise { mean: Vec<f32>, factor: Vec<f32> },
     ScaledSigmoid,
-    ClosedForm(Trained),
+    ClosedForm(ClosedForm),
     Circuit { circuit: Circuit, theta: Vec<f64> },
     Trigonometric,
     Concatenate,
@@ -260,7 +260,7 @@ impl Plan<'_> {
                 let circuit = Circuit::new(circuit).map_err(candle_core::Error::wrap)?;
                 let theta: Vec<f64> = self.numbers(node, "theta")?.into_iter().map(f64::from).collect();
                 match *theta.as_slice() {
-                    [a, b, c, d] if circuit.is_closed_form() => Kernel::ClosedForm(Trained::new([a, b, c, d])),
+                    [a, b, c, d] if circuit.is_closed_form() => Kernel::ClosedForm(ClosedForm::new([a, b, c, d])),
                     _ => Kernel::Circuit { circuit, theta },
                 }
             }
@@ -393,12 +393,12 @@ impl Step {
             Kernel::ScaleChannels => output.scale_channels(input(1)?)?,
             Kernel::Add { rectified } => add(input(1)?, *rectified, output)?,
             Kernel::Activate(function) => {
-                output.values_mut().iter_mut().for_each(|x| *x = function.of(*x));
+                output.values_mut().iter_mut().for_each(|x| *x = function.apply(*x));
             }
             Kernel::Affine { scale, shift, activation } => {
                 for cell in output.values_mut().chunks_exact_mut(channels) {
                     let constants = scale.iter().zip(shift);
-                    cell.iter_mut().zip(constants).for_each(|(x, (a, b))| *x = activation.of(*x * a + b));
+                    cell.iter_mut().zip(constants).for_each(|(x, (a, b))| *x = activation.apply(*x * a + b));
                 }
             }
             Kernel::Standardise { mean, factor } => standardise(mean, factor, output)?,
@@ -428,7 +428,7 @@ fn add(other: &Feature, rectified: bool, output: &mut Feature) -> Result<()> {
     let function = if rectified { Activation::Relu } else { Activation::None };
     for_each_chunk(output.values_mut(), CHUNK, |index, values| {
         let other = &other.values()[index * CHUNK..];
-        values.iter_mut().zip(other).for_each(|(x, y)| *x = function.of(*x + y));
+        values.iter_mut().zip(other).for_each(|(x, y)| *x = function.apply(*x + y));
     });
     Ok(())
 }

@@ -6,7 +6,7 @@ use super::circuit;
 use super::proto::{self, FLOAT};
 use super::writer::{ExportError, Writer, int};
 use crate::array_hash;
-use crate::layer::{Activation, bin};
+use crate::layer::{Activation, bin_bounds};
 use crate::model::card::CARD_KEY;
 use crate::model::file::Model;
 use crate::model::onnx_runtime::{INPUT_NAME, OUTPUT_NAME};
@@ -209,7 +209,7 @@ impl Writer<'_> {
 fn means(length: usize, bins: usize, bins_last: bool) -> Vec<f32> {
     let mut matrix = vec![0.0; length * bins];
     for index in 0..bins {
-        let (from, to) = bin(index, bins, length);
+        let (from, to) = bin_bounds(index, bins, length);
         for cell in from..to {
             let at = if bins_last { cell * bins + index } else { index * length + cell };
             matrix[at] = 1.0 / (to - from) as f32;
