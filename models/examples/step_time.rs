@@ -28,7 +28,7 @@ fn main() -> Result<()> {
     let Some(spec) = NetworkSpec::named(&name) else { bail!("there is no network '{name}'") };
     let network = Network::initialise(&spec, 1, 0, level)?;
     let mut inference = Inference::new(&network)?;
-    let maps: Vec<f32> = Trainer::made_up_maps(1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
+    let maps: Vec<f32> = Trainer::random_maps(1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
     // Times of each step and of the whole run.
     let mut times: Vec<(String, Vec<f64>)> = Vec::new();
     for _ in 0..runs {

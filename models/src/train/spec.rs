@@ -48,7 +48,7 @@ pub struct FullBatch {
     pub weight_penalty: f64,
 }
 
-/// Reads the kind of a network. The error about a name that stands for a head, too, says how to write both.
+/// Reads the kind of a network. If the name stands for a network with a head, the error says how to write both.
 fn network_kind<'de, D: Deserializer<'de>>(deserializer: D) -> Result<NetworkKind, D::Error> {
     let name = String::deserialize(deserializer)?;
     let kind = NetworkKind::deserialize(IntoDeserializer::<D::Error>::into_deserializer(name.as_str()));

@@ -17,7 +17,7 @@ fn maps(spec: &NetworkSpec, [batch, range, doppler]: [usize; 3]) -> Vec<f32> {
 /// Numbers of a network after a few steps of training, so that its normalisations are not trivial and its logits differ.
 fn trained_values(spec: &NetworkSpec) -> std::collections::BTreeMap<String, Vec<f32>> {
     let mut trainer = Trainer::new(spec, 3, 1e-3, KernelLevel::detect()).expect("trainer");
-    let (maps, labels) = Trainer::made_up_maps(6, 32, 32).expect("maps");
+    let (maps, labels) = Trainer::random_maps(6, 32, 32).expect("maps");
     let maps = if spec.kind.reads_descriptors() { (maps * 20.0).expect("maps") } else { maps };
     for _ in 0..15 {
         trainer.step(&maps, &labels).expect("step");
