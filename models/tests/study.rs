@@ -96,7 +96,7 @@ fn judge(
     let study = Study::open(spec, maps, folder, shard).expect("opens").with_conditions(conditions).expect("like maps");
     let ran = study.run(&|| true, &mut |progress| match progress {
         Progress::Done(_) => counts[0] += 1,
-        Progress::Judged(_) => counts[1] += 1,
+        Progress::Evaluated(_) => counts[1] += 1,
         _ => {}
     });
     ran.expect("runs");
@@ -184,7 +184,7 @@ fn conditions_are_judged_as_soon_as_a_training_is_done() {
             let is_compared = rates.get(&outcome.job.variant) == Some(&outcome.job.learning_rate);
             compared.set(compared.get() + usize::from(is_compared && outcome.job.label_fraction == 1.0));
         }
-        Progress::Judged(_) => judged.set(judged.get() + 1),
+        Progress::Evaluated(_) => judged.set(judged.get() + 1),
         _ => {}
     });
     ran.expect("runs");
