@@ -40,14 +40,14 @@ fn main() -> Result<()> {
             times[step].1.push(1e6 * seconds);
             step += 1;
         };
-        let began = Instant::now();
-        let mut last = began;
+        let start = Instant::now();
+        let mut last = start;
         inference.logits_step_by_step(&maps, [1, SIZE, SIZE], |name| {
             let now = Instant::now();
             add(name, (now - last).as_secs_f64());
             last = now;
         })?;
-        add("all", began.elapsed().as_secs_f64());
+        add("all", start.elapsed().as_secs_f64());
     }
     for (name, times) in &mut times {
         times.sort_by(f64::total_cmp);
