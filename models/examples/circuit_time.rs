@@ -8,7 +8,8 @@ use std::time::Instant;
 
 use candle_core::{Device, Tensor, Var};
 use radome_models::quantum::{
-    Circuit, CircuitSpec, Draw, Execution, Noise, ShotGradient, Shots, Trained, expectations_of_rows, gradients_of_rows,
+    Circuit, CircuitSpec, ClosedForm, Draw, Execution, Noise, ShotGradient, Shots, expectations_of_rows,
+    gradients_of_rows,
 };
 use radome_models::{layer, quantum};
 
@@ -16,16 +17,16 @@ const BATCH: usize = 32;
 
 /// Seconds of one run of `f`: the least of 20 means over 10 ms each.
 fn seconds(mut f: impl FnMut()) -> f64 {
-    let mut least = f64::INFINITY;
+    let mut fastest = f64::INFINITY;
     for _ in 0..20 {
-        let (began, mut runs) = (Instant::now(), 0u32);
-        while began.elapsed().as_secs_f64() < 0.01 {
+        let (started, mut runs) = (Instant::now(), 0u32);
+        while started.elapsed().as_secs_f64() < 0.01 {
             f();
             runs += 1;
         }
-        least = least.min(began.elapsed().as_secs_f64() / f64::from(runs));
+        fastest = fastest.min(started.elapsed().as_secs_f64() / f64::from(runs));
     }
-    least
+    fastest
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -35,22 +36,22 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let theta = [0.4f32, -1.2, 2.0, 0.7];
     let cotangents = vec![[0.3f32, -0.5]; BATCH];
     let (mut out, mut by_x) = (vec![[0.0f32; 2]; BATCH], vec![[0.0f32; 2]; BATCH]);
-    let a_sample = 1e9 / BATCH as f64;
+    let ns_per_sample = 1e9 / BATCH as f64;
 
     let forward = seconds(|| {
-        expectations_of_rows(&Trained::new(black_box(theta).map(f64::from)), black_box(&x), &mut out);
+        expectations_of_rows(&ClosedForm::new(black_box(theta).map(f64::from)), black_box(&x), &mut out);
         black_box(&out);
     });
     let backward = seconds(|| {
-        let trained = Trained::new(black_box(theta).map(f64::from));
-        black_box(gradients_of_rows(&trained, black_box(&x), black_box(&cotangents), &mut by_x));
+        let closed_form = ClosedForm::new(black_box(theta).map(f64::from));
+        black_box(gradients_of_rows(&closed_form, black_box(&x), black_box(&cotangents), &mut by_x));
         black_box(&by_x);
     });
     println!(
         "closed form, batch {BATCH}: forward {:.1} ns a sample, gradients {:.1}, together {:.1}",
-        a_sample * forward,
-        a_sample * backward,
-        a_sample * (forward + backward)
+        ns_per_sample * forward,
+        ns_per_sample * backward,
+        ns_per_sample * (forward + backward)
     );
 
     let one = seconds(|| {
@@ -62,11 +63,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let angles = Var::from_tensor(&Tensor::new(&theta, &Device::Cpu)?)?;
     let paper = CircuitSpec::default();
     let circuit = Circuit::new(&paper)?;
-    let through = seconds(|| {
+    let layer_time = seconds(|| {
         let loss = layer::circuit(&input, &angles, &circuit, 0).and_then(|out| out.sum_all());
         let _ = black_box(loss.and_then(|loss| loss.backward()));
     });
-    println!("the layer in candle, with a sum and its backward pass: {:.1} ns a sample", a_sample * through);
+    println!("the layer in candle, with a sum and its backward pass: {:.1} ns a sample", ns_per_sample * layer_time);
 
     let shots = Execution::Shots(Shots { count: 4096, seed: 1, gradient: ShotGradient::Shots });
     let noise = Noise { depolarising_one_qubit: 0.001, depolarising_two_qubit: 0.01, readout_flip: 0.02 };

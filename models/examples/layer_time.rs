@@ -42,27 +42,27 @@ const SHAPES: &[(&str, usize, usize, usize, usize, usize, bool)] = &[
     ("b0 pointwise", 4, 320, 1280, 1, 1, false),
 ];
 
-/// Current time, ms. Where `RAYON_NUM_THREADS` is 1, the processor time of all threads, which other programs disturb
-/// less; otherwise the wall time.
-fn now(began: Instant) -> f64 {
+/// Current time, ms: the wall time since `start`, or if `RAYON_NUM_THREADS` is 1 the processor time of all threads, which other
+/// programs disturb less.
+fn now_ms(start: Instant) -> f64 {
     #[cfg(target_os = "linux")]
     if std::env::var("RAYON_NUM_THREADS").as_deref() == Ok("1") {
         let cpu = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
         return cpu.tv_sec as f64 * 1e3 + cpu.tv_nsec as f64 * 1e-6;
     }
-    began.elapsed().as_secs_f64() * 1e3
+    start.elapsed().as_secs_f64() * 1e3
 }
 
 /// Least time of several runs, ms: forward pass, and forward with backward pass.
 fn time(repetitions: usize, mut f: impl FnMut() -> Result<Tensor>) -> Result<[f64; 2]> {
     let mut best = [f64::INFINITY; 2];
-    let began = Instant::now();
+    let start = Instant::now();
     for _ in 0..repetitions {
-        let start = now(began);
+        let start_ms = now_ms(start);
         let out = f()?;
-        best[0] = best[0].min(now(began) - start);
+        best[0] = best[0].min(now_ms(start) - start_ms);
         backward(&out)?;
-        best[1] = best[1].min(now(began) - start);
+        best[1] = best[1].min(now_ms(start) - start_ms);
     }
     Ok(best)
 }
@@ -83,8 +83,8 @@ fn main() -> Result<()> {
         let geometry = ConvGeometry { stride, padding: kernel / 2, groups: if depthwise { inputs } else { 1 } };
         let x = random(&[BATCH, size, size, inputs])?;
         let weight = random(&[outputs, inputs / geometry.groups, kernel, kernel])?;
-        let needs = if inputs == 1 { InputGradient::Unused } else { InputGradient::Needed };
-        let [forward, both] = time(7, || conv2d(&x, &weight, None, geometry, needs, level))?;
+        let input_gradient = if inputs == 1 { InputGradient::Unused } else { InputGradient::Needed };
+        let [forward, both] = time(7, || conv2d(&x, &weight, None, geometry, input_gradient, level))?;
         let work = (BATCH * (size / stride).pow(2) * outputs * inputs / geometry.groups * kernel * kernel) as f64;
         println!("{name:20} {size:3} {inputs:4} -> {outputs:4} {forward:8.2} {both:8.2} {:8.1}", work / forward * 1e-6);
     }

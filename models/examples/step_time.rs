@@ -28,7 +28,7 @@ fn main() -> Result<()> {
     let Some(spec) = NetworkSpec::named(&name) else { bail!("there is no network '{name}'") };
     let network = Network::initialise(&spec, 1, 0, level)?;
     let mut inference = Inference::new(&network)?;
-    let maps: Vec<f32> = Trainer::made_up_maps(1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
+    let maps: Vec<f32> = Trainer::random_maps(1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
     // Times of each step and of the whole run.
     let mut times: Vec<(String, Vec<f64>)> = Vec::new();
     for _ in 0..runs {
@@ -40,14 +40,14 @@ fn main() -> Result<()> {
             times[step].1.push(1e6 * seconds);
             step += 1;
         };
-        let began = Instant::now();
-        let mut last = began;
+        let start = Instant::now();
+        let mut last = start;
         inference.logits_step_by_step(&maps, [1, SIZE, SIZE], |name| {
             let now = Instant::now();
             add(name, (now - last).as_secs_f64());
             last = now;
         })?;
-        add("all", began.elapsed().as_secs_f64());
+        add("all", start.elapsed().as_secs_f64());
     }
     for (name, times) in &mut times {
         times.sort_by(f64::total_cmp);

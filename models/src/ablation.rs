@@ -9,7 +9,7 @@ use crate::dataset::{Dataset, LEAKAGE_BINS, network_input};
 use crate::metrics::{Metrics, most_probable};
 use crate::model::{Classifier, ClassifyError, ModelCard};
 use crate::random::stream;
-use crate::standardise::{DB, bin_noise_db, echo_share, noise_power};
+use crate::standardise::{DB_PER_E_FOLD, bin_noise_db, echo_share, noise_power};
 
 /// Seed of the noise that replaces cells.
 const SEED: u64 = 1;
@@ -95,14 +95,16 @@ impl Ablation {
                         Ablation::Far => (bin < range - range / 3).then_some(over_db),
                         Ablation::Weak { least_db } => (over_db >= least_db).then_some(over_db),
                         Ablation::Shifted { bins } => {
-                            let from = bin.checked_sub(bins).filter(|from| *from >= skip_range_bins);
-                            from.map(|from| rows[from][column] - noise_db[from])
+                            let source = bin.checked_sub(bins).filter(|source| *source >= skip_range_bins);
+                            source.map(|source| rows[source][column] - noise_db[source])
                         }
-                        Ablation::Weaker { by_db } => Some(over_db - by_db * echo_share((over_db / DB).exp())),
+                        Ablation::Weaker { by_db } => {
+                            Some(over_db - by_db * echo_share((over_db / DB_PER_E_FOLD).exp()))
+                        }
                     };
-                    let over_db = kept_db.unwrap_or_else(|| DB * noise_power(&mut rng).ln());
-                    if let Some(to) = changed.db.get_mut((channel * doppler + column) * range + bin) {
-                        *to = noise_db[bin] + over_db;
+                    let over_db = kept_db.unwrap_or_else(|| DB_PER_E_FOLD * noise_power(&mut rng).ln());
+                    if let Some(cell) = changed.db.get_mut((channel * doppler + column) * range + bin) {
+                        *cell = noise_db[bin] + over_db;
                     }
                 }
             }
@@ -180,6 +182,7 @@ mod tests {
     /// Velocity step with which 0.15 m/s are one Doppler bin and 0.35 m/s are three.
     const VELOCITY_STEP: f64 = 0.1;
 
+    /// Index of a cell.
     fn at(rx: usize, doppler: usize, range: usize) -> usize {
         (rx * SHAPE.doppler + doppler) * SHAPE.range + range
     }
@@ -195,7 +198,7 @@ mod tests {
         }
     }
 
-    /// Exponential noise of another level in each range bin.
+    /// Level of the noise in a range bin; it differs from bin to bin.
     fn level_db(range: usize) -> f32 {
         -90.0 - 0.5 * range as f32
     }
@@ -213,7 +216,7 @@ mod tests {
         map.db[index] - level_db(index % SHAPE.range)
     }
 
-    /// Each part by the cells in it: they are drawn anew at the level of their bin, all others are as they were.
+    /// Cells of the ablated part are drawn again at the noise level of their bin, and all others stay unchanged.
     #[test]
     fn parts_are_replaced_and_nothing_else() {
         let map = noise();
@@ -247,7 +250,7 @@ mod tests {
                 }
             }
             if !powers.is_empty() {
-                // The noise of a bin is known from the quartile of 32 cells.
+                // The noise of a bin is estimated from the quartile of 32 cells.
                 let mean = powers.iter().sum::<f64>() / powers.len() as f64;
                 assert!((0.6..1.7).contains(&mean), "{ablation}: {mean}");
             }
@@ -266,24 +269,24 @@ mod tests {
         assert_ne!(changed, Ablation::Weak { least_db: 10.0 }.apply(&map, SKIP, 2), "another map, other noise");
     }
 
-    /// An echo keeps its level over the noise of its new bin, or loses the level that was set.
+    /// A shifted echo keeps its level over the noise of its new bin; a weakened one loses the given level.
     #[test]
     fn echoes_are_moved_and_weakened_over_noise() {
         let mut map = noise();
         let echo = at(1, 25, 12);
         map.db[echo] = level_db(12) + 40.0;
-        let given = over_level(&map, echo);
+        let before_db = over_level(&map, echo);
         for bins in [4, 8] {
             let moved = Ablation::Shifted { bins }.apply(&map, SKIP, 1);
-            let there = over_level(&moved, at(1, 25, 12 + bins));
-            // The noise of each of the two bins is known from a quartile.
-            assert!((there - given).abs() < 9.0, "{there} {given}");
+            let moved_db = over_level(&moved, at(1, 25, 12 + bins));
+            // The noise of each of the two bins is estimated from a quartile.
+            assert!((moved_db - before_db).abs() < 9.0, "{moved_db} {before_db}");
             assert!(over_level(&moved, echo) < 25.0);
             assert_eq!(moved.db[at(0, 3, 1)], map.db[at(0, 3, 1)], "leakage stays");
         }
         for by_db in [6.0, 12.0] {
             let weaker = Ablation::Weaker { by_db }.apply(&map, SKIP, 1);
-            assert!((over_level(&weaker, echo) - given + by_db).abs() < 0.5);
+            assert!((over_level(&weaker, echo) - before_db + by_db).abs() < 0.5);
             let mean = |map: &Rdm| map.db.iter().map(|db| f64::from(*db)).sum::<f64>() / map.db.len() as f64;
             assert!((mean(&weaker) - mean(&map)).abs() < 2.5, "noise stays nearly where it is");
         }

@@ -1,27 +1,26 @@
-//! Hash of the arrays of a model file (`.safetensors` or `.onnx`) or a checkpoint. It stands in the file's metadata, beside the other
-//! content, so that a flipped bit in a number of an array is noticed. The metadata themselves are not in the hash, nor are the operators
-//! of an ONNX file.
+//! Hash of the arrays of a model file (`.safetensors` or `.onnx`) or a checkpoint, which detects damaged numbers. It is stored in
+//! the file's metadata. It covers neither the metadata themselves nor the operators of an ONNX file.
 
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-/// Content of the metadata, with the hash.
+/// Metadata as written: their content and the hash.
 #[derive(Serialize)]
-struct Hashed<'a, T> {
+struct WithHash<'a, T> {
     #[serde(flatten)]
     content: &'a T,
     arrays_sha256: String,
 }
 
-/// Hash in the metadata; files of earlier versions have none.
+/// Hash as read from metadata; files of earlier versions have none.
 #[derive(Deserialize)]
-struct Found {
+struct StoredHash {
     arrays_sha256: Option<String>,
 }
 
-/// Arrays whose bytes are not those that were written.
+/// Difference between the arrays and their hash.
 pub(crate) struct Damaged {
     /// Hash in the metadata.
     pub expected: String,
@@ -29,12 +28,12 @@ pub(crate) struct Damaged {
     pub found: String,
 }
 
-/// Writes the metadata as JSON, with the hash of the arrays: names and bytes.
+/// Metadata as JSON, with the hash of the arrays, which are pairs of name and bytes.
 pub(crate) fn to_json<'a, T: Serialize>(
     content: &T,
     arrays: impl IntoIterator<Item = (&'a str, &'a [u8])>,
 ) -> serde_json::Result<String> {
-    serde_json::to_string(&Hashed { content, arrays_sha256: hash(arrays) })
+    serde_json::to_string(&WithHash { content, arrays_sha256: hash(arrays) })
 }
 
 /// Compares arrays with the hash in their metadata; `None` if they agree, or if there is no hash.
@@ -42,13 +41,13 @@ pub(crate) fn check<'a>(
     metadata: &str,
     arrays: impl IntoIterator<Item = (&'a str, &'a [u8])>,
 ) -> serde_json::Result<Option<Damaged>> {
-    let Found { arrays_sha256 } = serde_json::from_str(metadata)?;
+    let StoredHash { arrays_sha256 } = serde_json::from_str(metadata)?;
     let Some(expected) = arrays_sha256 else { return Ok(None) };
     let found = hash(arrays);
     Ok((found != expected).then_some(Damaged { expected, found }))
 }
 
-/// SHA-256 over names and bytes in the order of the names, hex.
+/// SHA-256 over names and bytes of all arrays, sorted by name, hex.
 fn hash<'a>(arrays: impl IntoIterator<Item = (&'a str, &'a [u8])>) -> String {
     let by_name: BTreeMap<&str, &[u8]> = arrays.into_iter().collect();
     let mut hash = Sha256::new();

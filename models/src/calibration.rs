@@ -14,8 +14,8 @@ pub const BINS: usize = 10;
 pub struct Reliability {
     /// Number of predictions.
     pub frames: u64,
-    /// Mean over the predictions of the difference between confidence and share of right ones in their bin; absent without
-    /// predictions.
+    /// Mean over the predictions of the absolute difference between mean confidence and share of right predictions in their bin.
+    /// Absent without predictions.
     pub expected_calibration_error: Option<f64>,
     /// The curve, [`BINS`] long.
     pub bins: Vec<ReliabilityBin>,
@@ -42,6 +42,7 @@ pub struct ReliabilitySums {
     bins: [BinSums; BINS],
 }
 
+/// Sums over the predictions of one bin.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct BinSums {
     frames: u64,
@@ -65,10 +66,10 @@ impl ReliabilitySums {
 
     /// Adds the predictions of other sums.
     pub fn merge(&mut self, other: &ReliabilitySums) {
-        for (sum, more) in self.bins.iter_mut().zip(&other.bins) {
-            sum.frames += more.frames;
-            sum.right += more.right;
-            sum.confidence += more.confidence;
+        for (bin, other) in self.bins.iter_mut().zip(&other.bins) {
+            bin.frames += other.frames;
+            bin.right += other.right;
+            bin.confidence += other.confidence;
         }
     }
 
@@ -111,11 +112,11 @@ mod tests {
         let reliability = sums.reliability();
         assert_eq!((reliability.frames, reliability.bins.len()), (20, BINS));
         assert!((reliability.expected_calibration_error.expect("frames") - 0.1).abs() < 1e-6, "{reliability:?}");
-        let sure = &reliability.bins[9];
-        assert_eq!((sure.frames, sure.right), (10, Some(0.8)));
+        let last = &reliability.bins[9];
+        assert_eq!((last.frames, last.right), (10, Some(0.8)));
         assert!(
-            (sure.confidence.expect("frames") - 0.95).abs() < 1e-6 && sure.from == 0.9 && sure.to == 1.0,
-            "{sure:?}"
+            (last.confidence.expect("frames") - 0.95).abs() < 1e-6 && last.from == 0.9 && last.to == 1.0,
+            "{last:?}"
         );
         assert_eq!((reliability.bins[5].frames, reliability.bins[0].right), (10, None));
     }
@@ -128,7 +129,7 @@ mod tests {
             let mut sums = ReliabilitySums::default();
             sums.add(&[f32::NAN; 3], Occupancy::One);
             assert_eq!(sums.reliability().expected_calibration_error, None);
-            // A certain prediction belongs to the last bin, one beyond 1 too.
+            // A confidence of 1 or more belongs to the last bin.
             sums.add(&[1.0, 0.0, 0.0], Occupancy::Empty);
             sums.add(&[1.5, 0.0, 0.0], Occupancy::Empty);
             assert_eq!(sums.reliability().bins[9].frames, 2);

@@ -11,13 +11,13 @@ use crate::model::{Classifier, ClassifyError};
 /// Scores of a classifier over the maps `indices` of a dataset.
 ///
 /// # Errors
-/// [`ClassifyError::OtherMaps`] where the dataset's maps were made in another way than the model's, and [`ClassifyError`] for the
-/// first map that cannot be read or classified.
+/// [`ClassifyError::OtherMaps`] if the dataset's maps were made with other settings than the model's, and [`ClassifyError`] for
+/// the first map that cannot be read or classified.
 pub fn evaluate(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize]) -> Result<Metrics, ClassifyError> {
     evaluate_changed(classifier, dataset, indices, |_, _| ())
 }
 
-/// Evaluates as [`evaluate`] does, after `change` has modified each map. `change` also gets the index of the map.
+/// Evaluates as [`evaluate`] does, after `change` has modified each map. Its arguments are the index and the cells of the map.
 pub(crate) fn evaluate_changed(
     classifier: &mut Classifier,
     dataset: &Dataset,

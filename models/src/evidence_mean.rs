@@ -7,20 +7,20 @@ const LEAST_PROBABILITY: f64 = 1e-9;
 
 /// Longest memory, s.
 const LONGEST_S: f64 = 60.0;
-/// Times that [`is_memory`] accepts, for messages.
-pub(crate) const MEMORIES: &str = "0 to 60 s";
+/// Times that [`is_valid_memory`] accepts, for messages.
+pub(crate) const MEMORY_RANGE: &str = "0 to 60 s";
 
-/// Returns whether a time can be that of a model's memory.
-pub(crate) fn is_memory(memory_s: f64) -> bool {
+/// Returns whether a model's memory may have this length.
+pub(crate) fn is_valid_memory(memory_s: f64) -> bool {
     (0.0..=LONGEST_S).contains(&memory_s)
 }
 
 /// Mean of the logarithms of a network's probabilities over the last frames, weighted by `exp(-age / memory_s)`.
 ///
-/// A single frame often does not show a second person, who turns, stands or is hidden in it. It is the mean of the logits too, because
-/// softmax does not see what is added to all of them. The filter over answers
-/// ([`OccupancyFilter`](crate::occupancy_filter::OccupancyFilter)) comes behind it: that one adds evidence up and therefore becomes
-/// certain, this one weighs frames against each other.
+/// A single frame often does not show a second person who turns, stands still or is hidden. Up to a constant that softmax
+/// ignores, the mean of the logarithms is the mean of the logits. The filter over answers
+/// ([`OccupancyFilter`](crate::occupancy_filter::OccupancyFilter)) comes behind this mean. The filter accumulates evidence and
+/// therefore becomes certain; the mean does not.
 ///
 /// # Examples
 /// ```
@@ -35,13 +35,14 @@ pub(crate) fn is_memory(memory_s: f64) -> bool {
 pub struct EvidenceMean {
     memory_s: f64,
     last_time_s: f64,
-    /// Weighted sums of the logarithms, and of the weights.
+    /// Weighted sums of the logarithms.
     sums: [f64; CLASSES],
+    /// Sum of the weights.
     weight: f64,
 }
 
 impl EvidenceMean {
-    /// Makes a mean without frames. With a memory of 0 s, it is the newest frame.
+    /// Makes a mean without frames. With a memory of 0 s, only the newest frame counts.
     pub fn new(memory_s: f64) -> Self {
         EvidenceMean { memory_s, last_time_s: 0.0, sums: [0.0; CLASSES], weight: 0.0 }
     }
@@ -51,14 +52,14 @@ impl EvidenceMean {
         *self = EvidenceMean::new(self.memory_s);
     }
 
-    /// Takes the network's probabilities of the frame at `time_s`; returns those of empty, one and two by the frames so far. A time
-    /// before that of the last frame starts anew.
+    /// Adds the network's probabilities of the frame at `time_s`, and returns the mean probabilities of empty, one and two. If
+    /// `time_s` is before the last frame, the earlier frames are forgotten.
     pub fn update(&mut self, time_s: f64, frame: [f32; CLASSES]) -> [f32; CLASSES] {
-        let kept = kept(self.memory_s, time_s - self.last_time_s);
+        let retention = retention(self.memory_s, time_s - self.last_time_s);
         self.last_time_s = time_s;
-        self.weight = self.weight * kept + 1.0;
+        self.weight = self.weight * retention + 1.0;
         for (sum, p) in self.sums.iter_mut().zip(frame) {
-            *sum = *sum * kept + f64::from(p).max(LEAST_PROBABILITY).ln();
+            *sum = *sum * retention + f64::from(p).max(LEAST_PROBABILITY).ln();
         }
         if self.weight == 1.0 {
             return frame;
@@ -71,9 +72,9 @@ impl EvidenceMean {
     }
 }
 
-/// Share of the weight of earlier frames that is kept after a time, 0 to 1.
-fn kept(memory_s: f64, elapsed_s: f64) -> f64 {
-    // A time that goes back and NaN keep nothing.
+/// Share of the weight of earlier frames that remains after `elapsed_s`, 0 to 1.
+fn retention(memory_s: f64, elapsed_s: f64) -> f64 {
+    // Negative times and NaN give 0.
     if memory_s > 0.0 && elapsed_s >= 0.0 { (-elapsed_s / memory_s).exp() } else { 0.0 }
 }
 
@@ -89,7 +90,7 @@ mod tests {
         (0..60).map(frame).collect()
     }
 
-    /// The sums kept from frame to frame beside the weighted mean over all frames.
+    /// Compares the recursive sums with the weighted mean over all frames.
     #[test]
     fn it_is_the_weighted_mean_of_the_logarithms() {
         let mut mean = EvidenceMean::new(0.7);
@@ -97,8 +98,8 @@ mod tests {
         for (k, (time_s, probabilities)) in frames.iter().enumerate() {
             let found = mean.update(*time_s, *probabilities);
             let (mut sums, mut weights) = ([0.0f64; CLASSES], 0.0);
-            for (then_s, earlier) in &frames[..=k] {
-                let weight = (-(time_s - then_s) / 0.7).exp();
+            for (earlier_s, earlier) in &frames[..=k] {
+                let weight = (-(time_s - earlier_s) / 0.7).exp();
                 weights += weight;
                 sums.iter_mut().zip(earlier).for_each(|(sum, p)| *sum += weight * f64::from(*p).ln());
             }

@@ -25,17 +25,17 @@ const T_QUANTILES: [f64; 30] = [
 /// 97.5 % quantile of the normal distribution.
 const NORMAL_QUANTILE: f64 = 1.959_964;
 
-/// 97.5 % quantile of Student's t, beyond the table by its expansion (Abramowitz and Stegun, Handbook of Mathematical Functions,
-/// 1964, equation 26.7.5).
+/// 97.5 % quantile of Student's t. Beyond the table, it is an asymptotic expansion (Abramowitz and Stegun, Handbook of
+/// Mathematical Functions, 1964, equation 26.7.5).
 fn t_quantile(degrees: usize) -> f64 {
-    let of_table = degrees.checked_sub(1).and_then(|index| T_QUANTILES.get(index));
-    of_table.copied().unwrap_or_else(|| {
+    let tabulated = degrees.checked_sub(1).and_then(|index| T_QUANTILES.get(index));
+    tabulated.copied().unwrap_or_else(|| {
         let (z, n) = (NORMAL_QUANTILE, degrees as f64);
         z + (z.powi(3) + z) / (4.0 * n) + (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / (96.0 * n * n)
     })
 }
 
-/// Mean of the values and the 95 % interval of the mean; `None` without values.
+/// Mean of the values and its 95 % interval; `None` without values.
 pub fn t_interval(values: &[f64]) -> Option<Interval> {
     let count = values.len();
     if count == 0 {
@@ -51,7 +51,7 @@ pub fn t_interval(values: &[f64]) -> Option<Interval> {
     Some(Interval { count, mean, half_width, least, most })
 }
 
-/// Median of the values, the upper one of two; `None` without values.
+/// Median of the values, the larger of the two middle ones for an even count; `None` without values.
 pub(crate) fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);

@@ -42,6 +42,7 @@
 
 pub mod ablation;
 mod array_hash;
+mod atomic_file;
 pub mod calibration;
 pub mod dataset;
 pub mod evaluate;
@@ -59,7 +60,6 @@ mod random;
 pub mod standardise;
 pub mod study;
 pub mod train;
-mod whole_file;
 
 pub use dataset::Dataset;
 pub use large_blocks::LargeBlocks;

@@ -5,15 +5,15 @@ use serde::{Deserialize, Serialize};
 
 /// Number of classes.
 pub(crate) const CLASSES: usize = Occupancy::ALL.len();
-/// Balanced accuracy and accuracy of a guess.
+/// Balanced accuracy and accuracy of random guesses.
 pub(crate) const CHANCE: f64 = 1.0 / CLASSES as f64;
 
 /// Counts `[truth][prediction]`.
 pub type Confusion = [[u64; CLASSES]; CLASSES];
 
-/// Adds the counts of `more` to `sum`.
-pub fn add_confusion(sum: &mut Confusion, more: &Confusion) {
-    sum.iter_mut().flatten().zip(more.iter().flatten()).for_each(|(sum, count)| *sum += count);
+/// Adds the counts of `other` to `sum`.
+pub fn add_confusion(sum: &mut Confusion, other: &Confusion) {
+    sum.iter_mut().flatten().zip(other.iter().flatten()).for_each(|(sum, count)| *sum += count);
 }
 
 /// Scores over a set of maps. Classes of which there is no map are left out of every mean and listed in `absent`.
@@ -125,10 +125,10 @@ pub struct RecordingScores {
     pub confusion: [[u64; CLASSES]; CLASSES],
     /// Stretches of one label, in the order of time.
     pub stretches: Vec<Stretch>,
-    /// Number of frames labelled empty that are predicted populated, where the labelled frame before was not, or there is none. A
-    /// prediction that persists after people have left is no alarm: it counts among the wrong frames.
+    /// Number of false alarms: frames labelled empty that are predicted populated, unless the labelled frame before was predicted
+    /// populated too. A prediction that persists after people have left is no alarm: it counts among the wrong frames.
     pub false_alarms: u64,
-    /// Length of the frames labelled empty together, s.
+    /// Total length of the frames labelled empty, s.
     pub empty_s: f64,
 }
 
@@ -136,7 +136,7 @@ impl RecordingScores {
     /// Scores of predictions in the order of time, one each frame interval.
     pub fn new(predictions: &[FramePrediction], frame_interval_s: f64) -> Self {
         let mut scores = RecordingScores::default();
-        let mut before: Option<Occupancy> = None;
+        let mut previous: Option<Occupancy> = None;
         for prediction in predictions {
             let Some(truth) = prediction.truth else { continue };
             let (predicted, time_s) = (prediction.predicted(), prediction.time_s);
@@ -153,10 +153,10 @@ impl RecordingScores {
             }
             if truth == Occupancy::Empty {
                 scores.empty_s += frame_interval_s;
-                let begins = before.is_none_or(|before| before == Occupancy::Empty);
-                scores.false_alarms += u64::from(begins && predicted != Occupancy::Empty);
+                let was_empty = previous.is_none_or(|previous| previous == Occupancy::Empty);
+                scores.false_alarms += u64::from(was_empty && predicted != Occupancy::Empty);
             }
-            before = Some(predicted);
+            previous = Some(predicted);
         }
         scores
     }
@@ -166,7 +166,7 @@ impl RecordingScores {
         self.confusion.iter().flatten().sum()
     }
 
-    /// The label of all labelled frames; `None` if there are several labels, or none.
+    /// Label of all labelled frames; `None` if there is no label or more than one.
     pub fn label(&self) -> Option<Occupancy> {
         match self.stretches.as_slice() {
             [stretch] => Some(stretch.label),
@@ -174,12 +174,12 @@ impl RecordingScores {
         }
     }
 
-    /// Counts of the predictions by class.
+    /// Number of predictions of each class.
     pub fn predicted(&self) -> [u64; CLASSES] {
         std::array::from_fn(|class| self.confusion.iter().map(|row| row[class]).sum())
     }
 
-    /// Class predicted for most labelled frames; the first of equals.
+    /// Class predicted for most labelled frames; of equal counts, the first class.
     pub fn majority(&self) -> Occupancy {
         let predicted = self.predicted();
         let most = predicted.iter().copied().max().unwrap_or_default();
@@ -301,7 +301,7 @@ mod tests {
         assert!(m.absent.is_empty());
     }
 
-    /// Predictions every 0.1 s: the label (`-` for none) and the class predicted, by their first letters.
+    /// Predictions every 0.1 s. Labels and predicted classes are given by their first letters, `-` for no label.
     fn predictions(labels: &str, predicted: &str) -> Vec<FramePrediction> {
         let class = |letter: char| Occupancy::ALL.into_iter().find(|class| class.name().starts_with(letter));
         let frames = labels.chars().zip(predicted.chars()).enumerate();

@@ -8,15 +8,15 @@ use crate::metrics::CLASSES;
 
 /// Least probability of a class in a frame, so that no single frame excludes a class.
 const LEAST_PROBABILITY: f64 = 1e-4;
-/// Longest elapsed time that counts, s.
+/// Upper bound of the elapsed time, s.
 const LONGEST_S: f64 = 1e6;
 /// Shortest time of a setting, s.
 const SHORTEST_S: f64 = 1e-3;
-/// [`Smoothing::independent_s`] where neither it nor a weight is given.
+/// [`Smoothing::independent_s`] if neither it nor a weight is set.
 const INDEPENDENT_S: f64 = 0.36;
-/// Temperatures that are allowed.
+/// Range of temperatures.
 const TEMPERATURES: std::ops::RangeInclusive<f64> = 0.05..=20.0;
-/// Probabilities of one person without evidence that are allowed.
+/// Range of the probability of one person without evidence.
 const ONE_SHARES: std::ops::RangeInclusive<f64> = 0.1..=0.9;
 
 /// Settings of the occupancy filter, saved in the model file.
@@ -119,7 +119,7 @@ impl Default for Smoothing {
 }
 
 impl Smoothing {
-    /// Settings of model files without any: short presences, full weight of single frames.
+    /// Settings of model files that have none: short presences, full weight of single frames.
     pub(crate) const fn of_old_models() -> Self {
         Smoothing {
             dwell_s: 8.0,
@@ -132,7 +132,7 @@ impl Smoothing {
     }
 
     /// First setting that is out of range: `(name, value, expected)`.
-    pub(crate) fn fault(&self) -> Option<(&'static str, f64, &'static str)> {
+    pub(crate) fn invalid_setting(&self) -> Option<(&'static str, f64, &'static str)> {
         let is_time = |v: f64| v.is_finite() && v >= SHORTEST_S;
         if !is_time(self.dwell_s) {
             return Some(("smoothing.dwell_s", self.dwell_s, "a millisecond or more"));
@@ -158,9 +158,8 @@ impl Smoothing {
         }
     }
 
-    /// Transition rates between numbers of people, 1/s: one person comes or goes at a time. From one person, both are equally likely.
-    ///
-    /// Without evidence, one person has the probability `one_share`.
+    /// Transition rates between numbers of people, 1/s. One person comes or goes at a time; with one person present, both are
+    /// equally likely. In equilibrium, one person has the probability `one_share`.
     fn rates(&self) -> Matrix {
         let to_one = 1.0 / self.dwell_s;
         let from_one = 0.5 * to_one * (1.0 - self.one_share) / self.one_share;
@@ -176,7 +175,7 @@ impl Smoothing {
 /// adds no evidence. With a weight `w` for each frame, `p_k <- q_k^w (exp(Q t) p)_k` instead. The answer is
 /// `p_k q_k^newest` to the power `1 / temperature`, normalised.
 ///
-/// In a stretch with mostly wrong frames the filter is wrong in more frames than the classifier, because evidence accumulates.
+/// If most frames in a row are wrong, the filter is wrong in more frames than the classifier, because evidence accumulates.
 ///
 /// # Examples
 /// ```
@@ -196,7 +195,7 @@ pub struct OccupancyFilter {
 }
 
 impl OccupancyFilter {
-    /// Makes a filter without evidence. The first frame counts as one that comes `frame_interval_s` after another.
+    /// Makes a filter without evidence. The first frame counts as if it came `frame_interval_s` after another one.
     pub fn new(smoothing: Smoothing, frame_interval_s: f64) -> Self {
         let mut filter = OccupancyFilter {
             smoothing,
@@ -215,7 +214,7 @@ impl OccupancyFilter {
         self.last_time_s = None;
     }
 
-    /// Takes the network's probabilities of the frame at `time_s`; returns those of empty, one and two.
+    /// Adds the network's probabilities of the frame at `time_s`, and returns the filtered probabilities of empty, one and two.
     pub fn update(&mut self, time_s: f64, frame: [f32; CLASSES]) -> [f32; CLASSES] {
         let elapsed_s = self.last_time_s.map_or(self.frame_interval_s, |last| time_s - last);
         // Times that go back and NaN count as no elapsed time.
@@ -268,10 +267,10 @@ fn propagate(rates: &Matrix, time_s: f64, p: &[f64; CLASSES]) -> [f64; CLASSES] 
 }
 
 /// Exponential of the matrix `rates time_s` by scaling and squaring. Columns of `rates` sum to zero or less, and only
-/// the diagonal is negative. The diagonal is made positive, so that the series has no cancellation. The matrix is
-/// halved as often as its norm needs, and the result is squared as often.
+/// the diagonal is negative. A multiple of the identity makes the diagonal positive, so that the series has no
+/// cancellation. The matrix is halved until its norm is 1 at most, and the result is squared as often.
 fn exponential(rates: &Matrix, time_s: f64) -> Matrix {
-    /// Terms of the series, for a norm up to 1: the next is below 1e-17.
+    /// Terms of the series for a norm up to 1. The next term is below 1e-17.
     const TERMS: usize = 18;
     let fastest = rates.iter().enumerate().map(|(k, row)| -row[k]).fold(0.0, f64::max);
     let halvings = (fastest * time_s).log2().ceil().max(0.0) as i32;
@@ -292,7 +291,7 @@ fn exponential(rates: &Matrix, time_s: f64) -> Matrix {
     sum
 }
 
-/// Diagonal matrix of this number.
+/// Identity matrix times `value`.
 fn diagonal(value: f64) -> Matrix {
     let mut matrix = Matrix::default();
     matrix.iter_mut().enumerate().for_each(|(k, row)| row[k] = value);
@@ -314,7 +313,7 @@ mod tests {
     /// Settings of models from before `independent_s`: each frame is half a piece of evidence.
     const BY_FRAME: Smoothing = Smoothing { weight: Some(0.5), ..Smoothing::of_old_models() };
 
-    /// Settings for people who stay for long, by time.
+    /// Settings for people who stay for long. Evidence counts by time.
     const SLOW: Smoothing =
         Smoothing { dwell_s: 60.0, weight: None, independent_s: Some(1.0), ..Smoothing::of_old_models() };
 
@@ -326,8 +325,8 @@ mod tests {
         a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     }
 
-    /// Columns are distributions, what holds for two steps holds for one of twice the time, and of many short steps each is the
-    /// first terms of its series.
+    /// Columns are distributions. Two steps are one step of their total time. The exponential is the product of many short steps by
+    /// the first terms of the series.
     #[test]
     fn transitions_are_a_markov_chain() {
         let rates = SLOW.rates();
@@ -359,7 +358,8 @@ mod tests {
         }
     }
 
-    /// Without evidence, one person has its share after a long time, whatever was there, and the others have the same.
+    /// Without evidence, one person has the probability `one_share` after a long time, whatever the first state was. The others
+    /// share the rest equally.
     #[test]
     fn without_evidence_one_person_has_its_share() {
         for one_share in [0.2, 1.0 / 3.0, 0.5, 0.8] {
@@ -373,8 +373,7 @@ mod tests {
         }
     }
 
-    /// The frame rate does not matter: the same probabilities, shown at 10 and at 20 Hz, come to the same at
-    /// the same times.
+    /// The frame rate does not matter: with the same probabilities at 10 and at 20 Hz, results at the same times agree.
     #[test]
     fn evidence_is_by_time_and_not_by_frame() {
         for smoothing in [Smoothing::default(), SLOW] {
@@ -392,7 +391,7 @@ mod tests {
         }
     }
 
-    /// Frames so far apart that they are independent count in full, and no more than that.
+    /// A frame counts in full if it is independent of the one before, and never more.
     #[test]
     fn a_frame_weighs_one_piece_of_evidence_at_most() {
         let still = Smoothing { dwell_s: 1e9, ..SLOW };
@@ -405,13 +404,13 @@ mod tests {
         }
     }
 
-    /// Settings of older model files mean what they meant, but for people who are not seen: the filter takes all to be seen.
+    /// Settings of older model files have their former meaning, except those of people who are not detected, which are ignored.
     #[test]
     fn old_settings_are_read() {
         let old = r#"{"dwell_s":60.0,"unseen_share":0.3,"unseen_s":3.0,"weight":0.15}"#;
         let read: Smoothing = serde_json::from_str(old).expect("old settings");
         assert_eq!(read, Smoothing { dwell_s: 60.0, weight: Some(0.15), ..Smoothing::of_old_models() });
-        assert_eq!(read.fault(), None);
+        assert_eq!(read.invalid_setting(), None);
         assert_eq!(serde_json::to_string(&read).expect("JSON"), r#"{"dwell_s":60.0,"weight":0.15}"#);
         // A frame's evidence to the power of its weight, at any frame interval.
         for interval_s in [0.01, 0.1, 1.0] {
@@ -427,7 +426,7 @@ mod tests {
             let text = serde_json::to_string(&settings).expect("JSON");
             assert_eq!(serde_json::from_str::<Smoothing>(&text).expect("settings"), settings, "{text}");
         }
-        // Absent keys have their defaults. Evidence counts by time where neither key of it is there.
+        // Absent keys have their defaults. Without a key of evidence, it counts by time.
         let default = Smoothing::default();
         for text in ["{}".to_owned(), format!(r#"{{"dwell_s":{:?}}}"#, default.dwell_s)] {
             let short: Smoothing = serde_json::from_str(&text).expect("settings");
@@ -443,25 +442,25 @@ mod tests {
     #[test]
     fn settings_out_of_range_are_named() {
         let both = Smoothing { weight: Some(0.5), ..Smoothing::default() };
-        assert_eq!(both.fault().map(|fault| fault.0), Some("smoothing.weight"));
+        assert_eq!(both.invalid_setting().map(|(name, ..)| name), Some("smoothing.weight"));
         for bad in [0.0, -1.0, f64::NAN] {
             for (settings, name) in [
                 (Smoothing { dwell_s: bad, ..Smoothing::default() }, "smoothing.dwell_s"),
                 (Smoothing { independent_s: Some(bad), ..Smoothing::default() }, "smoothing.independent_s"),
                 (Smoothing { temperature: bad, ..Smoothing::default() }, "smoothing.temperature"),
             ] {
-                assert_eq!(settings.fault().map(|fault| fault.0), Some(name), "{bad}");
+                assert_eq!(settings.invalid_setting().map(|(name, ..)| name), Some(name), "{bad}");
             }
         }
         for (one_share, newest) in [(0.0, -0.1), (1.0, 1.1), (f64::NAN, f64::NAN)] {
-            let named = |settings: Smoothing| settings.fault().map(|fault| fault.0);
+            let named = |settings: Smoothing| settings.invalid_setting().map(|(name, ..)| name);
             assert_eq!(named(Smoothing { one_share, ..Smoothing::default() }), Some("smoothing.one_share"));
             assert_eq!(named(Smoothing { newest, ..Smoothing::default() }), Some("smoothing.newest"));
         }
-        assert_eq!(Smoothing::default().fault(), None);
+        assert_eq!(Smoothing::default().invalid_setting(), None);
     }
 
-    /// The newest frame's evidence multiplies its own answer and nothing that comes afterwards.
+    /// The extra weight of the newest frame affects its own answer and no later one.
     #[test]
     fn the_newest_frame_counts_more_in_its_own_answer_alone() {
         const NEWEST: f64 = 0.3;
@@ -479,7 +478,7 @@ mod tests {
         }
     }
 
-    /// The temperature is of the answer alone: it changes neither the label nor what is known afterwards.
+    /// The temperature changes the confidence of an answer, but neither its label nor the state of the filter.
     #[test]
     fn a_temperature_changes_the_confidence_alone() {
         let mut rng = crate::stream(7, "probabilities", 0);
@@ -496,8 +495,8 @@ mod tests {
         }
     }
 
-    /// Frames that are right more often than wrong in every class, with errors that last for up to a piece of evidence, and people
-    /// who stay for half a minute: the filter's balanced accuracy is above that of the frames, at every frame rate.
+    /// The filter's balanced accuracy is above that of single frames, at every frame rate. Frames are right more often than wrong
+    /// in every class, errors last for up to a piece of evidence, and people stay for half a minute.
     #[test]
     fn the_filter_is_not_worse_than_its_frames() {
         for case in 0..40 {
@@ -506,7 +505,7 @@ mod tests {
                 let right = rng.random_range(0.55f64..0.95);
                 let first = rng.random_range(0.0f64..1.0) * (1.0 - right);
                 let mut wrong = [first, 1.0 - right - first].into_iter();
-                std::array::from_fn(|said| if said == truth { right } else { wrong.next().unwrap_or(0.0) })
+                std::array::from_fn(|predicted| if predicted == truth { right } else { wrong.next().unwrap_or(0.0) })
             });
             let rate_hz = [5.0, 10.0, 20.0][(case % 3) as usize];
             let error_s = rng.random_range(0.05..INDEPENDENT_S);
@@ -515,23 +514,23 @@ mod tests {
             let (mut by_frame, mut filtered) = ([[0u64; 3]; 3], [[0u64; 3]; 3]);
             for sequence in 0..6usize {
                 let mut filter = OccupancyFilter::new(Smoothing::default(), interval_s);
-                let (mut truth, mut seen) = (sequence % 3, None);
+                let (mut truth, mut last_drawn) = (sequence % 3, None);
                 for frame in 1..=(200.0 * rate_hz) as u32 {
                     if rng.random::<f64>() < happens(30.0) {
                         truth = if truth == 1 { 2 * rng.random_range(0..2usize) } else { 1 };
-                        seen = None;
+                        last_drawn = None;
                     }
                     if rng.random::<f64>() < happens(error_s) {
-                        seen = None;
+                        last_drawn = None;
                     }
                     let u = rng.random::<f64>();
                     let [empty, one, _] = confusion[truth];
                     let drawn = if u < empty { 0 } else { 1 + usize::from(u >= empty + one) };
-                    let said = *seen.get_or_insert(drawn);
-                    let column = confusion.map(|row| row[said]);
+                    let predicted = *last_drawn.get_or_insert(drawn);
+                    let column = confusion.map(|row| row[predicted]);
                     let probabilities = column.map(|p| (p / column.iter().sum::<f64>()) as f32);
                     let answer = filter.update(f64::from(frame) * interval_s, probabilities);
-                    by_frame[truth][said] += 1;
+                    by_frame[truth][predicted] += 1;
                     filtered[truth][most_probable(&answer).index()] += 1;
                 }
             }
@@ -572,7 +571,7 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// A clock that stands still or goes back must not turn the filter; probabilities that are none must not stay in it.
+        /// After times that stand still or go back, and after invalid probabilities, results are still distributions.
         #[test]
         fn odd_times_and_odd_probabilities_leave_a_distribution() {
             let shortest = Smoothing { dwell_s: SHORTEST_S, ..BY_FRAME };

@@ -38,40 +38,40 @@ pub enum MapReference {
     },
 }
 
-/// `10 / ln 10`: dB of a natural logarithm of a power.
-pub(crate) const DB: f32 = 4.342_944_8;
+/// `10 / ln 10`: dB for a factor of e in power.
+pub(crate) const DB_PER_E_FOLD: f32 = 4.342_944_8;
 /// Natural logarithm of the largest power over noise that is represented, 347 dB.
-const MOST: f32 = 80.0;
+const MAX_LN_POWER: f32 = 80.0;
 
 impl MapReference {
     /// Converts the cells `[range][doppler]`, dB, of a map to this reference.
     pub fn apply(self, cells: &mut [f32], doppler: usize) {
-        self.measure(cells, doppler);
-        self.bound(cells);
+        self.apply_unclipped(cells, doppler);
+        self.clip(cells);
     }
 
-    /// [`MapReference::apply`] without the bound, which a training applies after its augmentation.
-    pub(crate) fn measure(self, cells: &mut [f32], doppler: usize) {
+    /// [`MapReference::apply`] without clipping. A training clips after its augmentation.
+    pub(crate) fn apply_unclipped(self, cells: &mut [f32], doppler: usize) {
         let MapReference::OverNoise { skip_range_bins, .. } = self else { return };
         let mut sorted = Vec::with_capacity(doppler);
         for (bin, row) in cells.chunks_exact_mut(doppler.max(1)).enumerate() {
             if bin < skip_range_bins {
-                row.fill(DB * std::f32::consts::LN_2);
+                row.fill(DB_PER_E_FOLD * std::f32::consts::LN_2);
                 continue;
             }
             let noise_db = bin_noise_db(row, &mut sorted);
             for cell in row.iter_mut() {
-                let x = (*cell - noise_db) / DB;
+                let x = (*cell - noise_db) / DB_PER_E_FOLD;
                 // Not `f32::min`, which would hide a NaN.
-                let x = if x > MOST { MOST } else { x };
+                let x = if x > MAX_LN_POWER { MAX_LN_POWER } else { x };
                 *cell = 1.0 + x.exp();
             }
             power_to_db_portable(row, 1.0);
         }
     }
 
-    /// Cuts cells that have been measured at the bound, where there is one.
-    pub(crate) fn bound(self, cells: &mut [f32]) {
+    /// Clips converted cells at `most_db`, where it is set.
+    pub(crate) fn clip(self, cells: &mut [f32]) {
         let MapReference::OverNoise { most_db: Some(most_db), .. } = self else { return };
         for cell in cells {
             // Not `f32::min`, which would hide a NaN.
@@ -90,7 +90,7 @@ impl MapReference {
     }
 
     /// First setting that is out of range: `(name, value, expected)`.
-    pub(crate) fn fault(self) -> Option<(&'static str, f32, &'static str)> {
+    pub(crate) fn invalid_setting(self) -> Option<(&'static str, f32, &'static str)> {
         match self {
             MapReference::OverNoise { most_db: Some(most_db), .. } if !(most_db.is_finite() && most_db > 0.0) => {
                 Some(("reference.over_noise.most_db", most_db, "a finite level above 0 dB"))
@@ -99,19 +99,19 @@ impl MapReference {
         }
     }
 
-    /// Cells that have been measured, cut at the bound.
-    pub(crate) fn bounded(self, cells: &[f32]) -> Cow<'_, [f32]> {
+    /// Copy of converted cells, clipped at `most_db` where it is set.
+    pub(crate) fn clipped(self, cells: &[f32]) -> Cow<'_, [f32]> {
         if !matches!(self, MapReference::OverNoise { most_db: Some(_), .. }) {
             return Cow::Borrowed(cells);
         }
         let mut cells = cells.to_vec();
-        self.bound(&mut cells);
+        self.clip(&mut cells);
         Cow::Owned(cells)
     }
 }
 
-/// Level of the noise in the cells of one range bin, dB: their lower quartile over `ln(4/3)`. `sorted` is scratch
-/// memory. Without cells, 0 dB.
+/// Noise level of the cells of one range bin, dB: their lower quartile over `ln(4/3)`, or 0 dB without cells.
+/// `sorted` is scratch memory.
 pub(crate) fn bin_noise_db(row: &[f32], sorted: &mut Vec<f32>) -> f32 {
     if row.is_empty() {
         return 0.0;
@@ -119,24 +119,24 @@ pub(crate) fn bin_noise_db(row: &[f32], sorted: &mut Vec<f32>) -> f32 {
     sorted.clear();
     sorted.extend_from_slice(row);
     let (_, &mut quartile_db, _) = sorted.select_nth_unstable_by(row.len() / 4, f32::total_cmp);
-    quartile_db - DB * (4.0f32 / 3.0).ln().ln()
+    quartile_db - DB_PER_E_FOLD * (4.0f32 / 3.0).ln().ln()
 }
 
-/// Powers over noise `P / N` of cells `10 log10(1 + P / N)` dB, in place.
-pub(crate) fn powers_over_noise(cells: &mut [f32]) {
+/// Converts levels `10 log10(1 + P / N)`, dB, to powers over noise `P / N`, in place.
+pub(crate) fn levels_to_powers(cells: &mut [f32]) {
     for cell in cells {
-        let x = *cell / DB;
-        let x = if x > MOST { MOST } else { x };
+        let x = *cell / DB_PER_E_FOLD;
+        let x = if x > MAX_LN_POWER { MAX_LN_POWER } else { x };
         *cell = x.exp_m1();
     }
 }
 
-/// Cells `10 log10(1 + P / N)` dB of powers over noise `P / N`, in place.
-pub(crate) fn levels_over_noise(powers: &mut [f32]) {
-    /// `exp(MOST)`.
-    const MOST_POWER: f32 = 5.540_622_4e34;
+/// Converts powers over noise `P / N` to levels `10 log10(1 + P / N)`, dB, in place.
+pub(crate) fn powers_to_levels(powers: &mut [f32]) {
+    /// `exp(MAX_LN_POWER)`.
+    const MAX_POWER: f32 = 5.540_622_4e34;
     for power in powers.iter_mut() {
-        *power = 1.0 + if *power > MOST_POWER { MOST_POWER } else { *power };
+        *power = 1.0 + if *power > MAX_POWER { MAX_POWER } else { *power };
     }
     power_to_db_portable(powers, 1.0);
 }
@@ -147,14 +147,14 @@ pub(crate) fn noise_power(rng: &mut impl Rng) -> f32 {
     power.max(1e-9)
 }
 
-/// Power over noise `power` of a cell after a gain on echoes. The gain in dB is weighted by `power / (power + 5)`, so
-/// that echoes take all of it and noise hardly changes. Gains of -7 and 7 dB move the mean of noise over noise by -0.5
-/// and 0.6 dB.
-pub(crate) fn gain_of_echo(power: f32, gain_db: f32) -> f32 {
-    power * (gain_db / DB * echo_share(power)).exp()
+/// Power over noise of a cell after a gain on echoes, from its `power` before. The gain in dB is weighted by
+/// [`echo_share`]: it applies fully to echoes and hardly to noise. Gains of -7 and 7 dB change the mean level of noise
+/// by -0.5 and 0.6 dB.
+pub(crate) fn apply_echo_gain(power: f32, gain_db: f32) -> f32 {
+    power * (gain_db / DB_PER_E_FOLD * echo_share(power)).exp()
 }
 
-/// Share of a cell's power over noise that is taken for an echo: a half at 7 dB.
+/// Share of a cell's power over noise that counts as an echo: `power / (power + 5)`, a half at 7 dB.
 pub(crate) fn echo_share(power: f32) -> f32 {
     // An infinite power is all echo.
     if power < 1e30 { power / (power + 5.0) } else { 1.0 }
@@ -173,12 +173,12 @@ pub struct Standardisation {
     /// Constants by scene and class, which replace the others for maps of these scenes with these numbers of people.
     /// This is the paper's rule, which leaks the label of every map to the network.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub label_leaking_cells: Vec<CellConstants>,
+    pub label_leaking_cells: Vec<SceneClassConstants>,
 }
 
 /// Mean and standard deviation of the training maps of one scene and class.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CellConstants {
+pub struct SceneClassConstants {
     /// Scene or place.
     pub scene: String,
     /// Number of people in it.
@@ -199,15 +199,15 @@ pub enum StandardiseError {
     )]
     NoSpread { mean_db: f64, sigma_db: f64 },
     /// The cells of one scene and class cannot be standardised.
-    #[error("of scene {scene} with class {class}, {of}")]
-    Cell { scene: String, class: Occupancy, of: Box<StandardiseError> },
+    #[error("of scene {scene} with class {class}, {cause}")]
+    SceneAndClass { scene: String, class: Occupancy, cause: Box<StandardiseError> },
     /// There are no cells.
     #[error("there are no training maps to take mean and standard deviation from")]
     Empty,
 }
 
 impl Standardisation {
-    /// Mean and standard deviation over all cells of all maps, in f64. The maps are in `reference` already.
+    /// Mean and standard deviation over all cells of all maps, in f64. The maps must be in `reference`.
     ///
     /// # Errors
     /// If there is no map, or if the cells have no spread to divide by.
@@ -228,18 +228,20 @@ impl Standardisation {
     }
 
     /// Adds the constants of one scene and class, from its training maps.
-    pub(crate) fn add_cell(
+    pub(crate) fn add_scene_and_class(
         &mut self,
         scene: &str,
         class: Occupancy,
         maps: impl Iterator<Item = impl AsRef<[f32]>>,
     ) -> Result<(), StandardiseError> {
-        let of_cell = Self::measure(self.reference, maps);
-        let of_cell =
-            of_cell.map_err(|of| StandardiseError::Cell { scene: scene.to_owned(), class, of: Box::new(of) })?;
-        let Standardisation { mean_db, sigma_db, .. } = of_cell;
-        self.label_leaking_cells.push(CellConstants { scene: scene.to_owned(), class, mean_db, sigma_db });
-        Ok(())
+        let scene = scene.to_owned();
+        match Self::measure(self.reference, maps) {
+            Ok(Standardisation { mean_db, sigma_db, .. }) => {
+                self.label_leaking_cells.push(SceneClassConstants { scene, class, mean_db, sigma_db });
+                Ok(())
+            }
+            Err(cause) => Err(StandardiseError::SceneAndClass { scene, class, cause: Box::new(cause) }),
+        }
     }
 
     /// Returns whether maps without a label cannot be standardised.
@@ -247,19 +249,21 @@ impl Standardisation {
         !self.label_leaking_cells.is_empty()
     }
 
-    /// Standardises the cells `[range][doppler]` of a map in place; `of` is its scene and label, where it has them.
-    pub fn apply(&self, cells: &mut [f32], doppler: usize, of: Option<(&str, Occupancy)>) {
+    /// Standardises the cells `[range][doppler]` of a map in place. `scene_and_class` are known for labelled maps only.
+    pub fn apply(&self, cells: &mut [f32], doppler: usize, scene_and_class: Option<(&str, Occupancy)>) {
         self.reference.apply(cells, doppler);
-        self.scale(of).apply(cells);
+        self.scale(scene_and_class).apply(cells);
     }
 
-    /// The constants of a map; `of` is its scene and label, where it has them.
-    pub(crate) fn scale(&self, of: Option<(&str, Occupancy)>) -> Scale {
-        let of_cell = of.and_then(|(scene, class)| {
-            self.label_leaking_cells.iter().find(|cell| cell.scene == scene && cell.class == class)
+    /// Constants of a map. `scene_and_class` are known for labelled maps only.
+    pub(crate) fn scale(&self, scene_and_class: Option<(&str, Occupancy)>) -> Scale {
+        let constants = scene_and_class.and_then(|(scene, class)| {
+            self.label_leaking_cells.iter().find(|constants| constants.scene == scene && constants.class == class)
         });
-        let (mean_db, sigma_db) = of_cell.map_or((self.mean_db, self.sigma_db), |cell| (cell.mean_db, cell.sigma_db));
-        Scale { mean_db, sigma_db }
+        match constants {
+            Some(&SceneClassConstants { mean_db, sigma_db, .. }) => Scale { mean_db, sigma_db },
+            None => Scale { mean_db: self.mean_db, sigma_db: self.sigma_db },
+        }
     }
 }
 
@@ -271,7 +275,7 @@ pub(crate) struct Scale {
 }
 
 impl Scale {
-    /// Standardises cells that are in reference already.
+    /// Standardises cells that are already in their reference.
     pub(crate) fn apply(self, cells: &mut [f32]) {
         for cell in cells {
             *cell = ((f64::from(*cell) - self.mean_db) / self.sigma_db) as f32;
@@ -297,7 +301,7 @@ mod tests {
         assert!((s.mean_db - mean).abs() < 1e-12 && (s.sigma_db - variance.sqrt()).abs() < 1e-12);
     }
 
-    /// The definition in f64 beside it, from far below the noise to far above.
+    /// Compares with the definition in f64, from far below the noise to far above.
     #[test]
     fn over_noise_is_its_definition() {
         let mut row: Vec<f32> = (0..128).map(|i| -160.0 + 1.7 * i as f32).collect();
@@ -314,8 +318,8 @@ mod tests {
         assert!(broken[100].is_nan() && broken[99].is_finite());
     }
 
-    /// Exponential noise of any level and colour has the same cells, an echo 20 dB above it has 20 dB, and bins of the leakage are
-    /// hidden.
+    /// Exponential noise of any level and colour gives the same cells. An echo 20 dB above it has 20 dB, and bins of leakage
+    /// are hidden.
     #[test]
     fn over_noise_neither_gain_nor_colour_is_left() {
         let (range, doppler, skip) = (24, 64, 3);
@@ -342,47 +346,47 @@ mod tests {
         assert!((mean - 2.59).abs() < 0.25, "{mean}");
     }
 
-    /// Powers over noise and back, from far below the noise to where both end.
+    /// Levels to powers over noise and back, from far below the noise to the largest power.
     #[test]
     fn powers_over_noise_are_their_definition() {
         let levels: Vec<f32> = (0..400).map(|i| i as f32).collect();
         let mut powers = levels.clone();
-        powers_over_noise(&mut powers);
+        levels_to_powers(&mut powers);
         for (level, power) in levels.iter().zip(&powers).take(340) {
             let expected = 10f64.powf(0.1 * f64::from(*level)) - 1.0;
             assert!((f64::from(*power) - expected).abs() <= 1e-4 * expected, "{power} for {expected}");
         }
-        levels_over_noise(&mut powers);
+        powers_to_levels(&mut powers);
         for (level, again) in levels.iter().zip(&powers) {
             assert!((level.min(347.4) - again).abs() < 0.1, "{again} for {level}");
         }
         let mut broken = [f32::NAN, f32::INFINITY];
-        levels_over_noise(&mut broken);
+        powers_to_levels(&mut broken);
         assert!(broken[0].is_nan() && broken[1].is_finite());
     }
 
-    /// A bound cuts what is above it and nothing else, and what is not a number stays visible.
+    /// Clipping changes the cells above the bound only, and a NaN stays.
     #[test]
-    fn a_bound_cuts_strong_cells_only() {
+    fn a_bound_clips_strong_cells_only() {
         let given: Vec<f32> = (0..128).map(|i| -160.0 + 1.7 * i as f32).collect();
-        let (mut free, mut bounded) = (given.clone(), given.clone());
+        let (mut free, mut clipped) = (given.clone(), given.clone());
         over_noise(0).apply(&mut free, 128);
         let reference = MapReference::OverNoise { skip_range_bins: 0, most_db: Some(50.0) };
-        reference.apply(&mut bounded, 128);
+        reference.apply(&mut clipped, 128);
         assert!(free.iter().any(|cell| *cell > 60.0));
-        for (free, bounded) in free.iter().zip(&bounded) {
-            assert_eq!(*bounded, if *free > 50.0 { 50.0 } else { *free });
+        for (free, clipped) in free.iter().zip(&clipped) {
+            assert_eq!(*clipped, if *free > 50.0 { 50.0 } else { *free });
         }
         let mut broken = given;
         broken[100] = f32::NAN;
         reference.apply(&mut broken, 128);
         assert!(broken[100].is_nan());
         for most_db in [0.0, -3.0, f32::NAN, f32::INFINITY] {
-            assert!(MapReference::OverNoise { skip_range_bins: 0, most_db: Some(most_db) }.fault().is_some());
+            assert!(MapReference::OverNoise { skip_range_bins: 0, most_db: Some(most_db) }.invalid_setting().is_some());
         }
     }
 
-    /// References of models that know no bound are read and written as they were.
+    /// References of models without a bound are read and written unchanged.
     #[test]
     fn references_without_a_bound_keep_their_bytes() {
         let old = r#"{"over_noise":{"skip_range_bins":3}}"#;
@@ -395,19 +399,19 @@ mod tests {
         assert_eq!(serde_json::from_str::<MapReference>(&text).expect("read again"), new);
     }
 
-    /// Echoes take the whole gain, noise keeps its level within 0.7 dB, and a stronger cell stays the stronger one.
+    /// The gain applies fully to echoes, noise keeps its level within 0.7 dB, and the order of cells by power is kept.
     #[test]
     fn a_gain_on_echoes_leaves_noise() {
         for gain_db in [-12.0f32, -7.0, 0.0, 7.0] {
-            let echo_db = 10.0 * gain_of_echo(1e4, gain_db).log10();
+            let echo_db = 10.0 * apply_echo_gain(1e4, gain_db).log10();
             assert!((echo_db - 40.0 - gain_db).abs() < 0.02, "{echo_db} for {gain_db}");
             let powers: Vec<f32> = (0..2000).map(|i| 10f32.powf(0.003 * i as f32 - 2.0)).collect();
-            assert!(powers.windows(2).all(|p| gain_of_echo(p[0], gain_db) < gain_of_echo(p[1], gain_db)));
+            assert!(powers.windows(2).all(|p| apply_echo_gain(p[0], gain_db) < apply_echo_gain(p[1], gain_db)));
         }
         let mut rng = crate::random::stream(5, "noise", 0);
         let noise: Vec<f32> = (0..20_000).map(|_| noise_power(&mut rng)).collect();
         let mean_db = |gain_db: f32| {
-            let levels = noise.iter().map(|p| 10.0 * f64::from(1.0 + gain_of_echo(*p, gain_db)).log10());
+            let levels = noise.iter().map(|p| 10.0 * f64::from(1.0 + apply_echo_gain(*p, gain_db)).log10());
             levels.sum::<f64>() / noise.len() as f64
         };
         assert!((mean_db(0.0) - 2.59).abs() < 0.05, "{}", mean_db(0.0));
@@ -416,14 +420,15 @@ mod tests {
         }
     }
 
-    /// The paper's rule makes maps of unlike scenes and classes the same in mean and sigma; a cell that is flat is named.
+    /// With the paper's rule, maps of different scenes and classes have the same mean and sigma. An error names the scene and
+    /// class.
     #[test]
-    fn cells_have_constants_of_their_own() {
+    fn scenes_and_classes_have_constants_of_their_own() {
         let maps = [vec![1.0f32, 3.0], vec![10.0, 20.0]];
         let mut s = Standardisation::measure(MapReference::Absolute, maps.iter().map(Vec::as_slice)).expect("spread");
         assert!(!s.needs_labels());
         for (map, class) in maps.iter().zip([Occupancy::Empty, Occupancy::One]) {
-            s.add_cell("hall", class, [map.as_slice()].into_iter()).expect("a cell");
+            s.add_scene_and_class("hall", class, [map.as_slice()].into_iter()).expect("a cell");
         }
         assert!(s.needs_labels());
         for (map, class) in maps.iter().zip([Occupancy::Empty, Occupancy::One]) {
@@ -431,7 +436,7 @@ mod tests {
             s.apply(&mut map, 2, Some(("hall", class)));
             assert_eq!(map, [-1.0, 1.0]);
         }
-        let error = s.add_cell("cellar", Occupancy::Two, [&[5.0f32; 4][..]].into_iter()).expect_err("flat");
+        let error = s.add_scene_and_class("cellar", Occupancy::Two, [&[5.0f32; 4][..]].into_iter()).expect_err("flat");
         assert!(error.to_string().starts_with("of scene cellar with class two"), "{error}");
     }
 
@@ -440,7 +445,7 @@ mod tests {
 
         const ABSOLUTE: MapReference = MapReference::Absolute;
 
-        /// Cells at the floor of silence, a map of one cell and more bins to skip than there are.
+        /// Cells at the dB floor, a map of one cell, and more bins to skip than there are.
         #[test]
         fn odd_maps_stay_finite() {
             for (mut map, doppler, skip) in

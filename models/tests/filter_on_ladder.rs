@@ -1,8 +1,8 @@
 //! Tests of the occupancy filter on the predictions of a shipped model for all recordings of the ladder.
 //!
 //! `fixtures/ladder/frames-room-hqnn.jsonl` holds the predictions of room-hqnn for each frame by itself, without the
-//! model's memory, so that no frame has to be simulated here. `fixtures/ladder/remake-frames` makes the file. The filter
-//! gets them through the memory, as it does in use.
+//! model's memory, so that no frame has to be simulated here. `fixtures/ladder/remake-frames` makes the file. The model's
+//! memory is applied before the filter, as in use.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -57,28 +57,28 @@ fn rungs() -> BTreeMap<String, Vec<FilterSequence>> {
 }
 
 /// Applies the memory of the shipped model to the predictions for single frames.
-fn remembered(sequence: &FilterSequence) -> FilterSequence {
+fn with_memory(sequence: &FilterSequence) -> FilterSequence {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/room-hqnn.safetensors");
     let mut mean = EvidenceMean::new(ModelCard::load(&path).expect("a model").memory_s);
-    let with_memory = |frame: &FramePrediction| FramePrediction {
+    let averaged = |frame: &FramePrediction| FramePrediction {
         probabilities: mean.update(frame.time_s, frame.probabilities),
         ..*frame
     };
-    FilterSequence { frames: sequence.frames.iter().map(with_memory).collect(), ..*sequence }
+    FilterSequence { frames: sequence.frames.iter().map(averaged).collect(), ..*sequence }
 }
 
 fn filtered(sequence: &FilterSequence) -> Vec<FramePrediction> {
     let mut filter = OccupancyFilter::new(Smoothing::default(), sequence.frame_interval_s);
-    let through = |frame: &FramePrediction| FramePrediction {
+    let filtered = |frame: &FramePrediction| FramePrediction {
         probabilities: filter.update(frame.time_s, frame.probabilities),
         ..*frame
     };
-    remembered(sequence).frames.iter().map(through).collect()
+    with_memory(sequence).frames.iter().map(filtered).collect()
 }
 
 fn balanced_accuracy<'a>(frames: impl IntoIterator<Item = &'a FramePrediction>) -> f64 {
-    let said = |frame: &FramePrediction| Some((frame.truth?, frame.predicted()));
-    Metrics::from_predictions(frames.into_iter().filter_map(said)).balanced_accuracy
+    let truth_and_prediction = |frame: &FramePrediction| Some((frame.truth?, frame.predicted()));
+    Metrics::from_predictions(frames.into_iter().filter_map(truth_and_prediction)).balanced_accuracy
 }
 
 /// Asserts that the filter loses no more than its delay on any rung, where most frames of a stretch of one label are
@@ -88,51 +88,51 @@ fn balanced_accuracy<'a>(frames: impl IntoIterator<Item = &'a FramePrediction>) 
 fn the_filter_is_not_worse_than_frames_on_any_rung() {
     let mut gains = Vec::new();
     for (rung, sequences) in rungs() {
-        let (mut alone, mut through) = (Vec::new(), Vec::new());
+        let (mut all_frames, mut all_filtered) = (Vec::new(), Vec::new());
         // Labelled frames of stretches whose frames are mostly right: their number, those right by themselves, and
         // those right after the filter.
-        let (mut frames, mut right, mut right_through) = (0usize, 0usize, 0usize);
+        let (mut frames, mut right, mut right_filtered) = (0usize, 0usize, 0usize);
         for sequence in &sequences {
             let labelled: Vec<(FramePrediction, FramePrediction)> = (sequence.frames.iter().copied())
                 .zip(filtered(sequence))
                 .filter(|(frame, _)| frame.truth.is_some())
                 .collect();
             for stretch in labelled.chunk_by(|(a, _), (b, _)| a.truth == b.truth) {
-                let count = |said: &dyn Fn(&(FramePrediction, FramePrediction)) -> FramePrediction| {
-                    stretch.iter().map(said).filter(|frame| frame.truth == Some(frame.predicted())).count()
+                let count_right = |select: &dyn Fn(&(FramePrediction, FramePrediction)) -> FramePrediction| {
+                    stretch.iter().map(select).filter(|frame| frame.truth == Some(frame.predicted())).count()
                 };
-                let by_frame = count(&|(frame, _)| *frame);
-                if 2 * by_frame > stretch.len() {
+                let right_by_frame = count_right(&|(frame, _)| *frame);
+                if 2 * right_by_frame > stretch.len() {
                     frames += stretch.len();
-                    right += by_frame;
-                    right_through += count(&|(_, filtered)| *filtered);
+                    right += right_by_frame;
+                    right_filtered += count_right(&|(_, filtered)| *filtered);
                 }
             }
-            let (frames, answers): (Vec<_>, Vec<_>) = labelled.into_iter().unzip();
-            alone.extend(frames);
-            through.extend(answers);
+            let (by_frame, filtered): (Vec<_>, Vec<_>) = labelled.into_iter().unzip();
+            all_frames.extend(by_frame);
+            all_filtered.extend(filtered);
         }
-        let (alone, through) = (balanced_accuracy(&alone), balanced_accuracy(&through));
-        let [right, right_through] = [right, right_through].map(|count| count as f64 / frames as f64);
-        assert!(right_through > right - 0.01, "{rung}: {right} by frame, {right_through} filtered");
-        assert!(through > alone - 0.05, "{rung}: {alone} by frame, {through} filtered");
-        gains.push(through - alone);
+        let (by_frame, filtered) = (balanced_accuracy(&all_frames), balanced_accuracy(&all_filtered));
+        let [right, right_filtered] = [right, right_filtered].map(|count| count as f64 / frames as f64);
+        assert!(right_filtered > right - 0.01, "{rung}: {right} by frame, {right_filtered} filtered");
+        assert!(filtered > by_frame - 0.05, "{rung}: {by_frame} by frame, {filtered} filtered");
+        gains.push(filtered - by_frame);
     }
     let gain = gains.iter().sum::<f64>() / gains.len() as f64;
     assert!(gain > 0.03, "{gain} of {gains:?}");
 }
 
 #[test]
-fn the_confidence_is_that_of_being_right() {
-    let mut through = ReliabilitySums::default();
+fn the_confidence_is_calibrated() {
+    let mut sums = ReliabilitySums::default();
     for sequence in rungs().values().flatten() {
-        for answer in filtered(sequence) {
-            if let Some(truth) = answer.truth {
-                through.add(&answer.probabilities, truth);
+        for frame in filtered(sequence) {
+            if let Some(truth) = frame.truth {
+                sums.add(&frame.probabilities, truth);
             }
         }
     }
-    let error = through.reliability().expected_calibration_error.expect("frames");
+    let error = sums.reliability().expected_calibration_error.expect("frames");
     assert!(error < 0.07, "{error}");
 }
 
@@ -140,9 +140,9 @@ fn the_confidence_is_that_of_being_right() {
 /// that of single frames.
 #[test]
 fn the_default_settings_are_near_those_of_the_best_log_loss() {
-    let fitted = |groups: Vec<Vec<FilterSequence>>| fit_smoothing(&groups, Smoothing::default()).expect("labels");
-    let by_frame = fitted(rungs().into_values().collect()).log_loss_by_frame;
-    let fit = fitted(rungs().into_values().map(|rung| rung.iter().map(remembered).collect()).collect());
+    let fit_groups = |groups: Vec<Vec<FilterSequence>>| fit_smoothing(&groups, Smoothing::default()).expect("labels");
+    let by_frame = fit_groups(rungs().into_values().collect()).log_loss_by_frame;
+    let fit = fit_groups(rungs().into_values().map(|rung| rung.iter().map(with_memory).collect()).collect());
     assert!(fit.log_loss < by_frame, "{fit:?}, {by_frame} by frame");
     let default = Smoothing::default();
     let is_near = |found: f64, default: f64| (0.5..2.0).contains(&(found / default));

@@ -51,7 +51,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let (path, _) = saved(folder.path());
         let card = serde_json::to_value(small().card).expect("JSON");
-        let of_card = |card: String| {
+        let load_error = |card: String| {
             let metadata = [("radome".to_owned(), card)].into_iter().collect();
             let none: [(&str, safetensors::tensor::TensorView); 0] = [];
             let bytes = safetensors::serialize(none, Some(metadata)).expect("a file");
@@ -60,7 +60,7 @@ mod hard_cases {
         let with = |change: &dyn Fn(&mut serde_json::Value)| {
             let mut card = card.clone();
             change(&mut card);
-            of_card(card.to_string()).to_string()
+            load_error(card.to_string()).to_string()
         };
         let most = serde_json::json!(u64::MAX);
         let refused = |pointer: &str, value: &serde_json::Value, expected: &str| {
@@ -91,11 +91,11 @@ mod hard_cases {
             assert!(error.contains(key), "{key}: {error}");
         }
         let deep = "[".repeat(100_000);
-        assert!(matches!(of_card(format!("{{\"format_version\": {deep}")), ModelError::Card { .. }));
+        assert!(matches!(load_error(format!("{{\"format_version\": {deep}")), ModelError::Card { .. }));
     }
 
     #[test]
-    fn model_files_that_are_no_files_or_too_large_are_not_read() {
+    fn irregular_and_too_large_model_files_are_not_read() {
         let folder = tempfile::tempdir().expect("a folder");
         for name in ["a.safetensors", "a.onnx"] {
             let path = folder.path().join(name);
@@ -173,7 +173,7 @@ mod hard_cases {
         refused(&leaks_changed_labels, "label_leaking_cells");
         refused(&|spec| spec.starts = u64::MAX, "starts");
         refused(&|spec| spec.pooled = [usize::MAX, 1], "pooled");
-        // A study built its dataset before it found this.
+        // Regression test: a study built its dataset before this error.
         refused(&|spec| spec.split.test = 0.9, "split: validation 0.15 and test 0.9");
 
         let study = |variants: usize, seeds: usize, rates: usize| -> StudySpec {
@@ -189,13 +189,13 @@ mod hard_cases {
             let error = many.check().expect_err(expected).to_string();
             assert!(error.contains(expected), "{error}");
         }
-        // The first training was lost to maps that were not finite.
-        let mut loud = study(1, 1, 1);
-        loud.snr_db = vec![10.0, -800.0];
-        let error = loud.check().expect_err("beyond every map").to_string();
+        // Regression test: the first training was lost, because noisy maps were not finite.
+        let mut noisy = study(1, 1, 1);
+        noisy.snr_db = vec![10.0, -800.0];
+        let error = noisy.check().expect_err("infinite noise").to_string();
         assert!(error.contains("snr_db is -800, expected -100 to 100"), "{error}");
-        let mut hollow = study(1, 1, 1);
-        hollow.train.epochs = 0;
-        assert!(hollow.check().is_err());
+        let mut without_epochs = study(1, 1, 1);
+        without_epochs.train.epochs = 0;
+        assert!(without_epochs.check().is_err());
     }
 }

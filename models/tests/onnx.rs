@@ -21,7 +21,7 @@ use rand::Rng;
 /// Largest difference of logits, absolute below one and relative above.
 const TOLERANCE: f32 = 1e-4;
 
-/// Made-up maps of increasing strength, so that answers differ.
+/// Random maps of increasing strength, so that logits differ.
 fn maps([batch, range, doppler]: [usize; 3]) -> Vec<f32> {
     let mut rng = stream(5, "maps", 0);
     let strength = |index: usize| 0.5 + (index / (range * doppler)) as f32;
@@ -33,15 +33,15 @@ fn logits(network: &Network, maps: &[f32], shape: [usize; 3]) -> Vec<f32> {
     network.logits(&input).and_then(|t| t.flatten_all()?.to_vec1()).expect("logits")
 }
 
-/// Weights of a network after a few training steps, so that its normalisations have an effect and its answers differ.
+/// Weights of a network after a few training steps, so that its normalisations have an effect and its logits differ.
 fn trained(spec: &NetworkSpec) -> BTreeMap<String, Vec<f32>> {
     let mut trainer = Trainer::new(spec, 3, 1e-3, KernelLevel::detect()).expect("trainer");
-    let (maps, labels) = Trainer::made_up_maps(6, 32, 32).expect("maps");
+    let (maps, labels) = Trainer::random_maps(6, 32, 32).expect("maps");
     for _ in 0..15 {
         trainer.step(&maps, &labels).expect("step");
     }
     let mut values = trainer.network().values().expect("values");
-    // Two hidden units may soon be dead; of two opposite ones, one is active.
+    // Both hidden units may be inactive. With opposed weights one of them is active.
     if let Some([a, b, c, d]) = values.get_mut("head_hidden.weight").map(Vec::as_mut_slice) {
         (*c, *d) = (-*a, -*b);
     }
@@ -50,7 +50,7 @@ fn trained(spec: &NetworkSpec) -> BTreeMap<String, Vec<f32>> {
 
 /// Network for maps of this size whose latent covers the range of the scaled sigmoid, and whose logits are of order
 /// one.
-fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, doppler]: [usize; 2]) -> Network {
+fn scaled_network(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, doppler]: [usize; 2]) -> Network {
     let shape = [2, range, doppler];
     let maps = maps(shape);
     let build = |values: &_| {
@@ -58,8 +58,8 @@ fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, do
         let input = Tensor::from_slice(&maps, &shape[..], &Device::Cpu).expect("tensor");
         if let Some(latent) = network.latent(&input).expect("latent") {
             let rows: Vec<Vec<f32>> = latent.to_vec2().expect("two rows");
-            let of = |f: fn(f32, f32) -> f32| rows[0].iter().zip(&rows[1]).map(|(&a, &b)| f(a, b)).collect();
-            let (mean, sigma) = (of(|a, b| 0.4 * a + 0.6 * b), of(|a, b| 2.0 * (a - b).abs() + 1e-6));
+            let combine = |f: fn(f32, f32) -> f32| rows[0].iter().zip(&rows[1]).map(|(&a, &b)| f(a, b)).collect();
+            let (mean, sigma) = (combine(|a, b| 0.4 * a + 0.6 * b), combine(|a, b| 2.0 * (a - b).abs() + 1e-6));
             network.set_latent_constants(Normalisation { mean, sigma });
         }
         network
@@ -88,7 +88,7 @@ fn session(bytes: &[u8], [rows, columns]: [usize; 2]) -> Option<OnnxSession> {
 
 /// Largest difference of logits, relative to logits above one; `None` without onnxruntime.
 fn difference(name: &str, spec: &NetworkSpec, values: &BTreeMap<String, Vec<f32>>, size: [usize; 2]) -> Option<f32> {
-    let network = lively(spec, values.clone(), size);
+    let network = scaled_network(spec, values.clone(), size);
     let bytes = onnx::export_network(&network, size[0], size[1]).unwrap_or_else(|error| panic!("{name}: {error}"));
     if let Some(folder) = std::env::var_os("RADOME_KEEP_ONNX") {
         let file = format!("{name}-{}x{}.onnx", size[0], size[1]).replace(' ', "-");
@@ -108,7 +108,7 @@ fn difference(name: &str, spec: &NetworkSpec, values: &BTreeMap<String, Vec<f32>
 const SIZES: [[usize; 2]; 3] = [[128, 128], [64, 61], [32, 32]];
 
 #[test]
-fn every_network_answers_alike_in_onnxruntime() {
+fn every_network_agrees_with_onnxruntime() {
     for network in networks() {
         let spec = NetworkSpec::named(&network.name).expect("known");
         if spec.kind.reads_descriptors() {
@@ -123,7 +123,7 @@ fn every_network_answers_alike_in_onnxruntime() {
 }
 
 #[test]
-fn every_circuit_answers_alike_in_onnxruntime() {
+fn every_circuit_agrees_with_onnxruntime() {
     let encodings = [(Encoding::ZzFeatureMap, 1), (Encoding::ZzFeatureMap, 2), (Encoding::Angle, 1)];
     let mut largest = 0.0f32;
     for (encoding, repetitions) in encodings {
@@ -145,7 +145,7 @@ fn every_circuit_answers_alike_in_onnxruntime() {
 }
 
 #[test]
-fn shipped_models_classify_alike_as_onnx_files() {
+fn shipped_models_agree_with_their_onnx_files() {
     let folder = tempfile::tempdir().expect("folder");
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models");
     let files = std::fs::read_dir(models).expect("models").filter_map(Result::ok).map(|file| file.path());
@@ -173,7 +173,7 @@ fn shipped_models_classify_alike_as_onnx_files() {
             let (range_step_m, velocity_step_m_per_s) = ours.rdm_spec().steps(ours.waveform());
             let flags = MapFlags::default();
             let map = Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: index, flags };
-            let [a, b] = [&mut ours, &mut theirs].map(|of| of.classify(&map).expect("probabilities"));
+            let [a, b] = [&mut ours, &mut theirs].map(|classifier| classifier.classify(&map).expect("probabilities"));
             assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5), "{}: {a:?} {b:?}", path.display());
         }
     }
@@ -212,7 +212,7 @@ mod hard_cases {
         );
     }
 
-    /// A damaged number was taken for one of the model, as long as it was finite.
+    /// Regression test: a damaged number was accepted if it was finite.
     #[test]
     fn a_number_that_was_not_exported_is_refused() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/paper-hqnn.safetensors");
@@ -237,7 +237,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn circuits_that_are_no_closed_form_are_refused() {
+    fn large_noisy_and_measured_circuits_are_refused() {
         let shots = Execution::Shots(Shots { count: 100, seed: 1, gradient: Default::default() });
         let noise = Noise { depolarising_one_qubit: 0.01, ..Default::default() };
         for (circuit, reason) in [

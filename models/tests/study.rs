@@ -26,20 +26,20 @@ fn condition(name: &str, dataset: Dataset) -> Condition {
 }
 
 /// Condition with the same sequences, frames and labels, and targets of another strength.
-fn weaker(snr_db: f64) -> Condition {
+fn at_other_snr(snr_db: f64) -> Condition {
     condition("weaker", dataset(Maps { snr_db: (snr_db, snr_db + 10.0), ..FEW }))
 }
 
 /// Condition with maps of sequences that are in no training.
-fn strangers() -> Condition {
+fn unseen_sequences() -> Condition {
     let maps = dataset(Maps { seed: 2, ..FEW });
     let header = maps.header().clone();
-    let stranger = |index: usize| {
+    let renamed = |index: usize| {
         let mut row = maps.rows()[index].clone();
         row.sequence = format!("stranger {}", row.sequence);
         (header.rdm(maps.map(index).expect("a map"), row.frame), row)
     };
-    let all = (0..maps.len()).map(stranger).collect();
+    let all = (0..maps.len()).map(renamed).collect();
     condition("strangers", Dataset::from_maps(header.clone(), all).expect("dataset"))
 }
 
@@ -85,7 +85,7 @@ fn run(spec: &StudySpec, maps: &Dataset, folder: &Path, shard: (usize, usize)) -
 }
 
 /// Runs a shard with conditions; returns the numbers of trainings and of evaluated models, and the report.
-fn judge(
+fn run_with_conditions(
     spec: &StudySpec,
     maps: &Dataset,
     folder: &Path,
@@ -96,7 +96,7 @@ fn judge(
     let study = Study::open(spec, maps, folder, shard).expect("opens").with_conditions(conditions).expect("like maps");
     let ran = study.run(&|| true, &mut |progress| match progress {
         Progress::Done(_) => counts[0] += 1,
-        Progress::Judged(_) => counts[1] += 1,
+        Progress::Evaluated(_) => counts[1] += 1,
         _ => {}
     });
     ran.expect("runs");
@@ -171,55 +171,54 @@ fn models_of_all_labels_and_curves_of_all_epochs_are_kept() {
 
 /// Asserts that an interrupted study has the scores of each finished training under every condition.
 #[test]
-fn conditions_are_judged_as_soon_as_a_training_is_done() {
+fn conditions_are_evaluated_as_soon_as_a_training_is_done() {
     let (maps, spec) = (maps(), spec());
     let folder = tempfile::tempdir().expect("a folder");
-    let conditions = [condition("same", dataset(FEW)), strangers()];
+    let conditions = [condition("same", dataset(FEW)), unseen_sequences()];
     let study = Study::open(&spec, &maps, folder.path(), (0, 1)).expect("opens").with_conditions(&conditions);
     let study = study.expect("like maps");
-    let [compared, judged] = [const { Cell::new(0) }; 2];
+    let [compared, evaluated] = [const { Cell::new(0) }; 2];
     let ran = study.run(&|| compared.get() < 1, &mut |progress| match progress {
         Progress::Done(outcome) => {
             let rates = study.chosen_rates().expect("rates");
             let is_compared = rates.get(&outcome.job.variant) == Some(&outcome.job.learning_rate);
             compared.set(compared.get() + usize::from(is_compared && outcome.job.label_fraction == 1.0));
         }
-        Progress::Judged(_) => judged.set(judged.get() + 1),
+        Progress::Evaluated(_) => evaluated.set(evaluated.get() + 1),
         _ => {}
     });
     ran.expect("runs");
     let report = study.report().expect("a report");
     assert!(report.done < report.planned, "it was not stopped");
-    let whole: usize =
+    let with_models: usize =
         report.cells.iter().filter(|cell| cell.label_fraction == 1.0).map(|cell| cell.scores.len()).sum();
-    assert!(whole > 0);
+    assert!(with_models > 0);
     for condition in &report.conditions {
-        assert_eq!(condition.done, whole, "{}", condition.name);
+        assert_eq!(condition.done, with_models, "{}", condition.name);
     }
-    assert_eq!(judged.get(), whole * conditions.len());
+    assert_eq!(evaluated.get(), with_models * conditions.len());
 }
 
 /// Asserts that conditions of a complete study change no file of a training, and that only changed datasets are
 /// evaluated again.
 #[test]
-fn conditions_are_judged_without_training_again() {
+fn conditions_are_evaluated_without_training_again() {
     let (maps, spec) = (maps(), spec());
     let folder = tempfile::tempdir().expect("a folder");
     run(&spec, &maps, folder.path(), (0, 1));
-    let kept = || ["results", "models"].map(|part| files(&folder.path().join(part)));
-    let before = kept();
-    let mut conditions = vec![condition("same", dataset(FEW)), weaker(0.0), strangers()];
-    let (counts, report) = judge(&spec, &maps, folder.path(), (0, 1), &conditions);
+    let training_files = || ["results", "models"].map(|part| files(&folder.path().join(part)));
+    let before = training_files();
+    let mut conditions = vec![condition("same", dataset(FEW)), at_other_snr(0.0), unseen_sequences()];
+    let (counts, report) = run_with_conditions(&spec, &maps, folder.path(), (0, 1), &conditions);
     // Two networks, two seeds, three conditions.
     assert_eq!(counts, [0, 12]);
-    assert!(kept() == before, "files of trainings were written again");
+    assert!(training_files() == before, "files of trainings were written again");
     // Numbers of maps: the test splits of the same sequences, and all maps of unseen sequences.
-    let of_maps: Vec<usize> = report.conditions.iter().map(|condition| condition.maps).collect();
-    assert_eq!(of_maps, [18, 18, 90]);
+    let map_counts: Vec<usize> = report.conditions.iter().map(|condition| condition.maps).collect();
+    assert_eq!(map_counts, [18, 18, 90]);
     assert!(report.conditions.iter().all(|condition| (condition.done, condition.planned) == (4, 4)), "{report:?}");
     for cell in report.cells.iter().filter(|cell| cell.label_fraction == 1.0) {
-        let of = |index: usize| report.conditions[index].cells.iter().find(|of| of.variant == cell.variant);
-        let same = of(0).expect("a cell");
+        let same = report.conditions[0].cells.iter().find(|other| other.variant == cell.variant).expect("a cell");
         assert_eq!((same.balanced_accuracy, same.confusion), (cell.test, cell.confusion));
         // The same models on the same maps have no difference, for each seed.
         assert_eq!(same.scores.iter().map(|score| score.seed).collect::<Vec<_>>(), [1, 2]);
@@ -228,34 +227,34 @@ fn conditions_are_judged_without_training_again() {
     }
     assert!(report.markdown().contains("## Group\n") && report.markdown().contains("| same | weaker | strangers |"));
 
-    conditions[1] = weaker(-10.0);
-    let (counts, again) = judge(&spec, &maps, folder.path(), (0, 1), &conditions);
+    conditions[1] = at_other_snr(-10.0);
+    let (counts, again) = run_with_conditions(&spec, &maps, folder.path(), (0, 1), &conditions);
     assert_eq!(counts, [0, 4]);
     assert_ne!(again.conditions[1].dataset_hash, report.conditions[1].dataset_hash);
     assert_eq!([&again.conditions[0], &again.conditions[2]], [&report.conditions[0], &report.conditions[2]]);
-    assert_eq!(judge(&spec, &maps, folder.path(), (0, 1), &conditions), ([0, 0], again));
+    assert_eq!(run_with_conditions(&spec, &maps, folder.path(), (0, 1), &conditions), ([0, 0], again));
 }
 
 #[test]
-fn shards_judge_conditions_to_the_report_of_one_run() {
-    let (maps, spec, conditions) = (maps(), spec(), [weaker(0.0), strangers()]);
+fn shards_with_conditions_make_the_report_of_one_run() {
+    let (maps, spec, conditions) = (maps(), spec(), [at_other_snr(0.0), unseen_sequences()]);
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    let (counts, whole) = judge(&spec, &maps, &at("whole"), (0, 1), &conditions);
+    let (counts, whole) = run_with_conditions(&spec, &maps, &at("whole"), (0, 1), &conditions);
     assert_eq!(counts, [10, 8]);
-    let apart = [2, 0, 1].map(|index| judge(&spec, &maps, &at("apart"), (index, 3), &conditions));
-    let sum = |of: usize| apart.iter().map(|(counts, _)| counts[of]).sum::<usize>();
+    let apart = [2, 0, 1].map(|index| run_with_conditions(&spec, &maps, &at("apart"), (index, 3), &conditions));
+    let sum = |kind: usize| apart.iter().map(|(counts, _)| counts[kind]).sum::<usize>();
     assert_eq!([sum(0), sum(1)], [10, 8]);
     assert_eq!(bytes(&apart[2].1), bytes(&whole));
     // Conditions are added afterwards, by shards.
     run(&spec, &maps, &at("after"), (0, 1));
-    let after = [1, 0].map(|index| judge(&spec, &maps, &at("after"), (index, 2), &conditions));
+    let after = [1, 0].map(|index| run_with_conditions(&spec, &maps, &at("after"), (index, 2), &conditions));
     assert_eq!(after.iter().map(|(counts, _)| counts[1]).sum::<usize>(), 8);
     assert_eq!(bytes(&after[1].1), bytes(&whole));
 }
 
 #[test]
-fn a_plan_counts_what_is_done_and_times_the_rest() {
+fn a_plan_counts_done_trainings_and_times_the_others() {
     let (maps, spec) = (maps(), spec());
     let folder = tempfile::tempdir().expect("a folder");
     let plan = || {
@@ -281,7 +280,7 @@ fn a_plan_counts_what_is_done_and_times_the_rest() {
     assert!(after.hours == 0.0 && after.networks.iter().all(|network| network.step_seconds.is_none()), "{after:?}");
 }
 
-/// The recall of a recording with one class was called its balanced accuracy, and each recording counted as a seed.
+/// Regression test: the recall of a recording with one class was called its balanced accuracy, and each recording counted as a seed.
 #[test]
 fn recordings_that_are_held_out_in_turn_are_scored_together() {
     use Occupancy::{Empty, One, Two};
@@ -332,18 +331,18 @@ fn recordings_that_are_held_out_in_turn_are_scored_together() {
     );
 }
 
-/// Each sequence was held out with its whole group, so that every map counted as often as its group has sequences.
+/// Regression test: each sequence was held out with its whole group, so every map counted as often as its group has sequences.
 #[test]
 fn groups_that_are_held_out_in_turn_count_each_map_once() {
     let ungrouped = dataset(Maps { sequences: [6, 0, 0], ..FEW });
     let header = ungrouped.header().clone();
     // Six subjects, each with a sequence of each class.
-    let of_subject = |index: usize| {
+    let with_subject = |index: usize| {
         let mut row = ungrouped.rows()[index].clone();
         row.subject = Some(format!("subject {}", index / FEW.length % 6));
         (header.rdm(ungrouped.map(index).expect("a map"), row.frame), row)
     };
-    let all = (0..ungrouped.len()).map(of_subject).collect();
+    let all = (0..ungrouped.len()).map(with_subject).collect();
     let maps = Dataset::from_maps(header.clone(), all).expect("dataset");
     let by = |by: SplitBy| StudySpec {
         variants: vec![variant("hqnn")],
@@ -358,10 +357,11 @@ fn groups_that_are_held_out_in_turn_count_each_map_once() {
     let spec = by(SplitBy::Subject);
     let folder = tempfile::tempdir().expect("a folder");
     assert_eq!(run(&spec, &maps, &folder.path().join("subjects"), (0, 1)).len(), 6);
-    let found = report(&spec, &maps, &folder.path().join("subjects"));
-    assert_eq!((found.done, found.planned, found.cells[0].scores.len()), (6, 6, 1));
-    assert_eq!(found.cells[0].confusion.iter().flatten().sum::<u64>(), maps.len() as u64);
-    assert!(found.markdown().contains("Each group of recordings of one subject in turn"), "{}", found.markdown());
+    let by_subject = report(&spec, &maps, &folder.path().join("subjects"));
+    assert_eq!((by_subject.done, by_subject.planned, by_subject.cells[0].scores.len()), (6, 6, 1));
+    assert_eq!(by_subject.cells[0].confusion.iter().flatten().sum::<u64>(), maps.len() as u64);
+    let text = by_subject.markdown();
+    assert!(text.contains("Each group of recordings of one subject in turn"), "{text}");
 
     // A folder of an earlier version has results of all sequences.
     let earlier = folder.path().join("earlier");
@@ -421,14 +421,14 @@ mod hard_cases {
         spec.train.warm_up_steps = 1;
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
-        // A plan timed steps at the study's learning rate, and failed where that diverges.
+        // Regression test: a plan timed steps at the study's learning rate, and failed if that diverges.
         let study = Study::open(&spec, &maps, &at("one"), (0, 1)).expect("opens");
         let plan = study.plan(0, &mut |_| {}).expect("a plan");
         assert_eq!((plan.trainings, plan.done), (4, 0));
         let mut steps = plan.networks.iter().map(|network| network.step_seconds);
         assert!(steps.all(|step| step.is_some_and(|seconds| seconds > 0.0)), "{plan:?}");
 
-        let (counts, all) = judge(&spec, &maps, &at("one"), (0, 1), &[strangers()]);
+        let (counts, all) = run_with_conditions(&spec, &maps, &at("one"), (0, 1), &[unseen_sequences()]);
         assert_eq!(counts, [4, 4]);
         assert_eq!((all.done, all.planned, all.failures.len()), (4, 4, 4));
         for cell in &all.cells {
@@ -464,13 +464,13 @@ mod hard_cases {
         Study::open(spec, maps, folder, (0, 1))?.with_conditions(conditions)
     }
 
-    /// Error of a run under conditions that the study takes.
-    fn refused(spec: &StudySpec, maps: &Dataset, folder: &Path, conditions: &[Condition]) -> StudyError {
+    /// Error of a run under conditions that the study accepts.
+    fn run_error(spec: &StudySpec, maps: &Dataset, folder: &Path, conditions: &[Condition]) -> StudyError {
         open(spec, maps, folder, conditions).expect("opens").run(&|| true, &mut |_| {}).expect_err("refused")
     }
 
     #[test]
-    fn conditions_that_models_cannot_judge_are_refused_by_name() {
+    fn errors_name_conditions_that_do_not_fit() {
         let (maps, spec) = (maps(), StudySpec { seeds: vec![1], learning_rates: Vec::new(), ..spec() });
         let folder = tempfile::tempdir().expect("a folder");
         let larger = [condition("larger", dataset(Maps { size: 64, ..FEW }))];
@@ -483,48 +483,53 @@ mod hard_cases {
 
         // A set that contains only training sequences is refused.
         let seen = [condition("seen", dataset(Maps { sequences: [6, 2, 0], ..FEW }))];
-        let error = refused(&spec, &maps, folder.path(), &seen);
+        let error = run_error(&spec, &maps, folder.path(), &seen);
         assert!(matches!(&error, StudyError::NothingUnseen { condition } if condition == "seen"), "{error}");
 
         // A study from before models were kept lacks this file.
-        let strange = [strangers()];
+        let unseen = [unseen_sequences()];
         std::fs::remove_file(folder.path().join("models/hqnn-1-0.001-1.safetensors")).expect("removed");
-        let error = refused(&spec, &maps, folder.path(), &strange);
+        let error = run_error(&spec, &maps, folder.path(), &unseen);
         assert!(matches!(&error, StudyError::NoModel { .. }), "{error}");
         assert!(error.to_string().contains("remove ") && error.to_string().contains("hqnn-1-0.001-1.json"), "{error}");
 
         let half = StudySpec { label_fractions: vec![0.5], ..spec.clone() };
         let other = tempfile::tempdir().expect("a folder");
         let study = Study::open(&half, &maps, other.path(), (0, 1)).expect("opens");
-        let error = study.with_conditions(&strange).err().expect("no model of all labels").to_string();
+        let error = study.with_conditions(&unseen).err().expect("no model of all labels").to_string();
         assert!(error.contains("label_fractions"), "{error}");
     }
 
-    /// A cut result said "EOF while parsing", and one in the place of another counted under the wrong seed.
+    /// Regression test: the error of a truncated result was "EOF while parsing", and a result in the place of another counted under the
+    /// wrong seed.
     #[test]
-    fn results_and_models_that_are_damaged_or_elsewhere_are_named_with_the_remedy() {
+    fn errors_name_damaged_and_misplaced_files_with_the_remedy() {
         let (maps, spec) = (maps(), StudySpec { learning_rates: Vec::new(), label_fractions: vec![1.0], ..spec() });
         let folder = tempfile::tempdir().expect("a folder");
         outcomes(&spec, &maps, folder.path());
         let at = |name: &str| folder.path().join(name);
-        let strange = [strangers()];
-        let said = || refused(&spec, &maps, folder.path(), &strange).to_string();
+        let unseen = [unseen_sequences()];
+        let error = || run_error(&spec, &maps, folder.path(), &unseen).to_string();
         let (model, result) = ("models/hqnn-1-0.001-1.safetensors", "results/hqnn-1-0.001-1.json");
         let whole = [model, result].map(|name| std::fs::read(at(name)).expect("reads"));
         std::fs::write(at(model), &whole[0][..whole[0].len() / 2]).expect("writes");
-        let error = said();
-        assert!(error.contains("truncated") && error.contains("remove ") && error.contains(result), "{error}");
+        let of_model = error();
+        let is_named = of_model.contains("truncated") && of_model.contains("remove ") && of_model.contains(result);
+        assert!(is_named, "{of_model}");
         std::fs::write(at(model), &whole[0]).expect("writes");
 
         std::fs::write(at(result), &whole[1][..whole[1].len() / 2]).expect("writes");
-        let error = said();
-        assert!(error.contains("it is no result") && error.contains("hint: remove it"), "{error}");
+        let of_result = error();
+        assert!(of_result.contains("it is no result") && of_result.contains("hint: remove it"), "{of_result}");
         std::fs::copy(at("results/hqnn-1-0.001-2.json"), at(result)).expect("copies");
-        let error = said();
-        assert!(error.contains("another training, hqnn-1-0.001-2") && error.contains("hint: remove it"), "{error}");
+        let of_copy = error();
+        assert!(
+            of_copy.contains("another training, hqnn-1-0.001-2") && of_copy.contains("hint: remove it"),
+            "{of_copy}"
+        );
     }
 
-    /// Results of more than three thousand epochs were written and could not be read back, so that the study never went on.
+    /// Regression test: results of more than three thousand epochs could not be read back, so the study did not continue.
     #[test]
     fn results_of_many_epochs_are_read_back() {
         let (maps, spec) = (maps(), StudySpec { seeds: vec![1], learning_rates: Vec::new(), ..spec() });
@@ -542,7 +547,7 @@ mod hard_cases {
 
     /// Asserts that a whole run excludes all other runs, and that shards exclude whole runs.
     #[test]
-    fn a_folder_in_use_is_said_to_be() {
+    fn a_folder_in_use_is_an_error() {
         let (maps, spec) = (maps(), spec());
         let folder = tempfile::tempdir().expect("a folder");
         let study = |shard| Study::open(&spec, &maps, folder.path(), shard).expect("opens");
@@ -554,10 +559,10 @@ mod hard_cases {
         }
         drop(lock);
         let mut error = None;
-        // The first result suffices.
+        // The run stops after the first result.
         let results = folder.path().join("results");
-        let is_first = || std::fs::read_dir(&results).expect("a folder").count() == 0;
-        let ran = study((0, 2)).run(&is_first, &mut |progress| {
+        let has_no_result = || std::fs::read_dir(&results).expect("a folder").count() == 0;
+        let ran = study((0, 2)).run(&has_no_result, &mut |progress| {
             if let Progress::Job(..) = progress {
                 error = study((0, 1)).run(&|| true, &mut |_| {}).err();
             }
@@ -568,7 +573,7 @@ mod hard_cases {
 
     /// Asserts that with a damaged checkpoint, or one of another machine, training restarts and the report is the same.
     #[test]
-    fn a_checkpoint_that_cannot_be_continued_is_left() {
+    fn a_checkpoint_that_cannot_be_continued_is_replaced() {
         let maps = maps();
         let spec = StudySpec { seeds: vec![1], label_fractions: vec![1.0], learning_rates: Vec::new(), ..spec() };
         let folder = tempfile::tempdir().expect("a folder");

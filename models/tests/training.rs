@@ -26,7 +26,7 @@ fn quick() -> TrainSpec {
 }
 
 /// Every augmentation of training maps with levels over noise.
-fn everything() -> Augmentation {
+fn all_augmentations() -> Augmentation {
     Augmentation {
         noise_db: 1.0,
         doppler_flip: true,
@@ -59,8 +59,8 @@ fn rdm(set: &Dataset, index: usize) -> Rdm {
     set.header().rdm(set.map(index).expect("map"), index as u64)
 }
 
-/// Trains until the checkpoint holds so many epochs. The report of the next one panics, which is as abrupt as a signal: an epoch is
-/// written after its report.
+/// Trains until the checkpoint holds this number of epochs. The report of the next one panics, which is as abrupt as a signal: an epoch
+/// is written after its report.
 fn stop_after(epochs: usize, set: &Dataset, spec: &TrainSpec, checkpoint: &Path) {
     let mut count = 0;
     let stopped = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
@@ -183,14 +183,14 @@ fn one_seed_gives_one_model_on_any_number_of_threads() {
     // With every augmentation that maps over noise permit.
     let changed = TrainSpec {
         reference: MapReference::OverNoise { skip_range_bins: 2, most_db: Some(40.0) },
-        augmentation: everything(),
+        augmentation: all_augmentations(),
         ..spec
     };
     assert_eq!(run(1, &changed), run(3, &changed));
 }
 
 #[test]
-fn a_stopped_training_ends_as_if_it_had_not_been() {
+fn a_stopped_and_continued_training_gives_the_same_model() {
     let (set, spec) = brief();
     let doppler_net = TrainSpec { network: NetworkKind::DopplerNet, ..spec.clone() };
     let large = dataset(Maps { size: 32, sequences: [3, 2, 1], length: 3, ..Maps::default() });
@@ -203,12 +203,12 @@ fn a_stopped_training_ends_as_if_it_had_not_been() {
             let dir = tempfile::tempdir().expect("folder");
             let path = dir.path().join("checkpoint");
             stop_after(stop, set, &spec, &path);
-            let mut told = 0;
-            let resumed = train_with_checkpoint(set, &spec, Some(&path), &mut |_| told += 1).expect("training");
-            assert_eq!(told, epochs - stop);
+            let mut reports = 0;
+            let resumed = train_with_checkpoint(set, &spec, Some(&path), &mut |_| reports += 1).expect("training");
+            assert_eq!(reports, epochs - stop);
             assert_eq!(resumed.model.network.values().expect("values"), whole.model.network.values().expect("values"));
             assert_eq!(resumed.model.card, whole.model.card);
-            // A training that was killed before its model was saved was lost.
+            // Regression test: a training that was killed before its model was saved was lost.
             let again = train_with_checkpoint(set, &spec, Some(&path), &mut |_| panic!("no epoch is left"));
             assert_eq!(again.expect("training").model.card, whole.model.card);
         }
@@ -252,13 +252,13 @@ fn maps_of_another_spec_or_waveform_are_refused() {
         assert!(matches!(error, ClassifyError::OtherMaps { .. }), "{error}");
         error.to_string()
     };
-    let said = refused(&another, &header.waveform);
-    assert!(said.contains("floor_db") && said.contains("instead of") && said.contains("hint: "), "{said}");
+    let error = refused(&another, &header.waveform);
+    assert!(error.contains("floor_db") && error.contains("instead of") && error.contains("hint: "), "{error}");
     // The same numbers of chirps and samples, but wider range bins.
     let request = WaveformRequest { end_frequency_hz: 60.2e9, ..header.waveform.request.clone() };
     let narrow = Waveform::realise(request).expect("waveform");
-    let said = refused(&header.rdm_spec, &narrow);
-    assert!(said.contains("waveform") && said.contains("hint: "), "{said}");
+    let error = refused(&header.rdm_spec, &narrow);
+    assert!(error.contains("waveform") && error.contains("hint: "), "{error}");
 }
 
 #[test]
@@ -278,7 +278,7 @@ fn every_standardisation_of_the_latent_is_saved_with_the_model() {
 
 /// Asserts that settings beyond the paper's network are saved in the file and apply to the loaded model.
 #[test]
-fn reference_grid_and_smoothing_travel_with_the_model() {
+fn reference_grid_and_smoothing_are_saved_with_the_model() {
     let (set, spec) = brief();
     let smoothing = Smoothing { dwell_s: 20.0, temperature: 1.2, ..Smoothing::default() };
     let reference = MapReference::OverNoise { skip_range_bins: 2, most_db: Some(15.0) };
@@ -293,7 +293,7 @@ fn reference_grid_and_smoothing_travel_with_the_model() {
 
 /// Asserts that a model with the paper's rule refuses maps without labels, which its card states.
 #[test]
-fn a_model_that_is_told_labels_answers_only_where_there_are_some() {
+fn a_model_that_needs_labels_refuses_maps_without_labels() {
     let (set, spec) = brief();
     let outcome = train(&set, &TrainSpec { label_leaking_cells: true, ..spec }, &mut |_| {}).expect("training");
     assert!(outcome.warnings.iter().any(|warning| warning.contains("label")), "{:?}", outcome.warnings);
@@ -379,7 +379,7 @@ mod hard_cases {
         bytes[last..].copy_from_slice(&f32::NAN.to_le_bytes());
         let error = Model::from_bytes(&path, &bytes).err().expect("NaN").to_string();
         assert!(error.contains("NaN"), "{error}");
-        // A flipped bit in a number gave other answers, and nothing was said.
+        // Regression test: a flipped bit in a number changed predictions without an error.
         let mut bytes = whole.clone();
         bytes[last] ^= 1;
         let error = Model::from_bytes(&path, &bytes).err().expect("damaged");
@@ -393,9 +393,9 @@ mod hard_cases {
         assert!(error.contains("none: reading failed"), "{error}");
     }
 
-    /// The error was that all cells are equal, and its hint spoke of simulations without noise.
+    /// Regression test: the error was that all cells are equal, with a hint about simulations without noise.
     #[test]
-    fn skipping_every_range_bin_is_refused_as_such() {
+    fn skipping_every_range_bin_is_an_error() {
         let (set, spec) = brief();
         let reference = MapReference::OverNoise { skip_range_bins: 16, most_db: None };
         let error = train(&set, &TrainSpec { reference, ..spec }, &mut |_| {}).err().expect("refused");
@@ -460,7 +460,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_missing_class_and_batches_of_one_class_are_survived() {
+    fn a_missing_class_and_batches_of_one_class_are_trained_on() {
         use Occupancy::{Empty, One};
         use Split::{Train, Validation};
         let set = flat_maps(&[(Empty, Train), (One, Train), (Empty, Validation), (Empty, Train)], |k| {
@@ -479,7 +479,8 @@ mod hard_cases {
         }
     }
 
-    /// Splits of the dataset were ignored where a sequence is held out, and classes without a test map were not named.
+    /// Regression test: splits of the dataset were ignored without a warning if a sequence is held out, and classes without a test map
+    /// were not named.
     #[test]
     fn a_sequence_that_is_held_out_overrides_the_splits_with_a_warning() {
         let (set, spec) = brief();
@@ -493,14 +494,14 @@ mod hard_cases {
         }
     }
 
-    /// The other recordings of a subject, scene or seed were held out with the named one, and nothing said so.
+    /// Regression test: the other recordings of a subject, scene or seed were held out with the named one without a warning.
     #[test]
     fn sequences_that_are_held_out_with_their_group_are_named() {
         let (set, spec) = brief();
         let maps = (0..set.len()).map(|index| {
             let mut row = set.rows()[index].clone();
-            let is_of_a = ["s1", "s4", "s7"].contains(&row.sequence.as_str());
-            row.subject = Some(if is_of_a { "a".to_owned() } else { "b".to_owned() });
+            let is_subject_a = ["s1", "s4", "s7"].contains(&row.sequence.as_str());
+            row.subject = Some(if is_subject_a { "a".to_owned() } else { "b".to_owned() });
             (set.header().rdm(set.map(index).expect("a map"), row.frame), row)
         });
         let set = Dataset::from_maps(set.header().clone(), maps.collect()).expect("a dataset");
@@ -509,13 +510,13 @@ mod hard_cases {
             training_warnings(&set, &TrainSpec { split, ..spec.clone() }).expect("splits").join("\n")
         };
         let expected = "sequence 's4' is held out with the other sequences of its subject: 's1', 's7'";
-        let said = warnings(SplitBy::Subject, "s4");
-        assert!(said.contains(expected), "{said}");
-        let said = warnings(SplitBy::Sequence, "s4");
-        assert!(!said.contains("other sequences of its"), "{said}");
+        let by_subject = warnings(SplitBy::Subject, "s4");
+        assert!(by_subject.contains(expected), "{by_subject}");
+        let by_sequence = warnings(SplitBy::Sequence, "s4");
+        assert!(!by_sequence.contains("other sequences of its"), "{by_sequence}");
     }
 
-    /// A damaged map of the test split was found when the training had ended, and the training was lost.
+    /// Regression test: a damaged map of the test split was found only after the training, which was lost.
     #[test]
     fn a_damaged_test_map_is_found_before_the_first_epoch() {
         let (set, spec) = brief();
@@ -561,10 +562,10 @@ mod hard_cases {
             let dir = tempfile::tempdir().expect("folder");
             let path = dir.path().join("model.safetensors");
             let mut reload = |change: &dyn Fn(&mut Model)| {
-                let kept = model.card.clone();
+                let original = model.card.clone();
                 change(&mut model);
                 model.save(&path).expect("save");
-                model.card = kept;
+                model.card = original;
                 Model::load(&path)
             };
             assert!(reload(&|_| {}).is_ok());
@@ -585,9 +586,9 @@ mod hard_cases {
 
     /// Asserts that changes of echoes need levels over noise: with another reference, the level of an echo is unknown.
     #[test]
-    fn changes_of_echoes_need_maps_over_their_own_noise() {
+    fn augmentations_of_echoes_need_maps_over_noise() {
         let (set, spec) = brief();
-        let error = refused(&set, &TrainSpec { augmentation: everything(), ..spec });
+        let error = refused(&set, &TrainSpec { augmentation: all_augmentations(), ..spec });
         assert!(matches!(error, TrainError::NeedsOverNoise { setting: "superpose" }), "{error}");
         assert!(error.to_string().contains("hint: add [reference.over_noise]"), "{error}");
     }

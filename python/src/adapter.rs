@@ -31,7 +31,7 @@ impl Adapter {
         detached(py, || {
             fork::check_pools("adapting")?;
             match lock(&self.work).as_mut() {
-                Some(held) => work(held),
+                Some(state) => work(state),
                 None => Err("the model has been adapted\n\nhint: begin anew".into()),
             }
         })
@@ -80,8 +80,8 @@ impl Adapter {
     fn adapt<'py>(&self, py: Python<'py>) -> PyResult<(Model, Bound<'py, PyAny>)> {
         let adaptation = detached(py, || {
             fork::check_pools("adapting")?;
-            let held = lock(&self.work).take();
-            let Work { adapter, recordings } = held.ok_or("the model has been adapted\n\nhint: begin anew")?;
+            let state = lock(&self.work).take();
+            let Work { adapter, recordings } = state.ok_or("the model has been adapted\n\nhint: begin anew")?;
             Ok(adapter.adapt(&recordings)?)
         })?;
         let Adaptation { model, adapted, held_out, recordings_by_class, is_measured, .. } = adaptation;

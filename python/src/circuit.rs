@@ -5,7 +5,7 @@ use numpy::{IntoPyArray, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2}
 use pyo3::prelude::*;
 use radome_models::quantum::{self, CircuitSpec, Draw};
 
-use crate::error::{Outcome, detached, from_python, raised, to_python};
+use crate::error::{Outcome, detached, from_python, to_exception, to_python};
 
 /// Expectations, their derivatives by inputs, and by angles.
 type Jacobian<'py> = (Bound<'py, PyArray2<f64>>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray3<f64>>);
@@ -30,7 +30,7 @@ impl Circuit {
     #[new]
     fn new(py: Python<'_>, settings: &Bound<'_, PyAny>) -> PyResult<Self> {
         let spec: CircuitSpec = from_python("circuit", settings)?;
-        let inner = quantum::Circuit::new(&spec).map_err(|error| raised(py, &error))?;
+        let inner = quantum::Circuit::new(&spec).map_err(|error| to_exception(py, &error))?;
         Ok(Circuit { inner })
     }
 

@@ -9,7 +9,7 @@ use pyo3::prelude::*;
 use radome_dsp::RdmSpec;
 use radome_models::dataset::{self, DatasetHeader, ManifestRow, Split, SplitSpec};
 
-use crate::error::{detached, from_python, lock, raised, raised_text, to_python};
+use crate::error::{detached, from_python, lock, text_to_exception, to_exception, to_python};
 use crate::map::{Map, spec};
 use crate::waveform::Waveform;
 
@@ -72,7 +72,7 @@ impl Dataset {
         let cells = detached(py, || Ok(self.inner.map(index)?))?;
         let shape = self.inner.header().shape;
         let cells = Array3::from_shape_vec((shape.rx, shape.doppler, shape.range), cells);
-        Ok(cells.map_err(|error| raised(py, &error))?.into_pyarray(py))
+        Ok(cells.map_err(|error| to_exception(py, &error))?.into_pyarray(py))
     }
 
     /// SHA-256 over header and manifest, hex.
@@ -113,7 +113,7 @@ impl DatasetWriter {
         let Map { inner: map, spec, .. } = map.get();
         if *spec != self.map_spec {
             let text = "the map was made by another map spec than the dataset's\n\nhint: make maps with the dataset's map_spec";
-            return Err(raised_text(py, text.to_owned()));
+            return Err(text_to_exception(py, text.to_owned()));
         }
         detached(py, || match lock(&self.writer).as_mut() {
             Some(writer) => Ok(writer.push(map, row)?),

@@ -24,7 +24,7 @@ pub type Outcome<T> = Result<T, Failure>;
 /// # Errors
 /// The error of the work, as an exception.
 pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> Outcome<T> + Send) -> PyResult<T> {
-    py.detach(work).map_err(|failure| raised(py, &*failure))
+    py.detach(work).map_err(|failure| to_exception(py, &*failure))
 }
 
 /// Locks a mutex, also after a panic of a thread that held it.
@@ -33,7 +33,7 @@ pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// Exception for an error: message, hint and causes, as `radome._errors.make` builds it. A Python exception stays what it is.
-pub fn raised(py: Python<'_>, error: &(dyn Error + 'static)) -> PyErr {
+pub fn to_exception(py: Python<'_>, error: &(dyn Error + 'static)) -> PyErr {
     if let Some(exception) = error.downcast_ref::<PyErr>() {
         return exception.clone_ref(py);
     }
@@ -54,9 +54,9 @@ pub fn raised(py: Python<'_>, error: &(dyn Error + 'static)) -> PyErr {
 }
 
 /// Exception for a text, which may contain a hint.
-pub fn raised_text(py: Python<'_>, text: String) -> PyErr {
+pub fn text_to_exception(py: Python<'_>, text: String) -> PyErr {
     let failure: Failure = text.into();
-    raised(py, &*failure)
+    to_exception(py, &*failure)
 }
 
 /// Kind of a file error, as `radome._errors.make` expects it; empty for other errors.
@@ -109,7 +109,7 @@ impl Error for Unreadable {
 ///
 /// # Errors
 /// The file cannot be read, is too long or is not UTF-8. The message names the file.
-pub fn text_of(path: &Path) -> Outcome<String> {
+pub fn read_text_file(path: &Path) -> Outcome<String> {
     read_text(path, TEXT_LIMIT_BYTES).map_err(|source| Unreadable { path: path.to_owned(), source }.into())
 }
 
@@ -118,7 +118,7 @@ pub fn text_of(path: &Path) -> Outcome<String> {
 /// # Errors
 /// The value has no JSON form.
 pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound<'py, PyAny>> {
-    let text = serde_json::to_string(value).map_err(|error| raised(py, &error))?;
+    let text = serde_json::to_string(value).map_err(|error| to_exception(py, &error))?;
     py.import("json")?.call_method1("loads", (text,))
 }
 
@@ -129,11 +129,11 @@ pub fn to_python<'py>(py: Python<'py>, value: &impl Serialize) -> PyResult<Bound
 pub fn from_python<T: DeserializeOwned>(what: &str, object: &Bound<'_, PyAny>) -> PyResult<T> {
     let py = object.py();
     let text: String = py.import("radome._json")?.call_method1("text", (what, object))?.extract()?;
-    let refused = |error: serde_json::Error| {
+    let invalid = |error: serde_json::Error| {
         let (prefix, message) = (format!("{what}: "), error.to_string());
         // Error messages of waveforms already begin with this prefix.
-        raised_text(py, if message.starts_with(&prefix) { message } else { prefix + &message })
+        text_to_exception(py, if message.starts_with(&prefix) { message } else { prefix + &message })
     };
-    let value: serde_json::Value = serde_json::from_str(&text).map_err(refused)?;
-    serde_json::from_value(value).map_err(refused)
+    let value: serde_json::Value = serde_json::from_str(&text).map_err(invalid)?;
+    serde_json::from_value(value).map_err(invalid)
 }

@@ -14,25 +14,25 @@ pub fn remember_process() {
 
 /// Process in which an object was created.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Birthplace(u32);
+pub struct CreatorProcess(u32);
 
-impl Birthplace {
+impl CreatorProcess {
     /// The current process.
-    pub fn here() -> Self {
-        Birthplace(std::process::id())
+    pub fn current() -> Self {
+        CreatorProcess(std::process::id())
     }
 
-    /// Whether the object was made in the current process.
-    pub fn is_here(self) -> bool {
+    /// Returns whether the object was created in the current process.
+    pub fn is_current(self) -> bool {
         self.0 == std::process::id()
     }
 
-    /// Refuses the use of an object with threads in a fork of the process that made it.
+    /// Checks that an object with threads is used in the process that created it, and not in a fork.
     ///
     /// # Errors
-    /// The current process is not the one in which the object was made.
+    /// The current process is not the one in which the object was created.
     pub fn check(self, what: &str) -> Outcome<()> {
-        if self.is_here() {
+        if self.is_current() {
             return Ok(());
         }
         let text = format!(
@@ -45,10 +45,10 @@ impl Birthplace {
     }
 }
 
-/// Refuses work on the process-wide thread pools in a fork of the process that imported the module.
+/// Checks that the current process is the one that imported the module: a fork has no threads in the process-wide pools.
 ///
 /// # Errors
 /// The current process is a fork of the one that imported the module.
 pub fn check_pools(what: &str) -> Outcome<()> {
-    Birthplace(IMPORTED_IN.load(Ordering::Relaxed)).check(what)
+    CreatorProcess(IMPORTED_IN.load(Ordering::Relaxed)).check(what)
 }

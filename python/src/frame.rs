@@ -7,7 +7,7 @@ use numpy::{Element, PyArray, PyArray3, PyReadonlyArray3};
 use pyo3::prelude::*;
 use radome_dsp::{Occupancy, Truth};
 
-use crate::error::raised_text;
+use crate::error::text_to_exception;
 use crate::waveform::Waveform;
 
 /// Frame of raw 12-bit codes. It does not change, and it does not need the source that it came from.
@@ -30,7 +30,7 @@ pub unsafe fn read_only<'py, T: Element, D: Dimension>(
     view: &ArrayView<'_, T, D>,
     owner: Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyArray<T, D>>> {
-    // SAFETY: the caller's promise is the one that is asked for.
+    // SAFETY: the caller guarantees that the memory lives and does not change as long as `owner` lives.
     let array = unsafe { PyArray::<T, D>::borrow_from_array(view, owner) };
     array.call_method1("setflags", (false,))?;
     Ok(array)
@@ -42,7 +42,7 @@ pub unsafe fn read_only<'py, T: Element, D: Dimension>(
 /// There is no class of this name.
 pub fn occupancy(py: Python<'_>, name: &str) -> PyResult<Occupancy> {
     Occupancy::from_name(name)
-        .ok_or_else(|| raised_text(py, format!("'{name}' is no class\n\nhint: it is 'empty', 'one' or 'two'")))
+        .ok_or_else(|| text_to_exception(py, format!("'{name}' is no class\n\nhint: it is 'empty', 'one' or 'two'")))
 }
 
 #[pymethods]
@@ -61,9 +61,9 @@ impl Frame {
         let py = codes.py();
         let waveform = waveform.get().0.clone();
         let shape = waveform.shape();
-        let checked = py.import("radome._arrays")?;
-        let checked = checked.call_method1("codes", (codes, (shape.rx, shape.chirps, shape.samples)))?;
-        let array: PyReadonlyArray3<'_, u16> = checked.extract()?;
+        let arrays = py.import("radome._arrays")?;
+        let codes = arrays.call_method1("codes", (codes, (shape.rx, shape.chirps, shape.samples)))?;
+        let array: PyReadonlyArray3<'_, u16> = codes.extract()?;
         let truth = truth.map(|name| occupancy(py, name)).transpose()?;
         let interval_ns = waveform.frame_interval_s() * 1e9;
         let inner = radome_dsp::Frame {
@@ -81,7 +81,7 @@ impl Frame {
     fn codes<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray3<u16>>> {
         let frame = &slf.get().inner;
         let view = frame.view().ok_or_else(|| {
-            raised_text(
+            text_to_exception(
                 slf.py(),
                 format!("frame {} holds {} codes, not {}", frame.sequence, frame.codes.len(), frame.shape),
             )

@@ -4,7 +4,7 @@
 //! documentation and types. Rules that all of it keeps:
 //! - Work of more than some microseconds runs without the interpreter's lock ([`error::detached`]). A mutex is only ever locked
 //!   without it, so that two threads on one object wait for each other and not for the lock.
-//! - Every error is an exception of `radome._errors` with hint and causes ([`error::raised`]).
+//! - Every error is an exception of `radome._errors` with hint and causes ([`error::to_exception`]).
 //! - Arrays of frames and maps are views that keep their owner alive ([`frame::read_only`]).
 
 use pyo3::prelude::*;

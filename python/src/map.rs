@@ -7,12 +7,12 @@ use numpy::{IntoPyArray, PyArray1, PyArray3};
 use pyo3::prelude::*;
 use radome_dsp::{MapStatus, Rdm, RdmProcessor, RdmSpec};
 
-use crate::error::{Outcome, detached, from_python, lock, raised, raised_text, to_python};
+use crate::error::{Outcome, detached, from_python, lock, text_to_exception, to_exception, to_python};
 use crate::frame::{Frame, read_only};
 use crate::waveform::Waveform;
 
-/// Processors that [`rdm`] keeps for the next call.
-const KEPT: usize = 8;
+/// Largest number of idle processors that [`rdm`] keeps for the next call.
+const MAX_IDLE_PROCESSORS: usize = 8;
 
 /// Range-Doppler map. It does not change.
 #[pyclass(frozen, module = "radome._radome")]
@@ -32,7 +32,7 @@ impl Map {
     fn db<'py>(slf: &Bound<'py, Self>) -> PyResult<Bound<'py, PyArray3<f32>>> {
         let map = &slf.get().inner;
         let shape = (map.shape.rx, map.shape.doppler, map.shape.range);
-        let view = ArrayView3::from_shape(shape, &map.db).map_err(|error| raised(slf.py(), &error))?;
+        let view = ArrayView3::from_shape(shape, &map.db).map_err(|error| to_exception(slf.py(), &error))?;
         // SAFETY: the class is frozen, so that the cells stay where they are until the map is dropped.
         unsafe { read_only(&view, slf.clone().into_any()) }
     }
@@ -89,19 +89,19 @@ pub fn spec(object: Option<&Bound<'_, PyAny>>, waveform: &radome_dsp::Waveform) 
             "default" => Ok(RdmSpec::default()),
             "paper" => Ok(RdmSpec::paper()),
             "sdk" => Ok(RdmSpec::sdk(waveform)),
-            _ => Err(raised_text(
+            _ => Err(text_to_exception(
                 py,
                 format!("'{name}' is no kind of map\n\nhint: it is 'default', 'paper', 'sdk' or a dict of keys"),
             )),
         };
     }
-    let given: serde_json::Map<String, serde_json::Value> = from_python("map spec", object)?;
-    let refused = |error: serde_json::Error| raised_text(py, format!("map spec: {error}"));
-    let mut keys = serde_json::to_value(RdmSpec::default()).map_err(refused)?;
+    let keys_to_change: serde_json::Map<String, serde_json::Value> = from_python("map spec", object)?;
+    let invalid = |error: serde_json::Error| text_to_exception(py, format!("map spec: {error}"));
+    let mut keys = serde_json::to_value(RdmSpec::default()).map_err(invalid)?;
     if let Some(keys) = keys.as_object_mut() {
-        keys.extend(given);
+        keys.extend(keys_to_change);
     }
-    serde_json::from_value(keys).map_err(refused)
+    serde_json::from_value(keys).map_err(invalid)
 }
 
 /// Next map of a processor; `None` while its window over frames fills.
@@ -131,7 +131,7 @@ impl MapProcessor {
     fn new(py: Python<'_>, waveform: &Bound<'_, Waveform>, spec: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
         let waveform = waveform.get().0.clone();
         let spec = self::spec(spec, &waveform)?;
-        let processor = RdmProcessor::new(&spec, &waveform).map_err(|error| raised(py, &error))?;
+        let processor = RdmProcessor::new(&spec, &waveform).map_err(|error| to_exception(py, &error))?;
         Ok(MapProcessor { processor: Mutex::new(processor), spec, waveform })
     }
 
@@ -160,18 +160,17 @@ impl MapProcessor {
     }
 }
 
-/// Processor for frames of a waveform: a kept one, or a new one.
+/// Processor for frames of a waveform: an idle one, or a new one.
 fn processor(spec: &RdmSpec, waveform: &Arc<radome_dsp::Waveform>) -> Outcome<RdmProcessor> {
-    if let Ok(mut kept) = PROCESSORS.try_lock()
-        && let Some(index) = kept.iter().position(|(of, processor)| of == waveform && processor.spec() == spec)
+    if let Ok(mut idle) = PROCESSORS.try_lock()
+        && let Some(index) = idle.iter().position(|(known, processor)| known == waveform && processor.spec() == spec)
     {
-        return Ok(kept.swap_remove(index).1);
+        return Ok(idle.swap_remove(index).1);
     }
     Ok(RdmProcessor::new(spec, waveform)?)
 }
 
-/// Idle processors of [`rdm`]. A locked mutex is not waited for: a fork may have copied it while another thread held
-/// it.
+/// Idle processors of [`rdm`]. Callers do not wait for the mutex: a fork may have copied it while another thread held it.
 static PROCESSORS: Mutex<Vec<(Arc<radome_dsp::Waveform>, RdmProcessor)>> = Mutex::new(Vec::new());
 
 /// Map of one frame alone: its `db` is `[rx][doppler][range]`, float32, dB.
@@ -207,9 +206,9 @@ pub fn rdm(py: Python<'_>, frame: &Bound<'_, Frame>, spec: Option<&Bound<'_, PyA
         let mut processor = processor(&spec, waveform)?;
         processor.reset();
         let map = next_map(&mut processor, frame)?;
-        if let Ok(mut kept) = PROCESSORS.try_lock() {
-            kept.truncate(KEPT - 1);
-            kept.push((waveform.clone(), processor));
+        if let Ok(mut idle) = PROCESSORS.try_lock() {
+            idle.truncate(MAX_IDLE_PROCESSORS - 1);
+            idle.push((waveform.clone(), processor));
         }
         map.ok_or_else(|| "this map is made of more than one frame\n\nhint: give the frames to a MapProcessor".into())
     })?;

@@ -15,8 +15,8 @@ use radome_models::occupancy_filter::OccupancyFilter;
 use radome_models::{Classifier, ModelCard, onnx};
 
 use crate::dataset::Dataset;
-use crate::error::{Failure, Outcome, detached, lock, raised, to_python};
-use crate::fork::Birthplace;
+use crate::error::{Failure, Outcome, detached, lock, to_exception, to_python};
+use crate::fork::CreatorProcess;
 use crate::frame::Frame;
 use crate::map::{Map, next_map};
 use crate::waveform::Waveform;
@@ -39,7 +39,7 @@ pub fn network(name: &Path) -> Outcome<radome_models::Model> {
     Ok(radome_models::Model::load(name)?)
 }
 
-/// Whether a name means the built-in model and no file.
+/// Returns whether a name means the built-in model and not a file.
 pub fn is_built_in(name: &Path) -> bool {
     name == Path::new(BUILT_IN) && !name.exists()
 }
@@ -48,13 +48,13 @@ fn is_onnx(name: &Path) -> bool {
     name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
 }
 
-/// Parts that only one thread at a time may use.
+/// State that one thread at a time may use.
 struct Work {
     /// Network; absent after an error that left it unusable.
     classifier: Option<Classifier>,
     /// Processor for the waveform of the last frame.
     maps: Option<(Arc<radome_dsp::Waveform>, RdmProcessor)>,
-    /// Mean of the evidence of the frames before.
+    /// Mean of the evidence of past frames.
     mean: EvidenceMean,
 }
 
@@ -68,11 +68,11 @@ pub struct Model {
     work: Mutex<Work>,
     card: ModelCard,
     is_native: bool,
-    birthplace: Birthplace,
+    creator: CreatorProcess,
 }
 
 impl Model {
-    /// A model that is in memory.
+    /// Wraps a model.
     pub fn of(model: radome_models::Model) -> Self {
         Self::of_classifier(Classifier::new(model), true)
     }
@@ -81,23 +81,23 @@ impl Model {
         let card = classifier.card().clone();
         let mean = EvidenceMean::new(card.memory_s);
         let work = Mutex::new(Work { classifier: Some(classifier), maps: None, mean });
-        Model { work, card, is_native, birthplace: Birthplace::here() }
+        Model { work, card, is_native, creator: CreatorProcess::current() }
     }
 
     fn lock(&self) -> Outcome<MutexGuard<'_, Work>> {
-        self.birthplace.check("the model")?;
+        self.creator.check("the model")?;
         Ok(lock(&self.work))
     }
 
     fn classify(&self, map: &Map) -> Outcome<Probabilities> {
         let mut work = self.lock()?;
-        let classifier = work.classifier.as_mut().ok_or_else(lost)?;
+        let classifier = work.classifier.as_mut().ok_or_else(model_lost_error)?;
         classifier.check_maps(&map.spec, &map.waveform)?;
         Ok(classifier.classify(&map.inner)?)
     }
 
     /// Probabilities for the next frame; `None` while a window over frames fills, and for frames without a signal.
-    fn judge(&self, frame: &Frame) -> Outcome<Option<Probabilities>> {
+    fn classify_frame(&self, frame: &Frame) -> Outcome<Option<Probabilities>> {
         let mut work = self.lock()?;
         let Work { classifier, maps, mean } = &mut *work;
         if maps.as_ref().is_none_or(|(waveform, _)| *waveform != frame.waveform) {
@@ -110,29 +110,29 @@ impl Model {
             processor.reset();
             return Ok(None);
         }
-        let classifier = classifier.as_mut().ok_or_else(lost)?;
+        let classifier = classifier.as_mut().ok_or_else(model_lost_error)?;
         let map = next_map(processor, &frame.inner)?;
         let Some(map) = map else { return Ok(None) };
         Ok(Some(mean.update(frame.inner.time_s(), classifier.classify(&map)?)))
     }
 
-    /// Does something with the network and its card.
+    /// Runs `work` on the network and its card.
     fn with_network<T>(&self, work: impl FnOnce(&radome_models::Model) -> Outcome<T>) -> Outcome<T> {
         if !self.is_native {
             return Err(
                 "the model is an ONNX file\n\nhint: open the .safetensors file that it was exported from".into()
             );
         }
-        let mut held = self.lock()?;
-        let classifier = held.classifier.take().ok_or_else(lost)?;
-        let model = classifier.into_model().ok_or_else(lost)?;
+        let mut guard = self.lock()?;
+        let classifier = guard.classifier.take().ok_or_else(model_lost_error)?;
+        let model = classifier.into_model().ok_or_else(model_lost_error)?;
         let result = work(&model);
-        held.classifier = Some(Classifier::new(model));
+        guard.classifier = Some(Classifier::new(model));
         result
     }
 }
 
-fn lost() -> Failure {
+fn model_lost_error() -> Failure {
     "the model was lost to an earlier error\n\nhint: open it again".into()
 }
 
@@ -163,7 +163,7 @@ impl Model {
             Some(detached(py, || self.classify(map))?)
         } else {
             let frame = frame.cast::<Frame>()?.get();
-            detached(py, || self.judge(frame))?
+            detached(py, || self.classify_frame(frame))?
         };
         Ok(probabilities.map(|probabilities| probabilities.to_vec().into_pyarray(py)))
     }
@@ -183,7 +183,7 @@ impl Model {
     /// Raises an error if the model cannot judge frames of a waveform.
     fn check_waveform(&self, py: Python<'_>, waveform: &Bound<'_, Waveform>) -> PyResult<()> {
         let checked = self.card.rdm_spec.check_compatible(&waveform.get().0, &self.card.waveform);
-        checked.map_err(|error| raised(py, &error))
+        checked.map_err(|error| to_exception(py, &error))
     }
 
     /// Filter over the probabilities of single frames, with the settings of the model's card. `frame_interval_s` is the time from
@@ -242,7 +242,7 @@ impl Model {
         let dataset = &dataset.get().inner;
         let metrics = detached(py, || {
             let mut work = self.lock()?;
-            Ok(evaluate(work.classifier.as_mut().ok_or_else(lost)?, dataset, &indices)?)
+            Ok(evaluate(work.classifier.as_mut().ok_or_else(model_lost_error)?, dataset, &indices)?)
         })?;
         to_python(py, &metrics)
     }

@@ -55,8 +55,8 @@ impl Opened {
 /// Source that ends after a number of frames; gaps do not count.
 struct Limited {
     source: Box<dyn FrameSource>,
-    most: u64,
-    taken: u64,
+    frame_limit: u64,
+    delivered: u64,
 }
 
 impl FrameSource for Limited {
@@ -65,18 +65,18 @@ impl FrameSource for Limited {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        if self.taken >= self.most {
+        if self.delivered >= self.frame_limit {
             return Ok(SourceEvent::End);
         }
         let event = self.source.next_frame(frame)?;
         if event == SourceEvent::Frame {
-            self.taken += 1;
+            self.delivered += 1;
         }
         Ok(event)
     }
 
     fn frame_count(&self) -> Option<u64> {
-        self.source.frame_count().map(|count| count.min(self.most))
+        self.source.frame_count().map(|count| count.min(self.frame_limit))
     }
 }
 
@@ -112,8 +112,8 @@ impl Options {
 /// The source does not exist or cannot be read, or a board cannot be programmed.
 pub fn open(spec: &str, options: &Options) -> Outcome<Opened> {
     let opened = open_unlimited(spec, options)?;
-    let Some(most) = options.frames else { return Ok(opened) };
-    Ok(Opened { frames: Box::new(Limited { source: opened.frames, most, taken: 0 }), ..opened })
+    let Some(frame_limit) = options.frames else { return Ok(opened) };
+    Ok(Opened { frames: Box::new(Limited { source: opened.frames, frame_limit, delivered: 0 }), ..opened })
 }
 
 fn open_unlimited(spec: &str, options: &Options) -> Outcome<Opened> {
@@ -130,7 +130,7 @@ fn open_unlimited(spec: &str, options: &Options) -> Outcome<Opened> {
         return board(Detected::Deepcraft(Box::new(DeepcraftBoard::open(Path::new(port))?)), port, options);
     }
     if spec == "auto" {
-        return board_at(&the_one_board()?, options);
+        return board_at(&only_board()?, options);
     }
     let mut opened = file(Path::new(spec), options)?;
     if let Some(speed) = options.speed() {
@@ -148,9 +148,9 @@ fn file(path: &Path, options: &Options) -> Outcome<Opened> {
     if let Some(waveform) = &options.waveform
         && waveform.shape() != recording.waveform().shape()
     {
-        let (asked, has) = (waveform.shape(), recording.waveform().shape());
+        let (expected, actual) = (waveform.shape(), recording.waveform().shape());
         return Err(format!(
-            "{}: frames of {asked} were asked for, the recording has {has}\n\nhint: leave the waveform out: a recording has its own",
+            "{}: frames of {expected} were asked for, the recording has {actual}\n\nhint: leave the waveform out: a recording has its own",
             path.display()
         )
         .into());
@@ -199,7 +199,7 @@ fn board(detected: Detected, at: impl Display, options: &Options) -> Outcome<Ope
 }
 
 /// Address of the only board that discovery finds.
-fn the_one_board() -> Outcome<Address> {
+fn only_board() -> Outcome<Address> {
     let mut found: Vec<Address> = candidates().iter().filter_map(Candidate::address).collect();
     match (found.pop(), found.is_empty()) {
         (Some(address), true) => Ok(address),

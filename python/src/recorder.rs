@@ -9,7 +9,7 @@ use radome_driver::{LabelSpan, RecordingHeader};
 use radome_dsp::Gap;
 use serde_json::json;
 
-use crate::error::{Outcome, detached, from_python, lock, text_of, to_python};
+use crate::error::{Outcome, detached, from_python, lock, read_text_file, to_python};
 use crate::frame::Frame;
 use crate::waveform::Waveform;
 
@@ -98,7 +98,7 @@ impl Recorder {
 pub fn read_labels<'py>(py: Python<'py>, path: PathBuf) -> PyResult<Bound<'py, PyAny>> {
     let labels = detached(py, || {
         let kind = path.extension().and_then(|extension| extension.to_str());
-        let read = match kind {
+        let parse = match kind {
             Some("txt") => label_text::from_audacity,
             Some("label") => label_text::from_deepcraft,
             _ => {
@@ -109,8 +109,8 @@ pub fn read_labels<'py>(py: Python<'py>, path: PathBuf) -> PyResult<Bound<'py, P
                 return Err(text.into());
             }
         };
-        let text = text_of(&path)?;
-        read(&text).map_err(|error| format!("{}: {error}", path.display()).into())
+        let text = read_text_file(&path)?;
+        parse(&text).map_err(|error| format!("{}: {error}", path.display()).into())
     })?;
     to_python(py, &labels)
 }

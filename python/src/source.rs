@@ -11,19 +11,20 @@ use pyo3::prelude::*;
 use radome_driver::{BoardIdentity, LabelSpan};
 use radome_dsp::{FrameSource, Gap, SourceEvent};
 
-use crate::error::{Failure, Outcome, detached, from_python, lock, raised, to_python};
-use crate::fork::Birthplace;
+use crate::error::{Failure, Outcome, detached, from_python, lock, to_exception, to_python};
+use crate::fork::CreatorProcess;
 use crate::frame::Frame;
 use crate::opened::{self, Opened, Options};
 use crate::waveform::Waveform;
 
-/// Longest time for which a wait delays the handling of signals in Python.
-const SLICE: Duration = Duration::from_millis(50);
-/// Numbers of frames that are read ahead of Python, for files and for boards. Boards do not wait.
-const AHEAD: usize = 4;
-const AHEAD_LIVE: usize = 64;
+/// Longest wait between two checks of signals in Python.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+/// Number of frames of a file that are read ahead of Python.
+const FILE_QUEUE_FRAMES: usize = 4;
+/// Number of frames of a board that are read ahead of Python. Boards do not wait.
+const BOARD_QUEUE_FRAMES: usize = 64;
 /// Longest time that closing or dropping a source waits for its thread.
-const LONGEST_STOP: Duration = Duration::from_secs(1);
+const MAX_STOP_WAIT: Duration = Duration::from_secs(1);
 
 /// Item that the reading thread sends.
 enum Item {
@@ -33,11 +34,11 @@ enum Item {
     Failed(Failure),
 }
 
-/// Result of waiting for one slice of time.
+/// Result of waiting once for an item.
 enum Polled {
     Item(Item),
     Nothing,
-    Over,
+    Ended,
 }
 
 /// Properties of a source that are known once it is open.
@@ -58,21 +59,21 @@ struct Reader {
     items: Option<Receiver<Item>>,
     thread: Option<JoinHandle<()>>,
     is_live: bool,
-    is_over: bool,
-    birthplace: Birthplace,
+    has_ended: bool,
+    creator: CreatorProcess,
 }
 
 impl Reader {
-    fn poll(&mut self, patience: Duration) -> Polled {
-        let Some(items) = self.items.as_ref().filter(|_| !self.is_over) else { return Polled::Over };
-        match items.recv_timeout(patience) {
+    fn poll(&mut self, timeout: Duration) -> Polled {
+        let Some(items) = self.items.as_ref().filter(|_| !self.has_ended) else { return Polled::Ended };
+        match items.recv_timeout(timeout) {
             Ok(item) => {
-                self.is_over = matches!(item, Item::End | Item::Failed(_));
+                self.has_ended = matches!(item, Item::End | Item::Failed(_));
                 Polled::Item(item)
             }
             Err(RecvTimeoutError::Timeout) => Polled::Nothing,
             Err(RecvTimeoutError::Disconnected) => {
-                self.is_over = true;
+                self.has_ended = true;
                 Polled::Item(Item::Failed("the thread that reads the source panicked".into()))
             }
         }
@@ -82,14 +83,15 @@ impl Reader {
 impl Drop for Reader {
     fn drop(&mut self) {
         let (items, thread) = (self.items.take(), self.thread.take());
-        if !self.birthplace.is_here() {
+        if !self.creator.is_current() {
             // The thread is in another process, and so is the holder of the channel's locks.
             std::mem::forget((items, thread));
             return;
         }
         drop(items);
-        let began = Instant::now();
-        while self.is_live && thread.as_ref().is_some_and(|t| !t.is_finished()) && began.elapsed() < LONGEST_STOP {
+        let start_time = Instant::now();
+        while self.is_live && thread.as_ref().is_some_and(|t| !t.is_finished()) && start_time.elapsed() < MAX_STOP_WAIT
+        {
             thread::sleep(Duration::from_millis(5));
         }
     }
@@ -125,7 +127,7 @@ fn open_and_read(spec: &str, options: &Options, start: &SyncSender<Outcome<Start
             return;
         }
     };
-    let (sender, items) = sync_channel(if is_live { AHEAD_LIVE } else { AHEAD });
+    let (sender, items) = sync_channel(if is_live { BOARD_QUEUE_FRAMES } else { FILE_QUEUE_FRAMES });
     let (waveform, frame_count) = (Arc::new(frames.waveform().clone()), frames.frame_count());
     let header = Header { waveform, description, is_live, board, labels, frame_count };
     if start.send(Ok((header, items))).is_ok() {
@@ -138,14 +140,14 @@ fn open_and_read(spec: &str, options: &Options, start: &SyncSender<Outcome<Start
 pub struct Source {
     reader: Mutex<Option<Reader>>,
     header: Header,
-    birthplace: Birthplace,
+    creator: CreatorProcess,
 }
 
 impl Source {
-    fn poll(&self, patience: Duration) -> Outcome<Polled> {
-        self.birthplace.check("the source")?;
+    fn poll(&self, timeout: Duration) -> Outcome<Polled> {
+        self.creator.check("the source")?;
         match lock(&self.reader).as_mut() {
-            Some(reader) => Ok(reader.poll(patience)),
+            Some(reader) => Ok(reader.poll(timeout)),
             None => Err("the source is closed".into()),
         }
     }
@@ -154,7 +156,7 @@ impl Source {
 /// Waits until the source is open or cannot be opened; Ctrl-C ends the wait.
 fn wait_for_start(py: Python<'_>, start: &Mutex<Receiver<Outcome<Start>>>) -> PyResult<Start> {
     loop {
-        let started = detached(py, || match lock(start).recv_timeout(SLICE) {
+        let started = detached(py, || match lock(start).recv_timeout(POLL_INTERVAL) {
             Ok(started) => started.map(Some),
             Err(RecvTimeoutError::Timeout) => Ok(None),
             Err(RecvTimeoutError::Disconnected) => Err("opening the source panicked".into()),
@@ -183,46 +185,47 @@ impl Source {
         let thread = thread::Builder::new().name("radome-source".to_owned());
         let thread = thread.spawn(move || open_and_read(&spec, &options, &sender))?;
         let (header, items) = wait_for_start(py, &Mutex::new(receiver))?;
-        let (birthplace, is_live) = (Birthplace::here(), header.is_live);
-        let reader = Reader { items: Some(items), thread: Some(thread), is_live, is_over: false, birthplace };
-        Ok(Source { reader: Mutex::new(Some(reader)), header, birthplace })
+        let (creator, is_live) = (CreatorProcess::current(), header.is_live);
+        let reader = Reader { items: Some(items), thread: Some(thread), is_live, has_ended: false, creator };
+        Ok(Source { reader: Mutex::new(Some(reader)), header, creator })
     }
 
     /// The next frame, a dict for a gap, or `None` at the end. Waits, for `timeout_s` at most; Ctrl-C ends the wait.
     #[pyo3(signature = (timeout_s=None))]
     fn next_event<'py>(&self, py: Python<'py>, timeout_s: Option<f64>) -> PyResult<Option<Bound<'py, PyAny>>> {
         let limit = timeout_s.map(Duration::try_from_secs_f64).transpose()?;
-        let began = Instant::now();
+        let start_time = Instant::now();
         loop {
-            let left = limit.map_or(SLICE, |limit| limit.saturating_sub(began.elapsed()).min(SLICE));
-            match detached(py, || self.poll(left))? {
+            let wait =
+                limit.map_or(POLL_INTERVAL, |limit| limit.saturating_sub(start_time.elapsed()).min(POLL_INTERVAL));
+            match detached(py, || self.poll(wait))? {
                 Polled::Nothing => {
                     py.check_signals()?;
-                    if limit.is_some_and(|limit| began.elapsed() >= limit) {
+                    if limit.is_some_and(|limit| start_time.elapsed() >= limit) {
                         return Err(PyTimeoutError::new_err("no frame came within the time"));
                     }
                 }
-                Polled::Over | Polled::Item(Item::End) => return Ok(None),
+                Polled::Ended | Polled::Item(Item::End) => return Ok(None),
                 Polled::Item(Item::Frame(frame)) => {
                     let frame = Frame { inner: *frame, waveform: self.header.waveform.clone() };
                     return Ok(Some(Bound::new(py, frame)?.into_any()));
                 }
                 Polled::Item(Item::Gap(gap)) => return to_python(py, &gap).map(Some),
-                Polled::Item(Item::Failed(failure)) => return Err(raised(py, &*failure)),
+                Polled::Item(Item::Failed(failure)) => return Err(to_exception(py, &*failure)),
             }
         }
     }
 
     /// Stops the board or lets go of the file, and waits for that for a second at most.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
-        if !self.birthplace.is_here() {
+        if !self.creator.is_current() {
             return Ok(());
         }
         let Some(mut reader) = py.detach(|| lock(&self.reader).take()) else { return Ok(()) };
         drop(reader.items.take());
         let thread = reader.thread.take();
-        let began = Instant::now();
-        while thread.as_ref().is_some_and(|thread| !thread.is_finished()) && began.elapsed() < LONGEST_STOP {
+        let start_time = Instant::now();
+        while thread.as_ref().is_some_and(|thread| !thread.is_finished()) && start_time.elapsed() < MAX_STOP_WAIT {
             py.detach(|| thread::sleep(Duration::from_millis(1)));
             py.check_signals()?;
         }

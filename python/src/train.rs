@@ -10,18 +10,18 @@ use radome_models::{CheckpointLock, EpochReport, NetworkSpec, TrainOutcome, Trai
 use serde_json::json;
 
 use crate::dataset::Dataset;
-use crate::error::{Failure, Outcome, detached, from_python, raised_text, text_of, to_python};
+use crate::error::{Failure, Outcome, detached, from_python, read_text_file, text_to_exception, to_python};
 use crate::fork;
 use crate::model::Model;
 
 /// Panic payload that carries the Python exception out of a training.
 struct Stopped(PyErr);
 
-/// Settings of a training from a TOML file.
+/// Reads the settings of a training from a TOML file.
 fn read_spec(path: &Path) -> Outcome<TrainSpec> {
-    let text = text_of(path)?;
-    let refused = |error: toml::de::Error| format!("{} is no training spec: {}", path.display(), error.message());
-    let mut spec: TrainSpec = parse_toml(&text).map_err(refused)?;
+    let text = read_text_file(path)?;
+    let invalid = |error: toml::de::Error| format!("{} is no training spec: {}", path.display(), error.message());
+    let mut spec: TrainSpec = parse_toml(&text).map_err(invalid)?;
     if let Some(weights) = &spec.weights {
         spec.weights = Some(named_by_spec(path.parent().unwrap_or(Path::new("")), weights)?);
     }
@@ -36,15 +36,18 @@ fn spec(py: Python<'_>, given: &Bound<'_, PyAny>, network: Option<&str>) -> PyRe
     };
     if let Some(name) = network {
         let Some(network) = NetworkSpec::named(name) else {
-            return Err(raised_text(py, format!("there is no network '{name}'\n\nhint: radome.networks() lists them")));
+            return Err(text_to_exception(
+                py,
+                format!("there is no network '{name}'\n\nhint: radome.networks() lists them"),
+            ));
         };
-        spec.set_network(network).map_err(|error| raised_text(py, error.to_string()))?;
+        spec.set_network(network).map_err(|error| text_to_exception(py, error.to_string()))?;
     }
     Ok(spec)
 }
 
 /// Reports an epoch to Python, and checks for Ctrl-C.
-fn tell(py: Python<'_>, epoch: &EpochReport, report: Option<&Py<PyAny>>) -> PyResult<()> {
+fn report_epoch(py: Python<'_>, epoch: &EpochReport, report: Option<&Py<PyAny>>) -> PyResult<()> {
     if let Some(report) = report {
         report.call1(py, (to_python(py, epoch)?,))?;
     }
@@ -67,11 +70,11 @@ pub fn train<'py>(
     let dataset = &dataset.get().inner;
     let outcome = detached(py, || {
         fork::check_pools("training")?;
-        let _held = checkpoint.as_deref().map(CheckpointLock::new).transpose()?;
+        let _lock = checkpoint.as_deref().map(CheckpointLock::new).transpose()?;
         let run = || {
             train_with_checkpoint(dataset, &spec, checkpoint.as_deref(), &mut |epoch| {
-                let told = Python::attach(|py| tell(py, &epoch, report.as_ref()));
-                if let Err(exception) = told {
+                let result = Python::attach(|py| report_epoch(py, &epoch, report.as_ref()));
+                if let Err(exception) = result {
                     // A panic is the only way to end a training between epochs.
                     resume_unwind(Box::new(Stopped(exception)));
                 }
@@ -86,7 +89,7 @@ pub fn train<'py>(
                 }
                 Ok(outcome)
             }
-            Err(payload) => Err(stopped(payload)),
+            Err(payload) => Err(stop_exception(payload)),
         }
     })?;
     let TrainOutcome { model, history, validation, test, warnings } = outcome;
@@ -95,7 +98,7 @@ pub fn train<'py>(
 }
 
 /// Exception that stopped a training; resumes any other panic.
-fn stopped(payload: Box<dyn Any + Send>) -> Failure {
+fn stop_exception(payload: Box<dyn Any + Send>) -> Failure {
     match payload.downcast::<Stopped>() {
         Ok(stopped) => stopped.0.into(),
         Err(payload) => resume_unwind(payload),

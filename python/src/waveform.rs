@@ -12,7 +12,7 @@ use radome_driver::recording::Recording;
 use radome_dsp::{FrameSource, WaveformRequest};
 use radome_models::ModelCard;
 
-use crate::error::{Outcome, detached, from_python, raised, text_of, to_python};
+use crate::error::{Outcome, detached, from_python, read_text_file, to_exception, to_python};
 use crate::model;
 
 /// Waveform as the chip realises it. Keyword arguments are the keys of a waveform in scene files:
@@ -25,7 +25,7 @@ pub struct Waveform(pub Arc<radome_dsp::Waveform>);
 
 impl Waveform {
     fn realise(py: Python<'_>, request: WaveformRequest) -> PyResult<Self> {
-        let waveform = radome_dsp::Waveform::realise(request).map_err(|error| raised(py, &error))?;
+        let waveform = radome_dsp::Waveform::realise(request).map_err(|error| to_exception(py, &error))?;
         Ok(Waveform(Arc::new(waveform)))
     }
 }
@@ -38,20 +38,20 @@ fn load(path: &Path) -> Outcome<radome_dsp::Waveform> {
     if model::is_built_in(path) {
         return Ok(model::network(path)?.card.waveform);
     }
-    let shown = path.display();
+    let path_text = path.display();
     if path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
         return Ok(ModelCard::load(path)?.waveform);
     }
     if path.extension().is_some_and(|e| e == "toml") {
-        let text = text_of(path)?;
-        let request =
-            radome_files::parse_toml(&text).map_err(|error| format!("{shown} is no waveform: {}", error.message()))?;
+        let text = read_text_file(path)?;
+        let request = radome_files::parse_toml(&text)
+            .map_err(|error| format!("{path_text} is no waveform: {}", error.message()))?;
         return Ok(radome_dsp::Waveform::realise(request)?);
     }
     match Recording::open(path) {
         Ok(recording) => Ok(recording.waveform().clone()),
         Err(RecordingError::Unknown { .. }) => Err(format!(
-            "{shown}: no waveform\n\nhint: it is 'paper', a .toml file with the keys of a waveform, a model file, 'room-hqnn' or a recording"
+            "{path_text}: no waveform\n\nhint: it is 'paper', a .toml file with the keys of a waveform, a model file, 'room-hqnn' or a recording"
         )
         .into()),
         Err(error) => Err(error.into()),
@@ -157,7 +157,7 @@ impl Waveform {
     fn registers(&self, py: Python<'_>) -> PyResult<Vec<(&'static str, u8, u32)>> {
         let slice_samples = SliceLayout::for_frame(self.0.shape().codes()).samples;
         let configuration = ChipConfiguration { waveform: radome_dsp::Waveform::clone(&self.0), slice_samples };
-        let registers = configuration.compile().map_err(|error| raised(py, &error))?;
+        let registers = configuration.compile().map_err(|error| to_exception(py, &error))?;
         let name = |address: u8| register(address).map_or("", |register| register.name);
         Ok(registers.iter().map(|r| (name(r.address), r.address, r.value)).collect())
     }
@@ -175,13 +175,13 @@ impl Waveform {
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
-        let text = serde_json::to_string(&*slf.get().0).map_err(|error| raised(slf.py(), &error))?;
+        let text = serde_json::to_string(&*slf.get().0).map_err(|error| to_exception(slf.py(), &error))?;
         Ok((slf.get_type().getattr("_from_json")?, (text,)))
     }
 
     #[staticmethod]
     fn _from_json(py: Python<'_>, text: &str) -> PyResult<Self> {
-        let waveform = serde_json::from_str(text).map_err(|error| raised(py, &error))?;
+        let waveform = serde_json::from_str(text).map_err(|error| to_exception(py, &error))?;
         Ok(Waveform(Arc::new(waveform)))
     }
 }

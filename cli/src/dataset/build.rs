@@ -124,7 +124,7 @@ impl Parts {
         let foreign = self.foreign_file().with_context(|| format!("cannot list {}", self.folder.display()))?;
         // Units appear after the plan, so that the folder of a build that has just begun is not refused.
         if let Some(name) = foreign.filter(|_| !self.folder.join(plan::FILE).exists()) {
-            return Err(DatasetError::InTheWay { path: self.folder.clone(), name }.into());
+            return Err(DatasetError::ForeignFile { path: self.folder.clone(), name }.into());
         }
         let lock = dataset::lock_folder(&self.folder)?;
         if !self.folder.join(plan::FILE).exists() {

@@ -25,17 +25,17 @@ pub enum DatasetError {
     /// The folder to create exists already.
     #[error("{path} exists already\n\nhint: choose another name or move it away")]
     Exists { path: PathBuf },
-    /// The folder in which the dataset is made until it is complete holds a file that no dataset writer made.
+    /// The temporary folder of the dataset holds a file that no dataset writer made.
     #[error(
         "{path}: the dataset is made in this folder, which must be empty, but holds {name}\n\nhint: move the folder away, or choose another name for the dataset"
     )]
-    InTheWay { path: PathBuf, name: String },
-    /// Another process writes the same folder.
+    ForeignFile { path: PathBuf, name: String },
+    /// Another process has locked the folder.
     #[error("{path}: another process is at work here\n\nhint: wait until it has ended, or end it")]
     Busy { path: PathBuf },
     /// Datasets to be merged hold different kinds of maps.
     #[error("{path}: {what} is not that of {first}; only maps that were made in the same way can be merged")]
-    Unlike { path: PathBuf, what: String, first: PathBuf },
+    DifferentMaps { path: PathBuf, what: String, first: PathBuf },
     /// A JSON document or line is invalid. Lines count from 1.
     #[error("{path}, line {line}: {source}")]
     Json { path: PathBuf, line: usize, source: serde_json::Error },
@@ -53,7 +53,7 @@ pub enum DatasetError {
     /// A map has another shape than the dataset, or another number of cells than its shape says.
     #[error("map of frame {sequence}: shape is {got}, the dataset holds {expected}")]
     Shape { sequence: u64, expected: RdmShape, got: RdmShape },
-    /// A map, told by its index or name, holds NaN or infinity.
+    /// A map, identified by its index or name, holds NaN or infinity.
     #[error(
         "map {map}: {cells} cells are not finite\n\nhint: check the program that made the map; all cells of a dataset are finite"
     )]

@@ -10,9 +10,9 @@ pub(super) fn shard_name(shard: usize) -> String {
     format!("maps-{shard:05}.npy")
 }
 
-/// One channel of a map as a network sees it: `[doppler][range]` of channel `rx` transposed to `[range][doppler]`.
+/// One channel of a map as input of a network: `[doppler][range]` of channel `rx` transposed to `[range][doppler]`.
 ///
-/// `None` if the cells do not match the shape or there is no such channel.
+/// `None` if the number of cells does not match the shape, or if there is no such channel.
 pub fn network_input(db: &[f32], shape: RdmShape, rx: usize) -> Option<Vec<f32>> {
     if db.len() != shape.cells() || rx >= shape.rx {
         return None;

@@ -103,7 +103,7 @@ impl ManifestRow {
     }
 }
 
-/// Short hash of a sequence's name, 16 hex digits: model files list the sequences of their training by it.
+/// Short hash of a sequence's name, 16 hex digits. Model files list the sequences of their training by it.
 pub(crate) fn sequence_hash(sequence: &str) -> String {
     let mut hash = format!("{:x}", Sha256::digest(sequence.as_bytes()));
     hash.truncate(16);
@@ -126,20 +126,20 @@ pub enum SplitBy {
     Seed,
 }
 
-/// Largest number of sequences that a message names.
-const MOST_NAMED: usize = 5;
+/// Largest number of sequences that a message lists.
+const MOST_LISTED: usize = 5;
 
-/// The first of these sequences, for a message.
-pub(super) fn named<'a>(sequences: impl ExactSizeIterator<Item = &'a str>) -> String {
-    let others = if sequences.len() > MOST_NAMED { " and others" } else { "" };
-    let named: Vec<String> = sequences.take(MOST_NAMED).map(|sequence| format!("'{sequence}'")).collect();
-    format!("{}{others}", named.join(", "))
+/// Quoted names of the first sequences, for a message.
+pub(super) fn quoted_names<'a>(sequences: impl ExactSizeIterator<Item = &'a str>) -> String {
+    let others = if sequences.len() > MOST_LISTED { " and others" } else { "" };
+    let names: Vec<String> = sequences.take(MOST_LISTED).map(|sequence| format!("'{sequence}'")).collect();
+    format!("{}{others}", names.join(", "))
 }
 
 impl SplitBy {
-    /// Sequences that show people and lack this property. A split takes each of them for a group of its own, whoever is in it.
+    /// Sequences that show people and lack this property. A split treats each of them as a separate group.
     pub fn ungrouped<'a>(self, rows: impl IntoIterator<Item = &'a ManifestRow>) -> BTreeSet<&'a str> {
-        let is_ungrouped = |row: &&ManifestRow| row.label != Occupancy::Empty && self.name(row).is_none();
+        let is_ungrouped = |row: &&ManifestRow| row.label != Occupancy::Empty && self.group_name(row).is_none();
         rows.into_iter().filter(is_ungrouped).map(|row| row.sequence.as_str()).collect()
     }
 
@@ -151,13 +151,13 @@ impl SplitBy {
                 "{} sequences with people have no {self}: {}; a split by {self} takes each for a group of its own, and may part \
                  it from others of the same {self}",
                 sequences.len(),
-                named(sequences.iter().copied())
+                quoted_names(sequences.iter().copied())
             )
         })
     }
 
     /// Name of the group of a row; `None` if the row has none.
-    pub(super) fn name(self, row: &ManifestRow) -> Option<Cow<'_, str>> {
+    pub(super) fn group_name(self, row: &ManifestRow) -> Option<Cow<'_, str>> {
         match self {
             SplitBy::Sequence => Some(Cow::from(&row.sequence)),
             SplitBy::Subject => row.subject.as_ref().map(Cow::from),

@@ -8,16 +8,17 @@ use super::reader::Dataset;
 use super::split::SplitSpec;
 use super::writer::DatasetWriter;
 
-/// Writes the maps of all `parts`, in order, as one dataset at `dir`; returns how many there are. With `split`, every row
-/// gets its split ([`SplitSpec::assign`]), fixed from then on.
+/// Writes the maps of all `parts`, in order, as one dataset at `dir`, and returns their number. With `split`, every row
+/// gets a fixed split ([`SplitSpec::assign`]).
 ///
-/// The result depends on the parts' maps and rows alone, not on how they were cut into parts. Every map is compared with
-/// its hash on the way.
+/// The result depends on the maps and rows only, not on how they are divided into parts. Every map is compared with its
+/// hash.
 ///
-/// The waveform of parts on physical axes is the nominal one: it may differ, and the first part's is kept.
+/// On physical axes, the waveforms of the parts are nominal and may differ. That of the first part is kept.
 ///
 /// # Errors
-/// Parts with another header than the first one's; a damaged map; what [`DatasetWriter`] and [`SplitSpec`] refuse.
+/// [`DatasetError::Inconsistent`] without parts, [`DatasetError::DifferentMaps`] if a part's header differs from the first
+/// one's, and those of [`Dataset::map`], [`DatasetWriter`] and [`SplitSpec::assign`].
 pub fn merge(parts: &[(&Path, &Dataset)], dir: &Path, split: Option<&SplitSpec>) -> Result<usize, DatasetError> {
     let Some((first_path, first)) = parts.first() else {
         return Err(DatasetError::Inconsistent {
@@ -28,16 +29,19 @@ pub fn merge(parts: &[(&Path, &Dataset)], dir: &Path, split: Option<&SplitSpec>)
     };
     for (path, part) in parts {
         let (header, expected) = (part.header(), first.header());
-        let is_any_waveform = expected.rdm_spec.physical_axes.is_some();
-        let waveform = if is_any_waveform { &expected.waveform } else { &header.waveform };
+        let may_waveforms_differ = expected.rdm_spec.physical_axes.is_some();
+        let waveform = if may_waveforms_differ { &expected.waveform } else { &header.waveform };
         let compared = DatasetHeader { waveform: waveform.clone(), ..header.clone() };
-        let what = match () {
-            () if header.rdm_spec != expected.rdm_spec => "the map spec",
-            () if compared.waveform != expected.waveform => "the waveform",
-            () if compared != *expected => "the header",
-            () => continue,
+        let what = if header.rdm_spec != expected.rdm_spec {
+            "the map spec"
+        } else if compared.waveform != expected.waveform {
+            "the waveform"
+        } else if compared != *expected {
+            "the header"
+        } else {
+            continue;
         };
-        return Err(DatasetError::Unlike {
+        return Err(DatasetError::DifferentMaps {
             path: path.to_path_buf(),
             what: what.into(),
             first: first_path.to_path_buf(),

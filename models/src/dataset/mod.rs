@@ -33,6 +33,6 @@ pub use manifest::{Domain, ManifestRow, Split, SplitBy};
 pub use merge::merge;
 pub use reader::{Dataset, MANIFEST_LIMIT_BYTES};
 pub use split::SplitSpec;
-pub use statistics::{CellStatistics, Moments, statistics};
-pub use verify::{Damage, Duplicate, Leak, PairFault, VerifyReport, verify};
+pub use statistics::{GroupStatistics, Moments, statistics};
+pub use verify::{Damage, Duplicate, Leak, PairMismatch, VerifyReport, verify};
 pub use writer::DatasetWriter;

@@ -1,4 +1,4 @@
-//! Reads a dataset folder, or holds one in memory.
+//! Datasets in a folder or in memory.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -15,9 +15,9 @@ use super::manifest::{ManifestRow, Split};
 use super::split::SplitSpec;
 use super::writer::{check_map, map_hash};
 
-/// Longest manifest that is read: a row has some 300 bytes, and datasets some hundred thousand maps.
+/// Longest manifest that is read. A row has about 300 bytes, and datasets have some hundred thousand maps.
 pub const MANIFEST_LIMIT_BYTES: u64 = 512 << 20;
-/// Longest row of a manifest: names of scenes, recordings and people, and a hash.
+/// Longest row of a manifest. It holds names of scenes, recordings and people, and a hash.
 const LONGEST_ROW_BYTES: usize = 64 << 10;
 
 /// Dataset of labelled maps, in a folder or in memory.
@@ -39,11 +39,18 @@ pub struct Dataset {
     cells: Cells,
 }
 
+/// Location of the cells of all maps.
 #[derive(Debug, Clone)]
 enum Cells {
     Memory(Vec<Vec<f32>>),
-    /// Path of each shard and where its data begin.
-    Shards(Vec<(PathBuf, u64)>),
+    Shards(Vec<Shard>),
+}
+
+#[derive(Debug, Clone)]
+struct Shard {
+    path: PathBuf,
+    /// Position of the first map in the file, bytes.
+    data_offset: u64,
 }
 
 impl Dataset {
@@ -59,8 +66,8 @@ impl Dataset {
         for (shard, rows) in rows.chunks(MAPS_PER_SHARD).enumerate() {
             let path = dir.join(shard_name(shard));
             within(dir, &shard_name(shard)).map_err(DatasetError::io(&path, "opening"))?;
-            let offset = check_shard(&path, header.shape, rows.len())?;
-            shards.push((path, offset));
+            let data_offset = check_shard(&path, header.shape, rows.len())?;
+            shards.push(Shard { path, data_offset });
         }
         let next = dir.join(shard_name(shards.len()));
         if next.exists() {
@@ -108,24 +115,23 @@ impl Dataset {
         self.rows.is_empty()
     }
 
-    /// Cells of a map, `[rx][doppler][range]` dB, all finite and those that were hashed when the map was written.
+    /// Cells of a map, `[rx][doppler][range]` dB. They are finite and match the hash in the manifest.
     ///
     /// # Errors
     /// [`DatasetError::NoSuchMap`] beyond the last map, [`DatasetError::Io`] if the shard cannot be read,
-    /// [`DatasetError::NonFinite`] if a cell is NaN or infinite, and [`DatasetError::Hash`] if the cells are not those that were
-    /// hashed.
+    /// [`DatasetError::NonFinite`] if a cell is NaN or infinite, and [`DatasetError::Hash`] if the cells do not match the hash.
     pub fn map(&self, index: usize) -> Result<Vec<f32>, DatasetError> {
         let missing = || DatasetError::NoSuchMap { index, maps: self.rows.len() };
         let row = self.rows.get(index).ok_or_else(missing)?;
-        let (path, offset) = match &self.cells {
+        let Shard { path, data_offset } = match &self.cells {
             Cells::Memory(maps) => return maps.get(index).cloned().ok_or_else(missing),
             Cells::Shards(shards) => shards.get(index / MAPS_PER_SHARD).ok_or_else(missing)?,
         };
-        let bytes = self.header.shape.cells() * 4;
-        let mut buffer = vec![0u8; bytes];
+        let map_bytes = self.header.shape.cells() * 4;
+        let mut buffer = vec![0u8; map_bytes];
         let mut read = || -> std::io::Result<()> {
             let mut file = File::open(path)?;
-            file.seek(SeekFrom::Start(offset + ((index % MAPS_PER_SHARD) * bytes) as u64))?;
+            file.seek(SeekFrom::Start(data_offset + ((index % MAPS_PER_SHARD) * map_bytes) as u64))?;
             file.read_exact(&mut buffer)
         };
         read().map_err(DatasetError::io(path, "reading"))?;
@@ -141,7 +147,7 @@ impl Dataset {
         Ok(db)
     }
 
-    /// One channel of a map as a network sees it, `[range][doppler]` dB.
+    /// One channel of a map as input of a network, `[range][doppler]` dB.
     ///
     /// # Errors
     /// Those of [`Dataset::map`], and [`DatasetError::Inconsistent`] if the maps have no channel `rx`.
@@ -173,7 +179,7 @@ impl Dataset {
         format!("{:x}", hash.finalize())
     }
 
-    /// Reads every map; the first that is damaged is an error.
+    /// Reads and checks every map.
     ///
     /// # Errors
     /// The first error of [`Dataset::map`].
@@ -182,7 +188,7 @@ impl Dataset {
     }
 }
 
-/// Reads a text file of a dataset's folder, whose path comes with it.
+/// Reads a text file in a dataset's folder. Returns its path and its content.
 fn read(dir: &Path, name: &str, limit_bytes: u64) -> Result<(PathBuf, String), DatasetError> {
     let path = dir.join(name);
     let text = within(dir, name).and_then(|path| read_text(&path, limit_bytes));
@@ -214,9 +220,9 @@ fn read_header(dir: &Path) -> Result<DatasetHeader, DatasetError> {
         let expected = format!("maps of {expected}, as waveform and map spec give");
         return Err(DatasetError::Inconsistent { path, expected, found: header.shape.to_string() });
     }
-    let ours = DatasetHeader::new(header.waveform.clone(), header.rdm_spec)?;
-    if (&header.dimensions, &header.class_names) != (&ours.dimensions, &ours.class_names) {
-        let expected = format!("dimensions {:?} and classes {:?}", ours.dimensions, ours.class_names);
+    let known = DatasetHeader::new(header.waveform.clone(), header.rdm_spec)?;
+    if (&header.dimensions, &header.class_names) != (&known.dimensions, &known.class_names) {
+        let expected = format!("dimensions {:?} and classes {:?}", known.dimensions, known.class_names);
         let found = format!("{:?} and {:?}", header.dimensions, header.class_names);
         return Err(DatasetError::Inconsistent { path, expected, found });
     }
@@ -224,10 +230,11 @@ fn read_header(dir: &Path) -> Result<DatasetHeader, DatasetError> {
     Ok(header)
 }
 
-/// Largest share by which a realised quantity may differ from the one that the request gives: boards measure their chirp interval.
+/// Largest relative difference of a realised quantity from the one that the request gives. It is not 0, because boards measure
+/// their chirp interval.
 const WAVEFORM_TOLERANCE: f64 = 0.05;
 
-/// Checks that the realised quantities of a waveform are those of its request. `path` is for the error.
+/// Checks that the realised quantities of a waveform are those of its request. `path` is used in errors only.
 fn check_waveform(path: PathBuf, waveform: &Waveform) -> Result<(), DatasetError> {
     let realised = match Waveform::realise(waveform.request.clone()) {
         Ok(realised) => realised,
@@ -271,7 +278,7 @@ fn read_rows(dir: &Path) -> Result<Vec<ManifestRow>, DatasetError> {
 /// Longest npy header of version 1, bytes.
 const LONGEST_HEADER: u64 = 10 + 65_535;
 
-/// Checks type, shape and length of a shard; returns where its data begin.
+/// Checks type, shape and length of a shard. Returns the position of its data in the file, bytes.
 fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, DatasetError> {
     let inconsistent =
         |expected: String, found: String| DatasetError::Inconsistent { path: path.to_owned(), expected, found };
@@ -283,15 +290,36 @@ fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, Dataset
     let file = File::open(path).map_err(DatasetError::io(path, "opening"))?;
     let length = file.metadata().map_err(DatasetError::io(path, "reading"))?.len();
     let mut reader = BufReader::new(file);
-    // The parser's time doubles with each level of nested brackets. The header of an array of numbers has one dictionary and one
-    // tuple.
     let mut start = vec![0; length.min(LONGEST_HEADER) as usize];
     reader.read_exact(&mut start).map_err(DatasetError::io(path, "reading the npy header"))?;
+    check_npy_header(&start).map_err(|(expected, found)| inconsistent(expected, found))?;
+    reader.rewind().map_err(DatasetError::io(path, "reading"))?;
+    let header = npyz::NpyHeader::from_reader(&mut reader).map_err(DatasetError::io(path, "reading the npy header"))?;
+    let expected_shape = [maps, shape.rx, shape.doppler, shape.range].map(|n| n as u64);
+    if header.dtype().descr() != "'<f4'" || header.order() != npyz::Order::C || header.shape() != expected_shape {
+        return Err(inconsistent(
+            format!("little-endian f32 in C order, shape {expected_shape:?}"),
+            format!("{}, {:?} order, shape {:?}", header.dtype().descr(), header.order(), header.shape()),
+        ));
+    }
+    let data_offset = reader.stream_position().map_err(DatasetError::io(path, "reading"))?;
+    let expected_length = data_offset + (maps * shape.cells() * 4) as u64;
+    if length != expected_length {
+        return Err(inconsistent(format!("{expected_length} bytes"), format!("{length} bytes")));
+    }
+    Ok(data_offset)
+}
+
+/// Checks the `start` of an npy file before the library parses its header, which takes excessive time or overflows on hostile
+/// headers. The error is what was expected, and what was found.
+fn check_npy_header(start: &[u8]) -> Result<(), (String, String)> {
+    // The parser's time doubles with each level of nested brackets. The header of an array of numbers has one dictionary and one
+    // tuple.
     let header_length = start.get(8..10).map_or(0, |l| usize::from(l[0]) | usize::from(l[1]) << 8);
     let text = start.get(10..(10 + header_length).min(start.len())).unwrap_or(&[]);
     let count = |bracket: u8| text.iter().filter(|byte| **byte == bracket).count();
     if start.get(6) != Some(&1) || count(b'[') > 0 || count(b'(') > 1 || count(b'{') > 1 {
-        return Err(inconsistent("an npy header of version 1 of an array of numbers".into(), "another header".into()));
+        return Err(("an npy header of version 1 of an array of numbers".into(), "another header".into()));
     }
     // The parser multiplies the lengths of the axes without an overflow check.
     let axes = text.split(|byte| *byte == b'(').nth(1).and_then(|rest| rest.split(|byte| *byte == b')').next());
@@ -299,21 +327,7 @@ fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, Dataset
     let lengths = axes.split(',').map(str::trim).filter(|word| !word.is_empty());
     let product = lengths.map(|word| word.parse::<u64>().ok()).try_fold(1u64, |product, n| product.checked_mul(n?));
     if product.is_none() {
-        return Err(inconsistent("a shape whose product is a 64-bit number".into(), format!("({axes})")));
+        return Err(("a shape whose product is a 64-bit number".into(), format!("({axes})")));
     }
-    reader.rewind().map_err(DatasetError::io(path, "reading"))?;
-    let header = npyz::NpyHeader::from_reader(&mut reader).map_err(DatasetError::io(path, "reading the npy header"))?;
-    let want = [maps, shape.rx, shape.doppler, shape.range].map(|n| n as u64);
-    if header.dtype().descr() != "'<f4'" || header.order() != npyz::Order::C || header.shape() != want {
-        return Err(inconsistent(
-            format!("little-endian f32 in C order, shape {want:?}"),
-            format!("{}, {:?} order, shape {:?}", header.dtype().descr(), header.order(), header.shape()),
-        ));
-    }
-    let offset = reader.stream_position().map_err(DatasetError::io(path, "reading"))?;
-    let bytes = offset + (maps * shape.cells() * 4) as u64;
-    if length != bytes {
-        return Err(inconsistent(format!("{bytes} bytes"), format!("{length} bytes")));
-    }
-    Ok(offset)
+    Ok(())
 }

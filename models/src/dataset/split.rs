@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::error::DatasetError;
-use super::manifest::{Domain, ManifestRow, Split, SplitBy, named};
+use super::manifest::{Domain, ManifestRow, Split, SplitBy, quoted_names};
 
 /// Rule that assigns splits to maps without one.
 ///
@@ -40,15 +40,17 @@ pub struct SplitSpec {
     pub held_out: Option<String>,
 }
 
-/// Hash that orders a group, and name of the group.
-type Ranked<'a> = ([u8; 32], &'a str);
+/// Hash by which groups are ordered, and name of the group.
+type HashedName<'a> = ([u8; 32], &'a str);
 
 /// Group of sequences that stay in one split.
 #[derive(Default)]
 struct Group<'a> {
     /// Fixed split, and the sequence that fixes it.
     fixed: Option<(Split, &'a str)>,
+    /// Whether a map of the group is of a sensor.
     is_real: bool,
+    /// Whether the group has maps of empty, one and two.
     classes: [bool; 3],
 }
 
@@ -66,10 +68,7 @@ impl SplitSpec {
     pub fn check(&self) -> Result<(), DatasetError> {
         let (validation, test) = (self.validation, self.test);
         let are_shares = [validation, test].iter().all(|share| (0.0..1.0).contains(share));
-        match are_shares && validation + test < 1.0 {
-            true => Ok(()),
-            false => Err(DatasetError::Fractions { validation, test }),
-        }
+        if are_shares && validation + test < 1.0 { Ok(()) } else { Err(DatasetError::Fractions { validation, test }) }
     }
 
     /// Assigns a split to each row, in order.
@@ -83,22 +82,23 @@ impl SplitSpec {
     ///
     /// # Errors
     /// [`DatasetError::Fractions`] if the shares leave nothing to train on, [`DatasetError::NoSuchSequence`] if there is no
-    /// sequence to hold out, and [`DatasetError::SequenceInTwoSplits`] or [`DatasetError::GroupInTwoSplits`] if rows divide what
-    /// must stay whole.
+    /// sequence to hold out, and [`DatasetError::SequenceInTwoSplits`] or [`DatasetError::GroupInTwoSplits`] if rows of one
+    /// sequence or group have different splits.
     pub fn assign(&self, rows: &[ManifestRow]) -> Result<Vec<Split>, DatasetError> {
         self.check()?;
-        let names = group_names(rows, self.by);
-        let group_of_name = |name: &String| {
-            let group = names.get(name.as_str()).copied();
+        let group_names = group_names(rows, self.by);
+        let group_of_sequence = |sequence: &String| {
+            let group = group_names.get(sequence.as_str()).copied();
             group.ok_or_else(|| DatasetError::NoSuchSequence {
-                sequence: name.clone(),
-                known: named(names.keys().copied()),
+                sequence: sequence.clone(),
+                known: quoted_names(group_names.keys().copied()),
             })
         };
-        let held_out = self.held_out.as_ref().map(group_of_name).transpose()?;
-        let group_of = |row: &ManifestRow| names.get(row.sequence.as_str()).copied().unwrap_or_default();
+        let held_out = self.held_out.as_ref().map(group_of_sequence).transpose()?;
+        let group_of = |row: &ManifestRow| group_names.get(row.sequence.as_str()).copied().unwrap_or_default();
         let groups = self.groups(rows, group_of, held_out.is_none())?;
-        let mut strata: BTreeMap<(bool, [bool; 3]), Vec<Ranked>> = BTreeMap::new();
+        // Groups by domain and classes.
+        let mut strata: BTreeMap<(bool, [bool; 3]), Vec<HashedName>> = BTreeMap::new();
         for (name, group) in &groups {
             if group.fixed.is_none() && held_out != Some(*name) {
                 let mut hash = Sha256::new();
@@ -107,17 +107,17 @@ impl SplitSpec {
                 strata.entry((group.is_real, group.classes)).or_default().push((hash.finalize().into(), name));
             }
         }
-        let mut dealt: BTreeMap<&str, Split> = BTreeMap::new();
-        for mut names in strata.into_values() {
-            names.sort_unstable();
-            let (test, validation) = self.shares_of(names.len());
-            for (index, (_, name)) in names.into_iter().enumerate() {
+        let mut assigned: BTreeMap<&str, Split> = BTreeMap::new();
+        for mut stratum in strata.into_values() {
+            stratum.sort_unstable();
+            let (test, validation) = self.split_counts(stratum.len());
+            for (index, (_, name)) in stratum.into_iter().enumerate() {
                 let split = match index {
                     i if i < test => Split::Test,
                     i if i < test + validation => Split::Validation,
                     _ => Split::Train,
                 };
-                dealt.insert(name, split);
+                assigned.insert(name, split);
             }
         }
         let split = |row: &ManifestRow| {
@@ -126,41 +126,41 @@ impl SplitSpec {
                 return Split::Test;
             }
             let fixed = groups.get(name).and_then(|group| Some(group.fixed?.0));
-            fixed.or_else(|| dealt.get(name).copied()).unwrap_or(Split::Train)
+            fixed.or_else(|| assigned.get(name).copied()).unwrap_or(Split::Train)
         };
         Ok(rows.iter().map(split).collect())
     }
 
-    /// Alphabetically first sequence of each group. If each of them is held out in turn, each sequence is in one test split.
+    /// Alphabetically first sequence of each group. If each of them is held out in turn, every sequence is in one test split.
     pub(crate) fn first_sequences<'a>(&self, rows: &'a [ManifestRow]) -> BTreeSet<&'a str> {
         group_names(rows, self.by).into_values().collect()
     }
 
-    /// Warning that names the sequences that are held out with [`SplitSpec::held_out`] because they are of its group; `None` if there
+    /// Warning that names the other sequences in the group of [`SplitSpec::held_out`], which are held out with it. `None` if there
     /// are none.
     pub(crate) fn group_warning(&self, rows: &[ManifestRow]) -> Option<String> {
         let held_out = self.held_out.as_deref()?;
-        let names = group_names(rows, self.by);
-        let group = names.get(held_out)?;
-        let others = names.iter().filter(|(name, of)| **name != held_out && *of == group);
+        let group_names = group_names(rows, self.by);
+        let held_out_group = group_names.get(held_out)?;
+        let others = group_names.iter().filter(|(name, group)| **name != held_out && *group == held_out_group);
         let others: Vec<&str> = others.map(|(name, _)| *name).collect();
         (!others.is_empty()).then(|| {
-            let (by, others) = (self.by, named(others.iter().copied()));
+            let (by, others) = (self.by, quoted_names(others.iter().copied()));
             format!("sequence '{held_out}' is held out with the other sequences of its {by}: {others}")
         })
     }
 
-    /// Groups of the rows with their contents. Splits of rows count only if `rows_decide`.
+    /// Groups of the rows, by name. Splits of rows count only if `use_row_splits`.
     fn groups<'a>(
         &self,
         rows: &'a [ManifestRow],
         group_of: impl Fn(&ManifestRow) -> &'a str,
-        rows_decide: bool,
+        use_row_splits: bool,
     ) -> Result<BTreeMap<&'a str, Group<'a>>, DatasetError> {
         let mut groups: BTreeMap<&str, Group> = BTreeMap::new();
         for row in rows {
             let group = groups.entry(group_of(row)).or_default();
-            match (group.fixed, row.split.filter(|_| rows_decide)) {
+            match (group.fixed, row.split.filter(|_| use_row_splits)) {
                 (Some((first, sequence)), Some(second)) if first != second => {
                     return Err(if sequence == row.sequence {
                         DatasetError::SequenceInTwoSplits { sequence: row.sequence.clone(), first, second }
@@ -183,40 +183,41 @@ impl SplitSpec {
     }
 
     /// Number of groups of a stratum for test and for validation.
-    fn shares_of(&self, groups: usize) -> (usize, usize) {
+    fn split_counts(&self, groups: usize) -> (usize, usize) {
         // A share above zero gets at least one group if one is left to train on. This needs three sequences, or two
         // subjects, scenes or seeds, because there may be few of them.
-        let least_room = if self.by == SplitBy::Sequence { 2 } else { 1 };
-        let number = |share: f64, room: usize| {
-            let wanted = (share * groups as f64).round() as usize;
-            wanted.max(usize::from(share > 0.0 && room >= least_room))
+        let least_available = if self.by == SplitBy::Sequence { 2 } else { 1 };
+        let count = |share: f64, available: usize| {
+            let rounded = (share * groups as f64).round() as usize;
+            rounded.max(usize::from(share > 0.0 && available >= least_available))
         };
         let most = groups.saturating_sub(1);
-        let test = number(if self.held_out.is_some() { 0.0 } else { self.test }, most).min(most);
-        let room = groups - test;
-        (test, number(self.validation, room).min(room.saturating_sub(1)))
+        let test = count(if self.held_out.is_some() { 0.0 } else { self.test }, most).min(most);
+        let available = groups - test;
+        (test, count(self.validation, available).min(available.saturating_sub(1)))
     }
 }
 
-/// Name of each sequence's group: the alphabetically first sequence of the group.
+/// Group of each sequence, named after the alphabetically first sequence in it.
 fn group_names(rows: &[ManifestRow], by: SplitBy) -> BTreeMap<&str, &str> {
-    // Union-find: every sequence points to an earlier one of its group, or to itself.
-    let mut before: BTreeMap<&str, &str> =
+    // Union-find: the parent of a sequence is an earlier one of its group, or itself.
+    let mut parents: BTreeMap<&str, &str> =
         rows.iter().map(|row| (row.sequence.as_str(), row.sequence.as_str())).collect();
-    fn first<'a>(before: &BTreeMap<&'a str, &'a str>, mut name: &'a str) -> &'a str {
-        while let Some(earlier) = before.get(name).filter(|earlier| **earlier != name) {
-            name = earlier;
+    fn root<'a>(parents: &BTreeMap<&'a str, &'a str>, mut sequence: &'a str) -> &'a str {
+        while let Some(parent) = parents.get(sequence).filter(|parent| **parent != sequence) {
+            sequence = parent;
         }
-        name
+        sequence
     }
     if by != SplitBy::Sequence {
-        let mut holders: BTreeMap<Cow<str>, &str> = BTreeMap::new();
+        // First sequence with each value of the property.
+        let mut first_sequences: BTreeMap<Cow<str>, &str> = BTreeMap::new();
         for row in rows {
-            let Some(name) = by.name(row) else { continue };
-            let holder = holders.entry(name).or_insert(&row.sequence);
-            let (a, b) = (first(&before, holder), first(&before, &row.sequence));
-            before.insert(a.max(b), a.min(b));
+            let Some(property) = by.group_name(row) else { continue };
+            let first = first_sequences.entry(property).or_insert(&row.sequence);
+            let (a, b) = (root(&parents, first), root(&parents, &row.sequence));
+            parents.insert(a.max(b), a.min(b));
         }
     }
-    before.keys().map(|name| (*name, first(&before, name))).collect()
+    parents.keys().map(|sequence| (*sequence, root(&parents, sequence))).collect()
 }

@@ -15,7 +15,8 @@ use crate::interval::t_interval;
 pub struct Moments {
     count: f64,
     mean: f64,
-    squares: f64,
+    /// Sum of the squared deviations from the mean.
+    squared_deviations: f64,
 }
 
 impl Moments {
@@ -31,7 +32,7 @@ impl Moments {
         }
         let count = block.len() as f64;
         let mean = block.iter().map(|&v| f64::from(v)).sum::<f64>() / count;
-        Moments { count, mean, squares: block.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum() }
+        Moments { count, mean, squared_deviations: block.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum() }
     }
 
     fn merge(&mut self, other: &Self) {
@@ -39,7 +40,8 @@ impl Moments {
             return;
         }
         let delta = other.mean - self.mean;
-        self.squares += other.squares + delta * delta * self.count * other.count / (self.count + other.count);
+        self.squared_deviations +=
+            other.squared_deviations + delta * delta * self.count * other.count / (self.count + other.count);
         self.mean += delta * other.count / (self.count + other.count);
         self.count += other.count;
     }
@@ -52,8 +54,9 @@ impl Moments {
         }
         let mean = self.mean + (self.mean - part.mean) * part.count / count;
         let delta = part.mean - mean;
-        let squares = self.squares - part.squares - delta * delta * count * part.count / self.count;
-        Some(Moments { count, mean, squares: squares.max(0.0) })
+        let squared_deviations =
+            self.squared_deviations - part.squared_deviations - delta * delta * count * part.count / self.count;
+        Some(Moments { count, mean, squared_deviations: squared_deviations.max(0.0) })
     }
 
     /// Number of values.
@@ -68,13 +71,13 @@ impl Moments {
 
     /// Standard deviation about the mean; NaN without values.
     pub fn sigma(&self) -> f64 {
-        (self.squares / self.count).sqrt()
+        (self.squared_deviations / self.count).sqrt()
     }
 }
 
-/// Row of the table.
+/// Row of the table: statistics of the maps of one domain, scene and class.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CellStatistics {
+pub struct GroupStatistics {
     /// Scene or place.
     pub scene: String,
     /// The class.
@@ -102,22 +105,23 @@ pub struct CellStatistics {
     pub raised_level_db: Option<f64>,
 }
 
-/// Maps of one row.
+/// Moments of the maps of one row.
 #[derive(Default)]
-struct Maps<'a> {
+struct GroupMaps<'a> {
+    /// Number of maps.
     count: usize,
     all: Moments,
     by_sequence: BTreeMap<&'a str, Moments>,
 }
 
-impl Maps<'_> {
-    /// Half of the width of the 95 % interval of a figure of all maps, over sequences: the t interval of the jackknife's pseudo-values
-    /// (B. Efron and C. Stein, "The jackknife estimate of variance", Annals of Statistics 9, 1981). For the mean, and sequences of
-    /// equal length, it is the t interval of the sequences' means.
-    fn half_width(&self, figure: fn(&Moments) -> f64) -> Option<f64> {
+impl GroupMaps<'_> {
+    /// Half width of the 95 % interval of a statistic of all maps, over sequences. It is the t interval of the jackknife's
+    /// pseudo-values (B. Efron and C. Stein, "The jackknife estimate of variance", Annals of Statistics 9, 1981). For the mean of
+    /// sequences of equal length, it is the t interval of their means.
+    fn half_width(&self, statistic: fn(&Moments) -> f64) -> Option<f64> {
         let count = self.by_sequence.len() as f64;
         let pseudo_value =
-            |part: &Moments| Some(count * figure(&self.all) - (count - 1.0) * figure(&self.all.without(part)?));
+            |part: &Moments| Some(count * statistic(&self.all) - (count - 1.0) * statistic(&self.all.without(part)?));
         let values: Option<Vec<f64>> = self.by_sequence.values().map(pseudo_value).collect();
         t_interval(&values?)?.half_width
     }
@@ -127,20 +131,20 @@ impl Maps<'_> {
 ///
 /// # Errors
 /// Those of [`Dataset::map`].
-pub fn statistics(dataset: &Dataset, indices: &[usize]) -> Result<Vec<CellStatistics>, DatasetError> {
-    let mut cells: BTreeMap<(Domain, &str, Occupancy), Maps> = BTreeMap::new();
+pub fn statistics(dataset: &Dataset, indices: &[usize]) -> Result<Vec<GroupStatistics>, DatasetError> {
+    let mut groups: BTreeMap<(Domain, &str, Occupancy), GroupMaps> = BTreeMap::new();
     for &index in indices {
         let map = dataset.map(index)?;
         let Some(row) = dataset.rows().get(index) else { continue };
-        let (maps, moments) = (cells.entry((row.domain, &row.scene, row.label)).or_default(), Moments::of(&map));
-        maps.count += 1;
-        maps.all.merge(&moments);
-        maps.by_sequence.entry(&row.sequence).or_default().merge(&moments);
+        let (group, moments) = (groups.entry((row.domain, &row.scene, row.label)).or_default(), Moments::of(&map));
+        group.count += 1;
+        group.all.merge(&moments);
+        group.by_sequence.entry(&row.sequence).or_default().merge(&moments);
     }
-    let row = |(&(domain, scene, class), maps): (&(Domain, &str, Occupancy), &Maps)| {
-        let empty = cells.get(&(domain, scene, Occupancy::Empty)).filter(|_| class != Occupancy::Empty);
-        let raised = empty.and_then(|empty| raised(&empty.all, &maps.all));
-        CellStatistics {
+    let row = |(&(domain, scene, class), maps): (&(Domain, &str, Occupancy), &GroupMaps)| {
+        let empty = groups.get(&(domain, scene, Occupancy::Empty)).filter(|_| class != Occupancy::Empty);
+        let raised = empty.and_then(|empty| raised_fraction_and_level(&empty.all, &maps.all));
+        GroupStatistics {
             scene: scene.to_owned(),
             class,
             domain,
@@ -154,11 +158,12 @@ pub fn statistics(dataset: &Dataset, indices: &[usize]) -> Result<Vec<CellStatis
             raised_level_db: raised.map(|(_, level)| level),
         }
     };
-    Ok(cells.iter().map(row).collect())
+    Ok(groups.iter().map(row).collect())
 }
 
-/// Share and level, dB, of the cells above those of the empty scene.
-fn raised(empty: &Moments, with_people: &Moments) -> Option<(f64, f64)> {
+/// Share of the cells that people raise above those of the empty scene, and level by which they raise them, dB. `None` if mean or
+/// variance did not rise.
+fn raised_fraction_and_level(empty: &Moments, with_people: &Moments) -> Option<(f64, f64)> {
     let mean = with_people.mean() - empty.mean();
     let variance = with_people.sigma().powi(2) - empty.sigma().powi(2);
     if !(mean > 0.0 && variance > 0.0) {
@@ -173,7 +178,7 @@ mod tests {
     use super::*;
 
     fn moments(mean: f64, sigma: f64) -> Moments {
-        Moments { count: 1e6, mean, squares: 1e6 * sigma * sigma }
+        Moments { count: 1e6, mean, squared_deviations: 1e6 * sigma * sigma }
     }
 
     /// Shares and levels that follow from the paper's table of real maps.
@@ -186,32 +191,30 @@ mod tests {
             (room, -24.40, 5.70, 0.026, 9.0),
             (room, -24.19, 5.67, 0.103, 4.3),
         ] {
-            let (p, u) = raised(&empty, &moments(mean, sigma)).expect("raised");
+            let (p, u) = raised_fraction_and_level(&empty, &moments(mean, sigma)).expect("raised");
             assert!((p - fraction).abs() < 5e-4 && (u - level_db).abs() < 0.05, "{p} {u}");
         }
-        assert_eq!(raised(&corridor, &moments(-25.0, 5.5)), None);
+        assert_eq!(raised_fraction_and_level(&corridor, &moments(-25.0, 5.5)), None);
     }
 
-    /// The t interval of the means of sequences of equal length, and nothing for one.
+    /// The interval is the t interval of the means of sequences of equal length. One sequence has none.
     #[test]
     fn intervals_are_over_sequences() {
         let sequences: [[f32; 2]; 3] = [[1.0, 3.0], [2.0, 6.0], [6.0, 6.0]];
-        let mut maps = Maps::default();
+        let mut maps = GroupMaps::default();
         for (name, cells) in ["a", "b", "c"].into_iter().zip(sequences) {
             maps.all.add(&cells);
             maps.by_sequence.entry(name).or_default().add(&cells);
         }
-        let expected = t_interval(&[2.0, 4.0, 6.0]).and_then(|of| of.half_width).expect("a width");
+        let expected = t_interval(&[2.0, 4.0, 6.0]).and_then(|interval| interval.half_width).expect("a width");
         let found = maps.half_width(Moments::mean).expect("a width");
         assert!((found - expected).abs() < 1e-9, "{found} {expected}");
-        // Without a sequence: what the others give by themselves.
+        // Moments without a sequence are those of the others.
         let (mut others, part) = (Moments::of(&sequences[0]), Moments::of(&sequences[1]));
         others.add(&sequences[2]);
-        let left = maps.all.without(&part).expect("the others");
-        assert!(
-            (left.mean() - others.mean()).abs() < 1e-12 && (left.sigma() - others.sigma()).abs() < 1e-12,
-            "{left:?}"
-        );
+        let remaining = maps.all.without(&part).expect("the others");
+        assert!((remaining.mean() - others.mean()).abs() < 1e-12, "{remaining:?}");
+        assert!((remaining.sigma() - others.sigma()).abs() < 1e-12, "{remaining:?}");
         maps.by_sequence = BTreeMap::from([("all", maps.all)]);
         assert_eq!(maps.half_width(Moments::mean), None);
     }
@@ -225,8 +228,8 @@ mod tests {
         let (mut empty, mut people) = (Moments::default(), Moments::default());
         noise.chunks(97).for_each(|block| empty.add(block));
         raised_cells.chunks(1000).for_each(|block| people.add(block));
-        let (p, u) = raised(&empty, &people).expect("raised");
-        // Which cells are raised is independent of their noise but for chance.
+        let (p, u) = raised_fraction_and_level(&empty, &people).expect("raised");
+        // The choice of raised cells is independent of their noise.
         assert!((p - 0.05).abs() < 2e-3 && (u - 9.0).abs() < 0.3, "{p} {u}");
     }
 }

@@ -31,7 +31,7 @@ fn write(path: &Path, rows: impl IntoIterator<Item = ManifestRow>) {
 }
 
 #[test]
-fn what_is_written_is_read_back_across_shards() {
+fn written_maps_are_read_back_across_shards() {
     let dir = tempfile::tempdir().expect("folder");
     let path = dir.path().join("set");
     let header = header();
@@ -59,7 +59,7 @@ fn what_is_written_is_read_back_across_shards() {
 }
 
 #[test]
-fn a_network_sees_range_by_doppler() {
+fn the_input_of_a_network_is_range_by_doppler() {
     let header = header();
     let map = map(&header, 0);
     let input = network_input(&map.db, map.shape, 0).expect("input");
@@ -115,7 +115,8 @@ fn whole_subjects_and_whole_scenes_are_held_out() {
         let splits = SplitSpec { by, ..SplitSpec::default() }.assign(&rows).expect("splits");
         for (a, split_a) in rows.iter().zip(&splits) {
             for (b, split_b) in rows.iter().zip(&splits) {
-                let same = a.sequence == b.sequence || (by.name(a).is_some() && by.name(a) == by.name(b));
+                let same =
+                    a.sequence == b.sequence || (by.group_name(a).is_some() && by.group_name(a) == by.group_name(b));
                 assert!(!same || split_a == split_b, "{by}: {} and {}", a.sequence, b.sequence);
             }
         }
@@ -218,7 +219,7 @@ mod hard_cases {
         assert_eq!((report.maps, report.sequences, report.split_maps), (6, 3, [3, 1, 2]));
     }
 
-    /// Sequences were divided by the property that was then checked, so that no leak of it was found.
+    /// Regression test: sequences were divided by the property that was then checked, so that no leak of it was found.
     #[test]
     fn leaks_that_a_training_by_sequence_makes_are_found() {
         let header = header();
@@ -236,7 +237,7 @@ mod hard_cases {
         assert_eq!(leaks(Some(&by_seed)), 0);
     }
 
-    /// Recordings of people without a name were each a group of their own, and nothing was said.
+    /// Regression test: each recording of people without a subject was a separate group, without a warning.
     #[test]
     fn sequences_with_people_that_lack_the_property_of_a_split_are_named() {
         let header = header();
@@ -261,7 +262,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn two_writers_of_one_folder_are_one_too_many() {
+    fn a_second_writer_of_a_folder_is_refused() {
         let dir = tempfile::tempdir().expect("folder");
         let path = dir.path().join("set");
         let first = DatasetWriter::create(&path, &header()).expect("create");
@@ -275,14 +276,14 @@ mod hard_cases {
         assert_eq!(std::fs::read_dir(dir.path()).expect("list").count(), 1);
     }
 
-    /// A folder of a user that was called `NAME.partial` was emptied, and removed with the writer.
+    /// Regression test: a user's folder called `NAME.partial` was emptied, and removed with the writer.
     #[test]
-    fn files_of_others_in_the_folder_of_a_writer_stay() {
+    fn files_of_users_in_the_folder_of_a_writer_stay() {
         let dir = tempfile::tempdir().expect("folder");
         let (path, partial) = (dir.path().join("set"), dir.path().join("set.partial"));
         let refused_for = |expected: &str| {
             let created = DatasetWriter::create(&path, &header());
-            assert!(matches!(created, Err(DatasetError::InTheWay { name, .. }) if name == expected), "{expected}");
+            assert!(matches!(created, Err(DatasetError::ForeignFile { name, .. }) if name == expected), "{expected}");
         };
         let names = || {
             let entries = std::fs::read_dir(&partial).expect("list").map(|entry| entry.expect("entry").file_name());
@@ -293,7 +294,7 @@ mod hard_cases {
         refused_for("notes.txt");
         assert_eq!(names(), BTreeSet::from(["notes.txt".to_owned()]));
         std::fs::remove_dir_all(&partial).expect("removed");
-        // A whole dataset of this name is none that a killed writer left.
+        // A complete dataset of this name is not from a killed writer.
         write(&partial, [row("a", 0, Occupancy::Empty)]);
         let whole = names();
         refused_for("dataset.json");
@@ -316,7 +317,7 @@ mod hard_cases {
         rows[2].split = Some(Split::Test);
         let error = SplitSpec::default().assign(&rows).expect_err("leak").to_string();
         assert!(error.contains("sequence 'a' is in two splits, train and test"), "{error}");
-        // A split given to one row holds for its whole sequence.
+        // The split of one row applies to its whole sequence.
         rows[2].split = None;
         assert_eq!(SplitSpec::default().assign(&rows).expect("splits")[2], Split::Train);
         for (validation, test) in [(0.5, 0.5), (-0.1, 0.2), (f64::NAN, 0.1)] {
@@ -376,7 +377,7 @@ mod hard_cases {
         Dataset::open(&path).expect("opens").verify().expect("whole");
     }
 
-    /// A manifest that was cut at the border of a shard opened, with fewer maps.
+    /// Regression test: a manifest cut at the border of a shard was opened with fewer maps.
     #[test]
     fn a_shard_that_the_manifest_does_not_list_is_refused() {
         let dir = tempfile::tempdir().expect("folder");
@@ -417,7 +418,7 @@ mod hard_cases {
         head("\"request\"", &format!("\"deep\": {}, \"request\"", "[".repeat(100_000)), "dataset.json, line");
         let shape: String = files[2].1.iter().map(|byte| char::from(*byte)).skip_while(|c| *c != '(').collect();
         let shape = shape.split_inclusive(')').next().expect("a shape");
-        // A shorter shape is filled up, for the header states its own length.
+        // A shorter shape is padded with spaces, because the header states its own length.
         let width = shape.len();
         let shard = |to: &str, expected: &str| refused("maps-00000.npy", shape, &format!("{to:<width$}"), expected);
         shard("(4294967296, 4294967296, 1, 1)", "64-bit number");
@@ -466,7 +467,7 @@ mod hard_cases {
         std::fs::write(&shard, &flipped).expect("write");
         let error = Dataset::open(&path).expect("lengths agree").verify().expect_err("changed").to_string();
         assert!(error.contains("maps-00000.npy") && error.contains("map 2"), "{error}");
-        // A network was trained on the damaged map, and scored by it.
+        // Regression test: networks were trained and evaluated on damaged maps.
         let damaged = Dataset::open(&path).expect("lengths agree");
         assert!(matches!(damaged.input(2, 0), Err(DatasetError::Hash { index: 2, .. })));
         assert_eq!(damaged.map(1).expect("whole"), map(&header(), 1).db);
@@ -491,11 +492,11 @@ mod hard_cases {
     }
 }
 
-/// Pairs whose sides differ are named with the difference, and matching pairs are not.
+/// Pairs whose sides differ are reported with the difference, and matching pairs are not.
 #[test]
 fn pairs_whose_sides_differ_are_named() {
     let header = header();
-    let rows = |change: &dyn Fn(&mut Vec<ManifestRow>)| {
+    let verified = |change: &dyn Fn(&mut Vec<ManifestRow>)| {
         let side = |domain, recording: &str| {
             let row = |frame| {
                 let mut row = ManifestRow::new(domain, "corridor", recording, "walk", frame, Occupancy::One);
@@ -510,7 +511,7 @@ fn pairs_whose_sides_differ_are_named() {
         let dataset = Dataset::from_maps(header.clone(), maps).expect("a dataset");
         verify(&dataset, &SplitSpec::default()).expect("a report")
     };
-    let sound = rows(&|_| {});
+    let sound = verified(&|_| {});
     assert!(sound.is_sound() && sound.pairs == 1, "{sound:?}");
     type Change = fn(&mut Vec<ManifestRow>);
     let cases: [(Change, &str); 5] = [
@@ -521,8 +522,8 @@ fn pairs_whose_sides_differ_are_named() {
         (|rows| rows[4..].iter_mut().for_each(|row| row.sequence = "other".into()), "2 sequences"),
     ];
     for (change, expected) in cases {
-        let report = rows(&change);
-        let said = report.unpaired.iter().map(|fault| fault.what.as_str()).collect::<Vec<_>>();
-        assert!(!report.is_sound() && said.len() == 1 && said[0].contains(expected), "{expected}: {said:?}");
+        let report = verified(&change);
+        let found = report.unpaired.iter().map(|mismatch| mismatch.what.as_str()).collect::<Vec<_>>();
+        assert!(!report.is_sound() && found.len() == 1 && found[0].contains(expected), "{expected}: {found:?}");
     }
 }

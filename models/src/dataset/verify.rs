@@ -46,7 +46,7 @@ pub struct Leak {
 
 /// Recording and simulation of a pair that do not match.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct PairFault {
+pub struct PairMismatch {
     /// Name of the pair.
     pub pair: String,
     /// Cause.
@@ -74,7 +74,7 @@ pub struct VerifyReport {
     /// Number of pairs of a recording and its simulation.
     pub pairs: usize,
     /// Pairs whose two sides do not match.
-    pub unpaired: Vec<PairFault>,
+    pub unpaired: Vec<PairMismatch>,
 }
 
 impl VerifyReport {
@@ -84,9 +84,10 @@ impl VerifyReport {
     }
 }
 
-/// Reads every map, compares it with its hash, and finds duplicates and groups that lie in more than one split. Subjects, scenes
-/// and seeds are checked if `spec` is by them. Sequences without a split of their own are divided by sequence all the same, as by a
-/// training without settings: divided by the property, they would have no leak to find.
+/// Reads every map, compares it with its hash, and finds duplicates and groups that lie in more than one split.
+///
+/// Subjects, scenes or seeds are checked if `spec` divides by them. Sequences without a split are divided by sequence in any case,
+/// as a training without settings does. If they were divided by the checked property, no leak could be found.
 ///
 /// # Errors
 /// Those of [`SplitSpec::assign`], except groups in two splits, which are reported as leaks.
@@ -97,7 +98,7 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
         .collect();
     let splits = match (SplitSpec { by: SplitBy::Sequence, ..spec.clone() }).assign(rows) {
         Ok(splits) => splits,
-        // The splits are taken as written: the report lists the leaks.
+        // Splits are used as written, and the report lists the leaks.
         Err(DatasetError::SequenceInTwoSplits { .. } | DatasetError::GroupInTwoSplits { .. }) => {
             rows.iter().map(|row| row.split.unwrap_or(Split::Train)).collect()
         }
@@ -129,9 +130,9 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
     duplicates.extend(same_frame);
     duplicates.sort_by(|a, b| a.maps.cmp(&b.maps));
 
-    let mut asked = vec![SplitBy::Sequence];
-    asked.extend((spec.by != SplitBy::Sequence).then_some(spec.by));
-    let leaks = asked.into_iter().flat_map(|by| leaks(rows, &splits, by)).collect();
+    let mut group_kinds = vec![SplitBy::Sequence];
+    group_kinds.extend((spec.by != SplitBy::Sequence).then_some(spec.by));
+    let leaks = group_kinds.into_iter().flat_map(|by| leaks(rows, &splits, by)).collect();
     let mut split_maps = [0; 3];
     splits.iter().for_each(|split| split_maps[*split as usize] += 1);
     let sequences = rows.iter().map(|row| row.sequence.as_str()).collect::<BTreeSet<_>>().len();
@@ -140,58 +141,80 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
     Ok(VerifyReport { maps: rows.len(), sequences, split_maps, damaged, duplicates, leaks, ungrouped, pairs, unpaired })
 }
 
-/// Number of pairs, and those with faults. Both sides must have the same frames with the same times and labels, and belong to one
-/// sequence, so that they are in one split.
-fn check_pairs(rows: &[ManifestRow]) -> (usize, Vec<PairFault>) {
-    /// Start, label and transition flag of each frame, by frame number.
-    type Side = BTreeMap<u64, (Option<u64>, Occupancy, bool)>;
-    let mut pairs: BTreeMap<&str, (Side, Side, BTreeSet<&str>)> = BTreeMap::new();
-    for row in rows {
-        let Some(pair) = &row.pair else { continue };
-        let (real, sim, sequences) = pairs.entry(pair).or_default();
-        let side = if row.domain == Domain::Real { real } else { sim };
-        side.insert(row.frame, (row.time_ns, row.label, row.transition));
-        sequences.insert(&row.sequence);
-    }
-    let fault = |(pair, (real, sim, sequences)): (&&str, &(Side, Side, BTreeSet<&str>))| {
-        let differing =
-            || real.iter().find_map(|(frame, a)| sim.get(frame).filter(|b| *b != a).map(|b| (*frame, *a, *b)));
-        let what = if real.is_empty() || sim.is_empty() {
-            format!("has no {} side", if real.is_empty() { Domain::Real } else { Domain::Sim })
-        } else if let Some(frame) =
-            real.keys().chain(sim.keys()).find(|f| !(real.contains_key(f) && sim.contains_key(f)))
-        {
+/// Frame on one side of a pair.
+#[derive(PartialEq)]
+struct PairedFrame {
+    time_ns: Option<u64>,
+    label: Occupancy,
+    transition: bool,
+}
+
+/// Frames on both sides of a pair, by frame number, and their sequences.
+#[derive(Default)]
+struct Pair<'a> {
+    real: BTreeMap<u64, PairedFrame>,
+    sim: BTreeMap<u64, PairedFrame>,
+    sequences: BTreeSet<&'a str>,
+}
+
+impl Pair<'_> {
+    /// First violation of the rules for pairs, in words; `None` if the sides match. Both sides must have the same frames with the
+    /// same times and labels, and belong to one sequence, so that they are in one split.
+    fn mismatch(&self) -> Option<String> {
+        let Pair { real, sim, sequences } = self;
+        if real.is_empty() || sim.is_empty() {
+            return Some(format!("has no {} side", if real.is_empty() { Domain::Real } else { Domain::Sim }));
+        }
+        let is_single = |frame: &&u64| !(real.contains_key(*frame) && sim.contains_key(*frame));
+        if let Some(frame) = real.keys().chain(sim.keys()).find(is_single) {
             let (has, lacks) =
                 if real.contains_key(frame) { (Domain::Real, Domain::Sim) } else { (Domain::Sim, Domain::Real) };
-            format!(
+            return Some(format!(
                 "has {} real and {} simulated frames; frame {frame} is {has} and not {lacks}",
                 real.len(),
                 sim.len()
-            )
-        } else if let Some((frame, (time_a, label_a, _), (time_b, label_b, _))) = differing() {
+            ));
+        }
+        let differing = real.iter().find_map(|(frame, a)| sim.get(frame).filter(|b| *b != a).map(|b| (frame, a, b)));
+        if let Some((frame, real, sim)) = differing {
             let time = |time: Option<u64>| time.map_or("no time".into(), |ns| format!("{:.6} s", ns as f64 * 1e-9));
-            format!(
-                "frame {frame} is {label_a} at {} if real, {label_b} at {} if simulated",
-                time(time_a),
-                time(time_b)
-            )
-        } else if sequences.len() > 1 {
-            format!("is in {} sequences, which splits may part", sequences.len())
-        } else {
-            return None;
-        };
-        Some(PairFault { pair: (*pair).to_owned(), what })
-    };
-    (pairs.len(), pairs.iter().filter_map(fault).collect())
+            return Some(format!(
+                "frame {frame} is {} at {} if real, {} at {} if simulated",
+                real.label,
+                time(real.time_ns),
+                sim.label,
+                time(sim.time_ns)
+            ));
+        }
+        (sequences.len() > 1).then(|| format!("is in {} sequences, which splits may part", sequences.len()))
+    }
 }
 
+/// Number of pairs, and those whose sides do not match.
+fn check_pairs(rows: &[ManifestRow]) -> (usize, Vec<PairMismatch>) {
+    let mut pairs: BTreeMap<&str, Pair> = BTreeMap::new();
+    for row in rows {
+        let Some(name) = &row.pair else { continue };
+        let pair = pairs.entry(name).or_default();
+        let side = if row.domain == Domain::Real { &mut pair.real } else { &mut pair.sim };
+        side.insert(row.frame, PairedFrame { time_ns: row.time_ns, label: row.label, transition: row.transition });
+        pair.sequences.insert(&row.sequence);
+    }
+    let mismatch = |(name, pair): (&&str, &Pair)| {
+        let what = pair.mismatch()?;
+        Some(PairMismatch { pair: (*name).to_owned(), what })
+    };
+    (pairs.len(), pairs.iter().filter_map(mismatch).collect())
+}
+
+/// Groups of one kind that lie in more than one split.
 fn leaks(rows: &[ManifestRow], splits: &[Split], by: SplitBy) -> Vec<Leak> {
-    let mut seen: BTreeMap<Cow<str>, BTreeSet<Split>> = BTreeMap::new();
+    let mut group_splits: BTreeMap<Cow<str>, BTreeSet<Split>> = BTreeMap::new();
     for (row, split) in rows.iter().zip(splits) {
-        if let Some(name) = by.name(row) {
-            seen.entry(name).or_default().insert(*split);
+        if let Some(name) = by.group_name(row) {
+            group_splits.entry(name).or_default().insert(*split);
         }
     }
-    let leaking = seen.into_iter().filter(|(_, splits)| splits.len() > 1);
+    let leaking = group_splits.into_iter().filter(|(_, splits)| splits.len() > 1);
     leaking.map(|(name, splits)| Leak { by, name: name.into_owned(), splits: splits.into_iter().collect() }).collect()
 }

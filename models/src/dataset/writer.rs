@@ -13,20 +13,21 @@ use sha2::{Digest, Sha256};
 use super::error::DatasetError;
 use super::header::DatasetHeader;
 use super::layout::{MAPS_PER_SHARD, shard_name};
-use super::lock::{LOCK, lock_folder};
+use super::lock::{LOCK_FILE, lock_folder};
 use super::manifest::ManifestRow;
-use crate::whole_file::sync_folder;
+use crate::atomic_file::sync_folder;
 
-/// Writer of a dataset, map by map. [`DatasetWriter::finish`] gives the folder its name. Until then it is called `NAME.partial`:
-/// the next writer removes the files of a killed one, and only one process at a time may write it. A folder of this name that
-/// holds other files is refused.
+/// Writer of a dataset, map by map. [`DatasetWriter::finish`] gives the folder its name. Until then it is called `NAME.partial`,
+/// and one process at a time may write it. The next writer removes the files of a killed one. A folder of this name that holds
+/// other files is refused.
 pub struct DatasetWriter {
     target: PathBuf,
     temporary: PathBuf,
-    /// Held as long as the folder is written.
+    /// Lock on the temporary folder.
     _lock: File,
     header: DatasetHeader,
     manifest: BufWriter<File>,
+    /// Cells of the maps of the next shard.
     pending: Vec<f32>,
     maps: usize,
     /// Names of the files that were added.
@@ -34,6 +35,7 @@ pub struct DatasetWriter {
     finished: bool,
 }
 
+/// SHA-256 of a map's cells, hex.
 pub(super) fn map_hash(db: &[f32]) -> String {
     let mut hash = Sha256::new();
     for value in db {
@@ -42,6 +44,7 @@ pub(super) fn map_hash(db: &[f32]) -> String {
     format!("{:x}", hash.finalize())
 }
 
+/// Checks that a map has the expected shape and finite cells. `frame` is used in errors only.
 pub(super) fn check_map(db: &[f32], shape: RdmShape, expected: RdmShape, frame: u64) -> Result<(), DatasetError> {
     if shape != expected || db.len() != expected.cells() {
         return Err(DatasetError::Shape { sequence: frame, expected, got: shape });
@@ -57,7 +60,7 @@ impl DatasetWriter {
     /// Starts a dataset that will be at `dir`, which must not exist.
     ///
     /// # Errors
-    /// [`DatasetError::Exists`] if `dir` exists, [`DatasetError::Busy`] if another process writes it, [`DatasetError::InTheWay`] if
+    /// [`DatasetError::Exists`] if `dir` exists, [`DatasetError::Busy`] if another process writes it, [`DatasetError::ForeignFile`] if
     /// `NAME.partial` holds a file that no writer made, and [`DatasetError::Io`] if its files cannot be created.
     pub fn create(dir: &Path, header: &DatasetHeader) -> Result<Self, DatasetError> {
         if dir.exists() {
@@ -65,14 +68,14 @@ impl DatasetWriter {
         }
         let temporary = with_suffix(dir, ".partial");
         fs::create_dir_all(&temporary).map_err(DatasetError::io(&temporary, "creating the folder"))?;
-        // The search comes before the lock, whose file tells the folder of a killed writer from a whole dataset.
+        // This comes before locking: the lock file distinguishes the folder of a killed writer from a complete dataset.
         let foreign = foreign_file(&temporary).map_err(DatasetError::io(&temporary, "listing"))?;
         let lock = lock_folder(&temporary)?;
         if let Some(name) = foreign {
-            let _ = fs::remove_file(temporary.join(LOCK));
-            return Err(DatasetError::InTheWay { path: temporary, name });
+            let _ = fs::remove_file(temporary.join(LOCK_FILE));
+            return Err(DatasetError::ForeignFile { path: temporary, name });
         }
-        // The process that held the lock may have finished in the meantime.
+        // The process that had the lock may have finished in the meantime.
         if dir.exists() {
             remove_folder(&temporary, &[]);
             return Err(DatasetError::Exists { path: dir.to_owned() });
@@ -93,17 +96,17 @@ impl DatasetWriter {
         })
     }
 
-    /// Appends a map; its hash is filled in here. A map with NaN, infinity or another shape is refused.
+    /// Appends a map, and computes the hash of its row.
     ///
     /// # Errors
-    /// [`DatasetError::Shape`] or [`DatasetError::NonFinite`] for a map that is refused, [`DatasetError::Io`] or
-    /// [`DatasetError::Json`] if it cannot be written.
+    /// [`DatasetError::Shape`] for a map of another shape, [`DatasetError::NonFinite`] for one with NaN or infinity, and
+    /// [`DatasetError::Io`] or [`DatasetError::Json`] if it cannot be written.
     pub fn push(&mut self, map: &Rdm, row: ManifestRow) -> Result<(), DatasetError> {
         check_map(&map.db, map.shape, self.header.shape, map.sequence)?;
         self.push_checked(&map.db, row)
     }
 
-    /// Appends cells that passed the checks.
+    /// Appends cells that passed [`check_map`].
     pub(super) fn push_checked(&mut self, db: &[f32], mut row: ManifestRow) -> Result<(), DatasetError> {
         row.hash = map_hash(db);
         let path = self.temporary.join("manifest.jsonl");
@@ -121,7 +124,7 @@ impl DatasetWriter {
         Ok(())
     }
 
-    /// Adds another file to the folder, which appears with the maps.
+    /// Adds another file to the folder. It becomes visible with the maps.
     ///
     /// # Errors
     /// [`DatasetError::Io`] if the file cannot be written.
@@ -176,11 +179,11 @@ impl DatasetWriter {
         })?;
         self.add_file("dataset.json", (text + "\n").as_bytes())?;
         sync_folder(&self.temporary).map_err(DatasetError::io(&self.temporary, "writing"))?;
-        // Renaming succeeds over an empty folder only.
+        // Renaming replaces an empty folder only.
         fs::rename(&self.temporary, &self.target).map_err(DatasetError::io(&self.target, "renaming to"))?;
-        // Not before: a folder that a kill leaves under the temporary name has a lock, and no other process takes it. A lock that
-        // stays in the dataset does no harm.
-        let _ = fs::remove_file(self.target.join(LOCK));
+        // Removed after renaming, so that a temporary folder always has its lock file. A lock file that stays in the dataset does no
+        // harm.
+        let _ = fs::remove_file(self.target.join(LOCK_FILE));
         let parent = self.target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         sync_folder(parent).map_err(DatasetError::io(parent, "writing"))?;
         self.finished = true;
@@ -189,7 +192,7 @@ impl DatasetWriter {
 }
 
 impl Drop for DatasetWriter {
-    /// Removes the files of a writer that was not finished, and its folder unless somebody has put other files into it.
+    /// Removes the files of a writer that was not finished, and its folder if it holds no other files.
     fn drop(&mut self) {
         if !self.finished {
             remove_folder(&self.temporary, &self.added);
@@ -197,44 +200,44 @@ impl Drop for DatasetWriter {
     }
 }
 
-/// Returns whether every dataset writer makes a file of this name, beside its lock.
-fn is_own(name: &OsStr) -> bool {
+/// Returns whether dataset writers make files of this name. The lock file and added files are not included.
+fn is_writer_file(name: &OsStr) -> bool {
     let name = name.to_str().unwrap_or_default();
     let shard = name.strip_prefix("maps-").and_then(|rest| rest.strip_suffix(".npy"));
     ["dataset.json", "manifest.jsonl"].contains(&name) || shard.is_some_and(|number| number.parse::<usize>().is_ok())
 }
 
-/// Returns the name of a file in the folder that no killed writer left; `None` if there is none.
+/// Name of a file in the folder that is not of a killed writer; `None` if there is none.
 fn foreign_file(folder: &Path) -> std::io::Result<Option<String>> {
     let has = |name: &str| folder.join(name).exists();
-    // A whole dataset has no lock: somebody has given it this name.
-    if has("dataset.json") && !has(LOCK) {
+    // A complete dataset has no lock file: a user has given it this name.
+    if has("dataset.json") && !has(LOCK_FILE) {
         return Ok(Some("dataset.json".to_owned()));
     }
     for entry in fs::read_dir(folder)? {
         let name = entry?.file_name();
-        if name != LOCK && !is_own(&name) {
+        if name != LOCK_FILE && !is_writer_file(&name) {
             return Ok(Some(name.to_string_lossy().into_owned()));
         }
     }
     Ok(None)
 }
 
-/// Removes the files of a writer except its lock.
+/// Removes the files of a writer except its lock file.
 fn remove_files(folder: &Path, added: &[String]) -> std::io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
         let name = entry.file_name();
-        if is_own(&name) || added.iter().any(|added| name == added.as_str()) {
+        if is_writer_file(&name) || added.iter().any(|added| name == added.as_str()) {
             fs::remove_file(entry.path())?;
         }
     }
     Ok(())
 }
 
-/// Removes the files of a writer, and its folder if nothing else is in it.
+/// Removes the files of a writer, and its folder if it is then empty.
 fn remove_folder(folder: &Path, added: &[String]) {
     let _ = remove_files(folder, added);
-    let _ = fs::remove_file(folder.join(LOCK));
+    let _ = fs::remove_file(folder.join(LOCK_FILE));
     let _ = fs::remove_dir(folder);
 }

@@ -1,8 +1,8 @@
 //! CPU affinity of a spinning pool's threads: each gets a processor of its own.
 //!
-//! In a virtual machine, the kernel avoids processors that the host has put to sleep. It wakes a helper on the processor of the
-//! thread that called it, where the helper waits for its own leader for milliseconds. A helper that starts on a processor of
-//! another thread of the pool therefore excludes those processors from its affinity mask while it helps.
+//! In a virtual machine, the operating system avoids processors that the host has put to sleep. It starts a helper on the processor
+//! of the thread that called it, which may be its leader's. There the helper waits for milliseconds. Therefore, a helper that starts
+//! on a processor of another thread of the pool excludes the pool's processors from its affinity mask while it runs.
 
 #[cfg(not(target_os = "linux"))]
 pub(crate) use elsewhere::Affinity;
@@ -26,7 +26,7 @@ mod linux {
         mutex.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Processor of a helper. Dropping it frees the processor and restores the helper's affinity mask.
+    /// Processor that is reserved for a helper. Dropping it frees the processor and restores the helper's affinity mask.
     pub struct Placement<'a> {
         affinity: &'a Affinity,
         processor: usize,
@@ -44,12 +44,12 @@ mod linux {
         pub fn place_helper(&self) -> Placement<'_> {
             let mut helpers = lock(&self.helpers);
             let mut allowed = None;
-            let taken = |processor| processor == *lock(&self.leader) || helpers.contains(&processor);
-            if taken(sched_getcpu())
+            let is_taken = |processor| processor == *lock(&self.leader) || helpers.contains(&processor);
+            if is_taken(sched_getcpu())
                 && let Ok(all) = sched_getaffinity(None)
             {
                 let mut free = CpuSet::new();
-                (0..CpuSet::MAX_CPU).filter(|&k| all.is_set(k) && !taken(k)).for_each(|k| free.set(k));
+                (0..CpuSet::MAX_CPU).filter(|&k| all.is_set(k) && !is_taken(k)).for_each(|k| free.set(k));
                 if free.count() > 0 && sched_setaffinity(None, &free).is_ok() {
                     allowed = Some(all);
                 }
@@ -67,7 +67,7 @@ mod linux {
                 helpers.swap_remove(index);
             }
             if let Some(allowed) = &self.allowed {
-                // This fails only if the mask was changed from outside meanwhile. That mask then stays.
+                // This fails only if another program has changed the allowed processors. The mask then stays as it is.
                 _ = sched_setaffinity(None, allowed);
             }
         }
@@ -102,10 +102,10 @@ mod tests {
         for _ in 0..20 {
             let affinity = Affinity::default();
             affinity.set_leader();
-            let here = sched_getcpu();
+            let leader = sched_getcpu();
             let placement = affinity.place_helper();
             if before.count() > 1 && sched_getaffinity(None).expect("a mask") != before {
-                assert_ne!(sched_getcpu(), here);
+                assert_ne!(sched_getcpu(), leader);
             }
             drop(placement);
             assert!(sched_getaffinity(None).expect("a mask") == before);

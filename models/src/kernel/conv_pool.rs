@@ -4,10 +4,10 @@ use super::level::{for_each_level, multiply_add};
 
 /// Output channels that the convolution kernel handles at once.
 pub(crate) const LANES: usize = 16;
-/// Index for a pooling window whose maximum is not above zero: ReLU passes no gradient.
+/// Index for a pooling window whose maximum is not above zero. ReLU passes no gradient to it.
 pub(crate) const DEAD: u8 = 4;
 
-/// Geometry of a 3x3 convolution with padding 1 followed by 2x2 pooling.
+/// Sizes of a 3x3 convolution with padding 1, followed by 2x2 pooling.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Block {
     /// Rows of the input.
@@ -31,7 +31,7 @@ impl Block {
         (self.rows / 2) * (self.columns / 2) * self.outputs
     }
 
-    /// Cells of one output channel's kernel.
+    /// Number of weights of one output channel.
     pub fn kernel_length(&self) -> usize {
         9 * self.inputs
     }
@@ -100,8 +100,8 @@ impl Block {
 }
 
 for_each_level! {
-    /// Computes convolution, bias, ReLU and pooling of one sample. `winner` receives the index 0..4 of the largest cell
-    /// of each window (row-major, the first of equals; a NaN is larger than anything) or [`DEAD`].
+    /// Computes convolution, bias, ReLU and pooling of one sample. For each window, `winner` receives the row-major index
+    /// 0..4 of its largest cell, or [`DEAD`]. Of equal cells the first counts; a NaN is larger than any number.
     pub(crate) fn forward(
         block: Block, padded: &[f32], packed: &[f32], bias: &[f32], pooled: &mut [f32], winner: &mut [u8]
     ) {
@@ -207,9 +207,8 @@ for_each_level! {
     }
 }
 
-/// Computes [`backward`] for a single input channel that is data. Runs of three offsets are too short for vectors, so
-/// the vectors run over outputs. The gradient is spread over the four cells of the window, and only the winner's cell
-/// is not zero.
+/// Computes [`backward`] for a single input channel that is data. Runs of three offsets are too short for vectors, so the
+/// vector lanes are outputs. The gradient is expanded to the four cells of the window; all but the winner's cell are zero.
 #[inline(always)]
 fn backward_of_data<const FUSED: bool>(
     block: Block,
@@ -223,8 +222,8 @@ fn backward_of_data<const FUSED: bool>(
     let line = columns + 2;
     for first in (0..outputs).step_by(LANES) {
         let lanes = LANES.min(outputs - first);
-        let mut offsets = [[0.0f32; LANES]; 9];
-        let mut biases = [0.0f32; LANES];
+        let mut weight_sums = [[0.0f32; LANES]; 9];
+        let mut bias_sums = [0.0f32; LANES];
         for y in 0..rows / 2 {
             for x in 0..columns / 2 {
                 let at = (y * (columns / 2) + x) * outputs + first;
@@ -232,17 +231,17 @@ fn backward_of_data<const FUSED: bool>(
                 g[..lanes].copy_from_slice(&gradient[at..at + lanes]);
                 w[..lanes].copy_from_slice(&winner[at..at + lanes]);
                 for candidate in 0..4u8 {
-                    let mut spread = [0.0f32; LANES];
+                    let mut cell_gradient = [0.0f32; LANES];
                     for lane in 0..LANES {
-                        spread[lane] = if w[lane] == candidate { g[lane] } else { 0.0 };
-                        biases[lane] += spread[lane];
+                        cell_gradient[lane] = if w[lane] == candidate { g[lane] } else { 0.0 };
+                        bias_sums[lane] += cell_gradient[lane];
                     }
                     let corner = (2 * y + candidate as usize / 2) * line + 2 * x + candidate as usize % 2;
-                    for (ky, offsets) in offsets.chunks_exact_mut(3).enumerate() {
+                    for (ky, row_sums) in weight_sums.chunks_exact_mut(3).enumerate() {
                         let cells = &padded[corner + ky * line..corner + ky * line + 3];
-                        for (offset, &cell) in offsets.iter_mut().zip(cells) {
+                        for (sums, &cell) in row_sums.iter_mut().zip(cells) {
                             for lane in 0..LANES {
-                                offset[lane] = multiply_add::<FUSED>(cell, spread[lane], offset[lane]);
+                                sums[lane] = multiply_add::<FUSED>(cell, cell_gradient[lane], sums[lane]);
                             }
                         }
                     }
@@ -250,8 +249,8 @@ fn backward_of_data<const FUSED: bool>(
             }
         }
         for lane in 0..lanes {
-            bias_gradient[first + lane] += biases[lane];
-            for (offset, sums) in offsets.iter().enumerate() {
+            bias_gradient[first + lane] += bias_sums[lane];
+            for (offset, sums) in weight_sums.iter().enumerate() {
                 weight_gradient[(first + lane) * 9 + offset] += sums[lane];
             }
         }

@@ -6,14 +6,14 @@ use rayon::prelude::*;
 
 use super::implicit_gemm::ImplicitGemm;
 use super::spin_pool::for_each_task;
-use super::tile::{ChannelTile, OffsetTile, Shared, Tiles, part};
+use super::tile::{ChannelTile, OffsetTile, SharedBuffer, Tiles, part};
 
-/// Largest number of cells of a task, and the smallest number that is worth another task.
+/// Largest number of cells of a task, and the smallest number for which another task is worth its cost.
 const CELLS_PER_TASK: [usize; 2] = [256, 16];
 /// Least number of tasks, where the map is large enough.
 const TASKS: usize = 8;
 
-/// Transposes a matrix `[row][column]` of so many columns: weights `[channel][offset]` to `[offset][channel]`, and back.
+/// Transposes a matrix `[row][column]` with this number of columns, such as weights `[channel][offset]` to `[offset][channel]`.
 pub(crate) fn transposed(values: &[f32], columns: usize) -> Vec<f32> {
     let rows = values.len() / columns;
     let mut transposed = vec![0.0; values.len()];
@@ -43,7 +43,7 @@ pub(crate) fn run(
     let zeros = vec![0.0f32; channels];
     let [most, least] = CELLS_PER_TASK;
     let tasks = cells.div_ceil(most).max(cells.div_ceil(least).min(TASKS));
-    let shared = Shared::new(target);
+    let shared = SharedBuffer::new(target);
     let task = |scratch: &mut Scratch, index: usize| {
         let cells = part(cells, tasks, index);
         scratch.addresses.resize(offsets * cells.len(), std::ptr::null());
@@ -69,8 +69,8 @@ pub(crate) fn run(
     for_each_task(tasks, |index| SCRATCH.with_borrow_mut(|scratch| task(scratch, index)));
 }
 
-/// Gradient `[channel][offset]` of the weights, where `gradient` belongs to the result of `gemm` on `source`. Partial sums of a
-/// fixed size are added in their order.
+/// Gradient `[channel][offset]` of the weights, where `gradient` is that of the result of `gemm` on `source`. Partial sums over a
+/// fixed number of cells are added in order.
 pub(crate) fn weight_gradient(gemm: &ImplicitGemm, source: &[f32], gradient: &[f32], tiles: Tiles) -> Vec<f32> {
     const BLOCK: usize = 64;
     const BLOCKS_PER_TASK: usize = 16;

@@ -4,34 +4,35 @@ use std::cell::RefCell;
 
 use super::packed::Packed;
 use super::spin_pool::for_each_task;
-use super::tile::{RowTile, Shared, part, place};
+use super::tile::{RowTile, SharedBuffer, cell_position, part};
 
 /// Position of one cell of a convolution kernel.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct KernelOffset {
-    /// Rows and columns from the corner of the output cell's window in the source.
-    pub by: [isize; 2],
+    /// Rows and columns from the corner of a window in the source.
+    pub shift: [isize; 2],
     /// Index of its weights in the packed weights.
     pub index: u32,
 }
 
-/// Product of a source with weights: the source cells that each cell of a grid reads, and the target cell that it writes.
+/// Product of a source with weights over the cells of a grid. Defines which source cells a grid cell reads, and which target cell
+/// it writes.
 #[derive(Debug, Clone)]
 pub(crate) struct ImplicitGemm {
     pub batch: usize,
-    /// Rows and columns of cells.
+    /// Rows and columns of the grid.
     pub grid: [usize; 2],
     /// Rows and columns of the source.
     pub source: [usize; 2],
     /// Channels of the source.
     pub channels: usize,
-    /// Source row of cell row `r` is `source_step r + source_start`, plus the kernel offset.
+    /// The source row of grid row `r` is `source_step r + source_start`, plus the kernel offset; columns alike.
     pub source_step: isize,
     pub source_start: [isize; 2],
     pub offsets: Vec<KernelOffset>,
     /// Rows and columns of the target.
     pub target: [usize; 2],
-    /// Target row of cell row `r` is `target_step r + target_start`.
+    /// The target row of grid row `r` is `target_step r + target_start`; columns alike.
     pub target_step: usize,
     pub target_start: [usize; 2],
 }
@@ -42,7 +43,7 @@ const TILES_PER_TASK: usize = 16;
 const TASKS: usize = 16;
 /// Sources with fewer channels are copied into patches, because loops over so few channels cost more than the copy.
 const FEW_CHANNELS: usize = 8;
-/// Packed weights up to this many values stay in the second-level cache over all tiles.
+/// Number of packed weights up to which they stay in the second-level cache over all tiles.
 const SMALL_WEIGHTS: usize = 1 << 16;
 
 impl ImplicitGemm {
@@ -55,7 +56,7 @@ impl ImplicitGemm {
             channels,
             source_step: 1,
             source_start: [0; 2],
-            offsets: vec![KernelOffset { by: [0; 2], index: 0 }],
+            offsets: vec![KernelOffset { shift: [0; 2], index: 0 }],
             target: [1; 2],
             target_step: 1,
             target_start: [0; 2],
@@ -73,8 +74,8 @@ impl ImplicitGemm {
         self.channels < FEW_CHANNELS && self.offsets.len() > 1 && all_in_order()
     }
 
-    /// Writes the addresses `[offset][cell]` of the source cells that `cells` read to `addresses`; padding has the address of
-    /// `zeros`. With `patches`, the cells at all offsets are gathered there, and each cell has one address.
+    /// Writes the addresses `[offset][cell]` of the source cells that `cells` read to `addresses`. Padding has the address of
+    /// `zeros`. With `patches`, the source cells at all offsets are copied there, and each cell has one address.
     pub fn addresses(
         &self,
         cells: std::ops::Range<usize>,
@@ -89,28 +90,29 @@ impl ImplicitGemm {
         let mut first = 0;
         while first < count {
             // Cells of one row of the grid.
-            let [image, row, column] = place(cells.start + first, self.grid);
-            let run = (self.grid[1] - column).min(count - first);
+            let [image, row, column] = cell_position(cells.start + first, self.grid);
+            let run_length = (self.grid[1] - column).min(count - first);
             if let Some(patches) = &mut patches {
                 let length = offsets * self.channels;
-                let patches = &mut patches[first * length..(first + run) * length];
+                let patches = &mut patches[first * length..(first + run_length) * length];
                 for (k, patch) in patches.chunks_exact_mut(length).enumerate() {
                     self.gather([image, row, column + k], source, patch);
                 }
-                first += run;
+                first += run_length;
                 continue;
             }
             for (t, offset) in self.offsets.iter().enumerate() {
-                let source_row = step * row as isize + self.source_start[0] + offset.by[0];
-                let corner = step * column as isize + self.source_start[1] + offset.by[1];
+                let source_row = step * row as isize + self.source_start[0] + offset.shift[0];
+                let corner = step * column as isize + self.source_start[1] + offset.shift[1];
                 // Cells from `left` to `right` read the source, the others padding.
                 let inside = (0..rows).contains(&source_row);
-                let reach = |column: isize| if column <= 0 { 0 } else { ((column + step - 1) / step) as usize };
-                let right = if inside { reach(columns - corner).min(run) } else { 0 };
-                let left = reach(-corner).min(right);
+                let steps_to =
+                    |distance: isize| if distance <= 0 { 0 } else { ((distance + step - 1) / step) as usize };
+                let right = if inside { steps_to(columns - corner).min(run_length) } else { 0 };
+                let left = steps_to(-corner).min(right);
                 let line = (image as isize * rows + source_row) * columns + corner;
                 let index = |k: usize| (line + step * k as isize) as usize * self.channels;
-                let addresses = &mut addresses[t * count + first..][..run];
+                let addresses = &mut addresses[t * count + first..][..run_length];
                 addresses[..left].fill(zeros.as_ptr());
                 addresses[right..].fill(zeros.as_ptr());
                 if left < right {
@@ -122,7 +124,7 @@ impl ImplicitGemm {
                     }
                 }
             }
-            first += run;
+            first += run_length;
         }
         if let Some(patches) = patches {
             for (address, patch) in addresses.iter_mut().zip(patches.chunks_exact(offsets * self.channels)) {
@@ -131,17 +133,17 @@ impl ImplicitGemm {
         }
     }
 
-    /// Copies the source cells at all offsets of a cell. Neighbouring offsets of one row are contiguous in the source, too.
+    /// Copies the source cells at all offsets of a cell. Neighbouring offsets in one row are also contiguous in the source.
     fn gather(&self, [image, row, column]: [usize; 3], source: &[f32], patch: &mut [f32]) {
         let [rows, columns] = [self.source[0] as isize, self.source[1] as isize];
         let row = self.source_step * row as isize + self.source_start[0];
         let column = self.source_step * column as isize + self.source_start[1];
-        let neighbours = self.offsets.chunk_by(|a, b| a.by[0] == b.by[0] && a.by[1] + 1 == b.by[1]);
+        let neighbours = self.offsets.chunk_by(|a, b| a.shift[0] == b.shift[0] && a.shift[1] + 1 == b.shift[1]);
         let mut patch = patch;
         for offsets in neighbours {
             let (values, rest) = patch.split_at_mut(offsets.len() * self.channels);
             patch = rest;
-            let [y, x] = offsets[0].by;
+            let [y, x] = offsets[0].shift;
             let (row, column) = (row + y, column + x);
             let end = column + offsets.len() as isize;
             let line = (image as isize * rows + row) * columns;
@@ -163,24 +165,30 @@ impl ImplicitGemm {
     }
 
     /// Writes the addresses of the results of `cells` to `targets`.
-    pub fn targets(&self, cells: std::ops::Range<usize>, outputs: usize, target: Shared, targets: &mut Vec<*mut f32>) {
+    pub fn targets(
+        &self,
+        cells: std::ops::Range<usize>,
+        outputs: usize,
+        target: SharedBuffer,
+        targets: &mut Vec<*mut f32>,
+    ) {
         targets.clear();
         let mut cell = cells.start;
         while cell < cells.end {
-            let [image, row, column] = place(cell, self.grid);
-            let run = (self.grid[1] - column).min(cells.end - cell);
+            let [image, row, column] = cell_position(cell, self.grid);
+            let run_length = (self.grid[1] - column).min(cells.end - cell);
             let row = self.target_step * row + self.target_start[0];
             let column = self.target_step * column + self.target_start[1];
             let first = ((image * self.target[0] + row) * self.target[1] + column) * outputs;
             let start = target.get().wrapping_add(first);
-            targets.extend((0..run).map(|k| start.wrapping_add(k * self.target_step * outputs)));
-            cell += run;
+            targets.extend((0..run_length).map(|k| start.wrapping_add(k * self.target_step * outputs)));
+            cell += run_length;
         }
     }
 
     /// Computes `target = init + source * weights` for all cells. `init` has a value for each column of the weights.
     ///
-    /// Cells of the target that the grid does not reach stay unchanged. Every cell is summed in the same order on any thread.
+    /// Target cells that no grid cell writes stay unchanged. Every cell is summed in the same order on any thread.
     ///
     /// # Panics
     /// Lengths of `source`, `target` and `weights` differ from the sizes of the product.
@@ -198,7 +206,7 @@ impl ImplicitGemm {
         let row_tasks = cells.div_ceil(TILES_PER_TASK * tiles.rows);
         let panels = weights.panels();
         let panel_tasks = TASKS.div_ceil(row_tasks).min(panels);
-        let shared = Shared::new(target);
+        let shared = SharedBuffer::new(target);
         for_each_task(row_tasks * panel_tasks, |index| {
             let cells = part(cells, row_tasks, index / panel_tasks);
             let panels = part(panels, panel_tasks, index % panel_tasks);
@@ -208,6 +216,7 @@ impl ImplicitGemm {
         });
     }
 
+    /// Computes the products of some cells with some panels of the weights.
     #[allow(clippy::too_many_arguments)]
     fn task(
         &self,
@@ -218,7 +227,7 @@ impl ImplicitGemm {
         weights: &Packed,
         init: Option<&[f32]>,
         zeros: &[f32],
-        target: Shared,
+        target: SharedBuffer,
     ) {
         let tiles = weights.tiles;
         let gathered = self.is_gathered();
@@ -227,7 +236,7 @@ impl ImplicitGemm {
         scratch.offsets.clear();
         scratch.offsets.extend(self.offsets.iter().map(|t| t.index));
         if gathered {
-            // Patches hold the offsets in order: a gathered product uses all of them.
+            // A patch holds the values at all offsets, in order.
             scratch.offsets[0] = 0;
         }
         scratch.addresses.resize(offsets * cells.len(), std::ptr::null());
@@ -264,7 +273,7 @@ impl ImplicitGemm {
     }
 }
 
-/// Work space of a task, reused by the next one.
+/// Scratch memory of a task, reused by the next one.
 #[derive(Default)]
 struct Scratch {
     offsets: Vec<u32>,

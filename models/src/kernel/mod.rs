@@ -1,7 +1,7 @@
 //! Inner loops of the layers: SIMD vectors, tiles of sums in registers, convolution algorithms, and threads.
 //!
-//! Nothing here knows of tensors, gradients or networks. Every loop is compiled for each [`KernelLevel`] and sums in a fixed
-//! order: the same bits for any number of threads.
+//! This module does not depend on tensors and networks. Every loop is compiled for each [`KernelLevel`] and sums in a fixed order.
+//! Results have the same bits for any number of threads.
 
 mod affinity;
 pub(crate) mod buffer;

@@ -4,11 +4,11 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use super::buffer::unwritten;
+use super::buffer::uninitialised;
 use super::tile::Tiles;
 
-/// Weights `[panel][offset][channel][column of the panel]`: each panel as wide as a tile, the last one a single vector if
-/// that is enough, filled up with zeros.
+/// Weights `[panel][offset][channel][column of the panel]`. Each panel is as wide as a tile; the last one is a single vector
+/// if that is enough. It is padded with zeros.
 pub(crate) struct Packed {
     pub values: Vec<f32>,
     /// Offsets times channels.
@@ -27,14 +27,14 @@ pub(crate) enum Side {
 }
 
 impl Packed {
-    /// Packs `[output][input][offset]`.
+    /// Packs weights `[output][input][offset]`.
     pub fn new(weight: &[f32], [outputs, inputs, offsets]: [usize; 3], side: Side, tiles: Tiles) -> Self {
         let (columns, channels) = match side {
             Side::Forward => (outputs, inputs),
             Side::Backward => (inputs, outputs),
         };
         let depth = offsets * channels;
-        Self::filled(columns, depth, tiles, |columns, width, target| {
+        Self::with_panels(columns, depth, tiles, |columns, width, target| {
             match side {
                 Side::Forward => {
                     // One stream for each column, so that both sides access memory in order.
@@ -63,15 +63,15 @@ impl Packed {
         })
     }
 
-    /// Weights of `columns`, `depth` for each of them; `fill` writes those of a range of columns to a panel `[depth][width]`, whose
-    /// padding is zero.
-    pub fn filled(
+    /// Makes weights of `columns` columns, `depth` for each. `fill` gets a range of columns, the width of a panel, and the panel
+    /// `[depth][width]`, to which it writes the weights of these columns. Padding is zero.
+    pub fn with_panels(
         columns: usize,
         depth: usize,
         tiles: Tiles,
         fill: impl Fn(Range<usize>, usize, &mut [f32]) + Sync,
     ) -> Self {
-        let mut values = unwritten(Self::length(columns, tiles) * depth);
+        let mut values = uninitialised(Self::padded_columns(columns, tiles) * depth);
         values.par_chunks_mut((tiles.width() * depth).max(1)).enumerate().for_each(|(panel, target)| {
             let first = panel * tiles.width();
             let (columns, width) = (first..columns.min(first + tiles.width()), target.len() / depth);
@@ -84,14 +84,14 @@ impl Packed {
     }
 
     /// Number of columns with padding.
-    fn length(columns: usize, tiles: Tiles) -> usize {
+    fn padded_columns(columns: usize, tiles: Tiles) -> usize {
         columns.next_multiple_of(tiles.lanes)
     }
 
-    /// Copies `values`, one for each column, and fills the padding with zeros.
+    /// Copies `values`, one for each column, and adds zeros as padding.
     pub fn pad(&self, values: &[f32]) -> Vec<f32> {
         let mut padded = values.to_vec();
-        padded.resize(Self::length(self.columns, self.tiles), 0.0);
+        padded.resize(Self::padded_columns(self.columns, self.tiles), 0.0);
         padded
     }
 

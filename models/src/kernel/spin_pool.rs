@@ -1,9 +1,9 @@
 //! Spinning thread pool: its threads do not sleep while a network runs.
 //!
 //! A step of a small network takes microseconds; waking a sleeping thread takes tens of them. A pool consists of the leader, which
-//! is the thread that runs a network, and of helpers, which are threads of rayon's pool. The leader calls helpers once a run.
+//! is the thread that runs a network, and of helpers, which are threads of rayon's pool. The leader calls helpers when a job begins.
 //! Helpers spin until there is a job and return to rayon after [`HELPER_TIMEOUT`] without one. The leader never waits for a late
-//! helper: threads take tasks one by one, and the leader takes those that are left.
+//! helper: threads take tasks one by one, and the leader takes all remaining ones.
 
 use std::cell::{Cell, UnsafeCell};
 use std::sync::Arc;
@@ -17,8 +17,8 @@ use super::affinity::Affinity;
 /// Time without a job after which a helper returns to rayon.
 const HELPER_TIMEOUT: Duration = Duration::from_micros(300);
 /// Number of spins, some ten nanoseconds each, before a thread yields its processor. They take longer than the time
-/// between two steps, because on a busy machine a thread that yields may come back after the run. They take no longer
-/// than needed, because the awaited thread may need this processor.
+/// between two steps, because on a busy machine a thread that yields may not resume before the end of the run. They take
+/// no longer than needed, because the awaited thread may need this processor.
 const SPINS_BEFORE_YIELD: u32 = 1 << 11;
 
 thread_local! {
@@ -38,32 +38,33 @@ pub(crate) fn for_each_task(count: usize, task: impl Fn(usize) + Sync) {
     }
 }
 
-/// Calls `f` with the index and the values of every chunk of `length` values, as [`for_each_task`] does; the last may be shorter.
+/// Calls `f` with the index and the values of every chunk of `length` values, in parallel as [`for_each_task`]. The last chunk may be
+/// shorter.
 pub(crate) fn for_each_chunk(values: &mut [f32], length: usize, f: impl Fn(usize, &mut [f32]) + Sync) {
-    let (total, shared) = (values.len(), super::tile::Shared::new(values));
+    let (total, shared) = (values.len(), super::tile::SharedBuffer::new(values));
     for_each_task(total.div_ceil(length), |index| {
         let first = index * length;
-        // SAFETY: chunks do not overlap, and each is one task's.
+        // SAFETY: chunks do not overlap, and each belongs to one task.
         f(index, unsafe { std::slice::from_raw_parts_mut(shared.get().add(first), length.min(total - first)) });
     });
 }
 
-/// Spinning thread pool of one network, which one thread at a time runs.
+/// Spinning thread pool of one network. One thread at a time runs the network.
 #[derive(Default)]
 pub(crate) struct SpinPool(Arc<State>);
 
-/// State shared by leader and helpers. Counters have cache lines of their own.
+/// State shared by leader and helpers. Each counter has its own cache line.
 #[derive(Default)]
 struct State {
-    /// Number of the job, odd while it runs.
+    /// Twice the number of finished jobs; one more while a job runs.
     round: CacheLine<AtomicUsize>,
     /// Index of the next free task.
     next: CacheLine<AtomicUsize>,
-    /// Helpers that may read the job.
+    /// Number of helpers that may read the job.
     readers: CacheLine<AtomicUsize>,
-    /// Helpers that spin or were called.
+    /// Number of helpers that have been called and have not returned to rayon.
     called: CacheLine<AtomicUsize>,
-    /// Helpers that spin.
+    /// Number of these helpers that have started.
     spinning: CacheLine<AtomicUsize>,
     /// Whether the leader has called a helper and has not yielded to it yet.
     must_yield: AtomicBool,
@@ -97,12 +98,13 @@ impl Drop for Restore {
 }
 
 impl SpinPool {
-    /// Calls `f` with this pool as the current one of the thread: its tasks run on this pool.
+    /// Calls `f` with this pool as the current one of the thread: tasks of `f` run on this pool.
     pub fn run<R>(&mut self, f: impl FnOnce() -> R) -> R {
-        let _before = Restore(CURRENT.replace(Some(std::ptr::from_ref(self))));
+        let _restore = Restore(CURRENT.replace(Some(std::ptr::from_ref(self))));
         f()
     }
 
+    /// Runs `task` with `0..count` on leader and helpers.
     fn execute(&self, count: usize, task: &(dyn Fn(usize) + Sync)) {
         /// Ends the job when dropped, also by a panic of the leader, and waits for its readers.
         struct RunningJob<'a>(&'a State);
@@ -116,14 +118,14 @@ impl SpinPool {
             }
         }
         let state = &self.0;
-        // A pool runs one job at a time: tasks within tasks run on rayon's pool.
-        let _before = Restore(CURRENT.take());
+        // A pool runs one job at a time: nested tasks run on rayon's pool.
+        let _restore = Restore(CURRENT.take());
         if State::call_helper(state) {
             state.affinity.set_leader();
             state.must_yield.store(true, Ordering::Relaxed);
         } else if state.must_yield.swap(false, Ordering::Relaxed) && state.spinning.0.load(Ordering::Relaxed) == 0 {
-            // The helper called for the previous job may wait for this processor (see `affinity.rs`). The leader yields once only:
-            // on a busy machine other threads would run first each time.
+            // The helper called for the previous job may wait for this processor (see `affinity.rs`). The leader yields only once,
+            // because on a busy machine other threads would run first each time.
             std::thread::yield_now();
         }
         // SAFETY: only the lifetime changes. `RunningJob` waits for all readers before the lifetime ends.
@@ -139,7 +141,7 @@ impl SpinPool {
 }
 
 impl State {
-    /// Calls a helper if one is missing, and returns whether it did. The helper calls the next one.
+    /// Calls a helper if there are fewer than threads of rayon allow, and returns whether it did. The helper calls the next one.
     fn call_helper(state: &Arc<State>) -> bool {
         let called = state.called.0.load(Ordering::Relaxed);
         let is_missing = called + 1 < rayon::current_num_threads()
@@ -178,11 +180,11 @@ impl State {
         let _spinning = Decrement(&state.spinning.0);
         let _placement = state.affinity.place_helper();
         State::call_helper(state);
-        let (mut done, mut since, mut spins) = (0, Instant::now(), 0u32);
+        let (mut last_round, mut last_job, mut spins) = (0, Instant::now(), 0u32);
         loop {
             let round = state.round.0.load(Ordering::Acquire);
-            if !round.is_multiple_of(2) && round != done {
-                // The leader waits for those that are readers before the round ends. Later ones see that it has ended.
+            if !round.is_multiple_of(2) && round != last_round {
+                // The leader waits for helpers that become readers before the round ends. Later ones see that it has ended.
                 state.readers.0.fetch_add(1, Ordering::SeqCst);
                 let _reader = Decrement(&state.readers.0);
                 if state.round.0.load(Ordering::SeqCst) == round
@@ -191,10 +193,10 @@ impl State {
                 {
                     state.take_tasks(job);
                 }
-                (done, since, spins) = (round, Instant::now(), 0);
+                (last_round, last_job, spins) = (round, Instant::now(), 0);
             } else {
                 wait(&mut spins);
-                if spins > SPINS_BEFORE_YIELD && since.elapsed() > HELPER_TIMEOUT {
+                if spins > SPINS_BEFORE_YIELD && last_job.elapsed() > HELPER_TIMEOUT {
                     return;
                 }
             }
@@ -248,7 +250,7 @@ mod tests {
         }
     }
 
-    /// Several threads work at once: each of these tasks waits for the other.
+    /// Several threads work in parallel: each of these tasks waits for the other.
     #[test]
     fn helpers_help() {
         with_threads(2, || {
@@ -266,7 +268,7 @@ mod tests {
         });
     }
 
-    /// No helper reads a job that its leader has left by a panic.
+    /// No helper reads a job whose leader has panicked.
     #[test]
     fn a_panic_of_the_leader_leaves_the_pool_usable() {
         with_threads(1, || {

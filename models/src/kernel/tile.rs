@@ -1,7 +1,7 @@
-//! Tiles: the two kinds of products in dense layers, with one tile of sums in registers at a time.
+//! Tiles: products of dense and depthwise layers, with one tile of sums in registers at a time.
 //!
-//! Neither kind of product copies its operands first. Channels are contiguous in channel-last maps, so a product over
-//! channels and offsets needs only the addresses of the cells (Dukhan, "The Indirect Convolution Algorithm", 2019).
+//! Operands are not copied first. Channels are contiguous in channel-last maps, so a product over channels and offsets needs
+//! only the addresses of the cells (Dukhan, "The Indirect Convolution Algorithm", 2019).
 
 use super::level::KernelLevel;
 #[cfg(target_arch = "x86_64")]
@@ -14,6 +14,7 @@ const _: () = assert!(2 * Plain::LANES <= WIDEST);
 #[cfg(target_arch = "x86_64")]
 const _: () = assert!(2 * Avx512::LANES <= WIDEST && 2 * Avx2::LANES <= WIDEST);
 
+/// Tile of a dense product:
 /// `target[r][column] = init[column] + sum over offsets and channels of cells[offset][r][channel] panel[offset][channel][column]`.
 pub(crate) struct RowTile {
     /// Addresses of the rows' operands, `[offset][row]`.
@@ -36,7 +37,7 @@ pub(crate) struct RowTile {
     pub columns: usize,
 }
 
-/// `target[r][column] += sum over cells of left[cell][r] right[cell][column]`.
+/// Tile of a sum of outer products: `target[r][column] += sum over cells of left[cell][r] right[cell][column]`.
 pub(crate) struct OuterTile {
     /// First row of the first cell.
     pub left: *const f32,
@@ -53,6 +54,7 @@ pub(crate) struct OuterTile {
     pub columns: usize,
 }
 
+/// Tile of a depthwise product:
 /// `target[r][channel] = init[channel] + sum over offsets of cells[offset][r][channel] weights[offset][channel]`.
 pub(crate) struct ChannelTile {
     /// Addresses of the rows' operands, `[offset][row]`.
@@ -76,6 +78,7 @@ impl ChannelTile {
     pub const ROWS: usize = 6;
 }
 
+/// Tile of the weight gradient of a depthwise product:
 /// `target[offset][channel] += sum over cells of cells[offset][cell][channel] gradient[cell][channel]`.
 pub(crate) struct OffsetTile {
     /// Addresses of the operands, `[offset][cell]`.
@@ -177,8 +180,10 @@ unsafe fn channel_tile<V: Vector, const R: usize>(tile: &ChannelTile) {
     // SAFETY: as in `row_tile`.
     unsafe {
         for channel in (0..tile.channels).step_by(V::LANES) {
-            let left = tile.channels - channel;
-            let load = |from: *const f32| if left >= V::LANES { V::load(from) } else { V::load_first(from, left) };
+            let remaining = tile.channels - channel;
+            let load = |from: *const f32| {
+                if remaining >= V::LANES { V::load(from) } else { V::load_first(from, remaining) }
+            };
             let init = if tile.init.is_null() { V::splat(0.0) } else { load(tile.init.add(channel)) };
             let mut sums = [init; R];
             for offset in 0..tile.offset_count {
@@ -190,7 +195,7 @@ unsafe fn channel_tile<V: Vector, const R: usize>(tile: &ChannelTile) {
             }
             for (r, sum) in sums.into_iter().enumerate() {
                 let target = (*tile.targets.add(r)).add(channel);
-                if left >= V::LANES { sum.store(target) } else { sum.store_first(target, left) }
+                if remaining >= V::LANES { sum.store(target) } else { sum.store_first(target, remaining) }
             }
         }
     }
@@ -201,8 +206,10 @@ unsafe fn offset_tile<V: Vector, const R: usize>(tile: &OffsetTile) {
     // SAFETY: as in `row_tile`.
     unsafe {
         for channel in (0..tile.channels).step_by(V::LANES) {
-            let left = tile.channels - channel;
-            let load = |from: *const f32| if left >= V::LANES { V::load(from) } else { V::load_first(from, left) };
+            let remaining = tile.channels - channel;
+            let load = |from: *const f32| {
+                if remaining >= V::LANES { V::load(from) } else { V::load_first(from, remaining) }
+            };
             let mut sums = [V::splat(0.0); R];
             for cell in 0..tile.cell_count {
                 let gradient = load(tile.gradient.add(cell * tile.channels + channel));
@@ -214,12 +221,13 @@ unsafe fn offset_tile<V: Vector, const R: usize>(tile: &OffsetTile) {
             for (r, sum) in sums.into_iter().enumerate() {
                 let target = tile.target.add(r * tile.channels + channel);
                 let sum = load(target).add(sum);
-                if left >= V::LANES { sum.store(target) } else { sum.store_first(target, left) }
+                if remaining >= V::LANES { sum.store(target) } else { sum.store_first(target, remaining) }
             }
         }
     }
 }
 
+/// Selects the instance of `$f` for a number of rows, which is its first constant parameter.
 macro_rules! by_rows {
     ($rows:expr, $f:ident, [], $($r:literal)*) => {
         match $rows { $($r => $f::<$r>,)* _ => unreachable!("a tile of {} rows", $rows) }
@@ -232,6 +240,7 @@ macro_rules! by_rows {
     };
 }
 
+/// Defines the functions that select the kernels of one level: four kinds of tiles, compiled for each number of rows.
 macro_rules! kernels {
     ($rows:ident, $outer:ident, $channels:ident, $offsets:ident, $v:ty, $(#[$feature:meta])*, $($r:literal)*) => {
         fn $rows(rows: usize, wide: bool) -> unsafe fn(&RowTile) {
@@ -293,8 +302,8 @@ kernels!(
     1 2 3 4 5 6 7 8 9 10 11 12 13 14
 );
 
-/// The kernel that the function of a level gives.
-macro_rules! of_level {
+/// Selects the kernel of a level: calls the level's function among those of [`kernels`].
+macro_rules! select_kernel {
     ($level:expr, $avx512:ident, $avx2:ident, $plain:ident, $($argument:expr),*) => {
         match $level {
             #[cfg(target_arch = "x86_64")]
@@ -317,7 +326,7 @@ pub(crate) struct Tiles {
 }
 
 impl Tiles {
-    /// Selects the tiles of the level, or of the next level below that the processor has.
+    /// Selects the tiles of the level, or of the next lower one that the processor supports.
     pub fn new(level: KernelLevel) -> Self {
         let level = level.available();
         let (lanes, rows) = match level {
@@ -341,7 +350,7 @@ impl Tiles {
     /// All addresses in `tile` are valid for its sizes; `init` and `panel` as wide as the tile.
     pub unsafe fn row_tile(self, rows: usize, tile: &RowTile) {
         let wide = tile.columns > self.lanes;
-        let kernel = of_level!(self.level, avx512_rows, avx2_rows, plain_rows, rows, wide);
+        let kernel = select_kernel!(self.level, avx512_rows, avx2_rows, plain_rows, rows, wide);
         // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
@@ -351,7 +360,7 @@ impl Tiles {
     /// # Safety
     /// All addresses in `tile` are valid for its sizes.
     pub unsafe fn outer_tile(self, rows: usize, tile: &OuterTile) {
-        let kernel = of_level!(self.level, avx512_outer, avx2_outer, plain_outer, rows, tile.columns);
+        let kernel = select_kernel!(self.level, avx512_outer, avx2_outer, plain_outer, rows, tile.columns);
         // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
@@ -361,7 +370,7 @@ impl Tiles {
     /// # Safety
     /// All addresses in `tile` are valid for its sizes.
     pub unsafe fn channel_tile(self, rows: usize, tile: &ChannelTile) {
-        let kernel = of_level!(self.level, avx512_channels, avx2_channels, plain_channels, rows);
+        let kernel = select_kernel!(self.level, avx512_channels, avx2_channels, plain_channels, rows);
         // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
@@ -371,34 +380,34 @@ impl Tiles {
     /// # Safety
     /// All addresses in `tile` are valid for its sizes.
     pub unsafe fn offset_tile(self, offsets: usize, tile: &OffsetTile) {
-        let kernel = of_level!(self.level, avx512_offsets, avx2_offsets, plain_offsets, offsets);
+        let kernel = select_kernel!(self.level, avx512_offsets, avx2_offsets, plain_offsets, offsets);
         // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
 }
 
-/// Part `index` of `0..length` cut into `parts` parts whose lengths differ by one at most.
+/// Part `index` of `0..length`, divided into `parts` parts whose lengths differ by one at most.
 pub(crate) fn part(length: usize, parts: usize, index: usize) -> std::ops::Range<usize> {
     length * index / parts..length * (index + 1) / parts
 }
 
-/// Image, row and column of a cell, where each image has so many rows and columns.
-pub(crate) fn place(cell: usize, [rows, columns]: [usize; 2]) -> [usize; 3] {
+/// Image, row and column of a cell, where each image has this number of rows and columns.
+pub(crate) fn cell_position(cell: usize, [rows, columns]: [usize; 2]) -> [usize; 3] {
     [cell / (rows * columns), cell / columns % rows, cell % columns]
 }
 
-/// Address of a buffer that several threads write to, each its own part.
+/// Address of a buffer to which several threads write disjoint parts.
 #[derive(Clone, Copy)]
-pub(crate) struct Shared(*mut f32);
+pub(crate) struct SharedBuffer(*mut f32);
 
 // SAFETY: an address. Threads that write through it write disjoint parts.
-unsafe impl Send for Shared {}
+unsafe impl Send for SharedBuffer {}
 // SAFETY: as above.
-unsafe impl Sync for Shared {}
+unsafe impl Sync for SharedBuffer {}
 
-impl Shared {
+impl SharedBuffer {
     pub fn new(values: &mut [f32]) -> Self {
-        Shared(values.as_mut_ptr())
+        SharedBuffer(values.as_mut_ptr())
     }
 
     pub fn get(&self) -> *mut f32 {

@@ -2,21 +2,21 @@
 
 use rayon::prelude::*;
 
-use super::buffer::unwritten;
+use super::buffer::uninitialised;
 use super::implicit_gemm::ImplicitGemm;
-use super::tile::{OuterTile, Shared, Tiles, part};
+use super::tile::{OuterTile, SharedBuffer, Tiles, part};
 
-/// Cells of a block, whose operands stay in the caches over all tiles.
+/// Number of cells of a block, whose operands stay in the caches over all tiles.
 const BLOCK: usize = 256;
 /// Number of tasks, where the product is large enough.
 const TASKS: usize = 8;
-/// Weights up to this many values are summed by parts of the batch; larger ones by parts of the outputs.
+/// Number of weights up to which tasks divide the cells. With more weights, tasks divide the outputs.
 const SMALL_WEIGHTS: usize = 1 << 17;
 
-/// Gradient `[output][channel][offset]` of a convolution's weights, where `gradient` `[cell][output]` belongs to the result of
+/// Gradient `[output][channel][offset]` of a convolution's weights, where `gradient` `[cell][output]` is that of the result of
 /// `gemm` on `source`.
 ///
-/// The parts depend on shapes only and are added in their order: the same bits for any number of threads.
+/// The division into tasks depends on shapes only, and sums are added in order: the same bits for any number of threads.
 pub(crate) fn weight_gradient(
     gemm: &ImplicitGemm,
     source: &[f32],
@@ -36,7 +36,7 @@ pub(crate) fn weight_gradient(
     let splits = TASKS.div_ceil(groups).min(output_tiles);
     // [group][offset][output][channel]
     let mut sums = vec![0.0f32; groups * size];
-    let shared = Shared::new(&mut sums);
+    let shared = SharedBuffer::new(&mut sums);
     let zeros = vec![0.0f32; gemm.channels];
     let task = |scratch: &mut Scratch, index: usize| {
         let (group, split) = (index / splits, index % splits);
@@ -74,7 +74,7 @@ pub(crate) fn weight_gradient(
     };
     (0..groups * splits).into_par_iter().for_each_init(Scratch::default, task);
     add_groups(&mut sums, size);
-    if all_offsets == 1 { sums } else { by_channel(gemm, &sums, outputs, gathered) }
+    if all_offsets == 1 { sums } else { offsets_last(gemm, &sums, outputs, gathered) }
 }
 
 /// Adds the sums of all groups, each of `size` values, in their order, and keeps the totals.
@@ -90,21 +90,21 @@ fn add_groups(sums: &mut Vec<f32>, size: usize) {
     sums.truncate(size);
 }
 
-/// Sums `[offset][output][channel]`, or `[output][offset][channel]` of gathered cells, as `[output][channel][offset]`.
-fn by_channel(gemm: &ImplicitGemm, sums: &[f32], outputs: usize, gathered: bool) -> Vec<f32> {
+/// Transposes sums `[offset][output][channel]`, or `[output][offset][channel]` of gathered cells, to `[output][channel][offset]`.
+fn offsets_last(gemm: &ImplicitGemm, sums: &[f32], outputs: usize, gathered: bool) -> Vec<f32> {
     let (offsets, channels) = (gemm.offsets.len(), gemm.channels);
     let row = offsets * channels;
-    let mut ordered = unwritten(sums.len());
-    ordered.par_chunks_exact_mut(row).enumerate().for_each(|(output, to)| {
+    let mut transposed = uninitialised(sums.len());
+    transposed.par_chunks_exact_mut(row).enumerate().for_each(|(output, target)| {
         for offset in 0..offsets {
-            let place = if gathered { output * offsets + offset } else { offset * outputs + output };
-            let from = &sums[place * channels..][..channels];
-            for (channel, &value) in from.iter().enumerate() {
-                to[channel * offsets + offset] = value;
+            let index = if gathered { output * offsets + offset } else { offset * outputs + output };
+            let source = &sums[index * channels..][..channels];
+            for (channel, &value) in source.iter().enumerate() {
+                target[channel * offsets + offset] = value;
             }
         }
     });
-    ordered
+    transposed
 }
 
 /// Sums over cells of each column of `[cell][column]`, in blocks added in f64: the gradient of a bias.

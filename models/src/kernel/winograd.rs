@@ -11,12 +11,12 @@ use std::cell::RefCell;
 
 use super::packed::{Packed, Side};
 use super::spin_pool::for_each_task;
-use super::tile::{RowTile, Shared, Tiles, WIDEST, part, place};
+use super::tile::{RowTile, SharedBuffer, Tiles, WIDEST, cell_position, part};
 use super::winograd_transform::{GradientWindow, InputWindow, OutputWindow, POINTS};
 use super::winograd_weights::transformed;
 
-/// Point that contributes once to each of the four cells: its sums start from the bias.
-const CENTRE: usize = 5;
+/// Point that contributes to each of the four cells with factor 1. Its sums start from the bias.
+const BIAS_POINT: usize = 5;
 /// Least number of tasks, where the map is large enough.
 const TASKS: usize = 8;
 /// Values of a row of sums.
@@ -30,18 +30,18 @@ pub(crate) struct Winograd {
     init: Vec<f32>,
 }
 
-/// Operation on the four cells of a window.
+/// Operation on the four output cells of a window.
 #[derive(Clone, Copy)]
-pub(crate) enum Finish<'a> {
-    /// ReLU and 2x2 max-pooling. Cells of an odd last row or column are dropped.
+pub(crate) enum Epilogue<'a> {
+    /// ReLU and 2x2 max-pooling. An odd last row or column is dropped.
     Pool,
     /// Optional sum with a map of the same shape, then optional ReLU.
     Cells { residual: Option<&'a [f32]>, rectified: bool },
 }
 
-impl Finish<'_> {
-    /// Writes the cells unchanged.
-    pub const NONE: Self = Finish::Cells { residual: None, rectified: false };
+impl Epilogue<'_> {
+    /// Leaves the cells unchanged.
+    pub const NONE: Self = Epilogue::Cells { residual: None, rectified: false };
 }
 
 #[derive(Default)]
@@ -59,8 +59,8 @@ thread_local! {
 }
 
 impl Winograd {
-    /// Transforms weights `[o][i][3][3]`, `shape` `[o, i]`; sums start from `init`, one value for each output, or from zero if it is
-    /// empty.
+    /// Transforms weights `[o][i][3][3]`, whose `shape` is `[o, i]`. `init` is the initial value of the sums of each output; if it is
+    /// empty, they start from zero.
     pub fn new(weight: &[f32], [outputs, inputs]: [usize; 2], init: &[f32], tiles: Tiles) -> Self {
         let weight = transformed(weight, [outputs, inputs], Side::Forward, tiles);
         let init = weight.pad(init);
@@ -79,26 +79,28 @@ impl Winograd {
     ///
     /// # Panics
     /// Lengths of `source`, `target` and the residual differ from the shapes above.
-    pub fn run(&self, source: &[f32], [batch, rows, columns]: [usize; 3], finish: Finish<'_>, target: &mut [f32]) {
-        let (grid, cells) = match finish {
-            Finish::Pool => ([rows / 2, columns / 2], rows / 2 * (columns / 2)),
-            Finish::Cells { .. } => ([rows.div_ceil(2), columns.div_ceil(2)], rows * columns),
+    pub fn run(&self, source: &[f32], [batch, rows, columns]: [usize; 3], epilogue: Epilogue<'_>, target: &mut [f32]) {
+        let (grid, cells) = match epilogue {
+            Epilogue::Pool => ([rows / 2, columns / 2], rows / 2 * (columns / 2)),
+            Epilogue::Cells { .. } => ([rows.div_ceil(2), columns.div_ceil(2)], rows * columns),
         };
         assert_eq!(source.len(), batch * rows * columns * self.inputs);
         assert_eq!(target.len(), batch * cells * self.outputs);
-        if let Finish::Cells { residual: Some(residual), .. } = finish {
+        if let Epilogue::Cells { residual: Some(residual), .. } = epilogue {
             assert_eq!(residual.len(), target.len());
         }
         let windows = batch * grid[0] * grid[1];
-        let (panels, shared) = (self.weight.panels(), Shared::new(target));
+        let (panels, shared) = (self.weight.panels(), SharedBuffer::new(target));
         // Each task computes one row of tiles, so intermediate results stay in the cache.
         let parts = windows.div_ceil(self.weight.tiles.rows);
         let panel_parts = TASKS.div_ceil(parts.max(1)).min(panels);
-        let map = Map { rows, columns, grid };
+        let window_grid = WindowGrid { rows, columns, grid };
         for_each_task(parts * panel_parts, |index| {
             let windows = part(windows, parts, index / panel_parts);
             let panels = part(panels, panel_parts, index % panel_parts);
-            SCRATCH.with_borrow_mut(|scratch| self.task(scratch, source, &map, windows, panels, finish, shared));
+            SCRATCH.with_borrow_mut(|scratch| {
+                self.task(scratch, source, &window_grid, windows, panels, epilogue, shared);
+            });
         });
     }
 
@@ -107,11 +109,11 @@ impl Winograd {
         &self,
         scratch: &mut Scratch,
         source: &[f32],
-        map: &Map,
+        window_grid: &WindowGrid,
         windows: std::ops::Range<usize>,
         panels: std::ops::Range<usize>,
-        finish: Finish<'_>,
-        target: Shared,
+        epilogue: Epilogue<'_>,
+        target: SharedBuffer,
     ) {
         let (tiles, count, inputs) = (self.weight.tiles, windows.len(), self.inputs);
         let Scratch { windows: transformed, sums, sources, targets } = scratch;
@@ -119,9 +121,10 @@ impl Winograd {
         sums.resize(POINTS * count * WIDTH, 0.0);
         let (transformed, sums) = (transformed.as_mut_ptr(), sums.as_mut_ptr());
         for (k, window) in windows.clone().enumerate() {
-            let patch = map.patch(source, window, inputs, transformed.wrapping_add(k * inputs), count * inputs);
-            // SAFETY: the patch knows which of its cells are in the map; there is room for all windows' points.
-            unsafe { patch.transform(tiles.level) };
+            let target = transformed.wrapping_add(k * inputs);
+            let window = window_grid.input_window(source, window, inputs, target, count * inputs);
+            // SAFETY: only cells in the map are read, and there is room for the points of all windows.
+            unsafe { window.transform(tiles.level) };
         }
         sources.clear();
         targets.clear();
@@ -141,7 +144,7 @@ impl Winograd {
                     offset_count: 1,
                     channels: inputs,
                     panel: self.weight.values[first * self.weight.depth..].as_ptr(),
-                    init: if point == CENTRE { self.init[first..].as_ptr() } else { std::ptr::null() },
+                    init: if point == BIAS_POINT { self.init[first..].as_ptr() } else { std::ptr::null() },
                     targets: targets[at..].as_ptr(),
                     first: 0,
                     // Whole vectors: there is room for them.
@@ -153,25 +156,28 @@ impl Winograd {
             }
             for (k, window) in windows.clone().enumerate() {
                 let sums = sums.wrapping_add(k * WIDTH).cast_const();
-                let window = map.window(window, first, columns, self.outputs, finish, target, sums, count * WIDTH);
+                let stride = count * WIDTH;
+                let window =
+                    window_grid.output_window(window, first, columns, self.outputs, epilogue, target, sums, stride);
                 // SAFETY: each target has `columns` values that no other task writes, and so has each residual that there
                 // is; sums are of all points, as wide as whole vectors.
-                unsafe { window.transform_back(tiles.level, matches!(finish, Finish::Pool)) };
+                unsafe { window.transform(tiles.level, matches!(epilogue, Epilogue::Pool)) };
             }
         }
     }
 }
 
-/// Sizes of maps `[batch][row][column][channel]` and the grid of windows over each.
-pub(super) struct Map {
+/// Sizes of maps `[batch][row][column][channel]`, and of the grid of 2x2 windows over each.
+pub(super) struct WindowGrid {
     pub rows: usize,
     pub columns: usize,
+    /// Rows and columns of windows.
     pub grid: [usize; 2],
 }
 
-impl Map {
+impl WindowGrid {
     /// Input cells of a window.
-    pub fn patch(
+    pub fn input_window(
         &self,
         source: &[f32],
         window: usize,
@@ -179,8 +185,8 @@ impl Map {
         target: *mut f32,
         stride: usize,
     ) -> InputWindow {
-        let [image, row, column] = place(window, self.grid);
-        // First and end of the cells that lie within `length`, among the four cells from cell `2 index - 1` on.
+        let [image, row, column] = cell_position(window, self.grid);
+        // First and end of the cells inside an axis of this `length`, among the four cells from cell `2 index - 1` on.
         let inside = |index: usize, length: usize| [usize::from(index == 0), (length + 1 - 2 * index).min(4)];
         let first = ((image * self.rows + 2 * row) * self.columns + 2 * column) * channels;
         InputWindow {
@@ -194,8 +200,8 @@ impl Map {
         }
     }
 
-    /// Gradients of a window's four cells.
-    pub fn gradient(
+    /// Gradients of the four output cells of a window.
+    pub fn gradient_window(
         &self,
         gradient: &[f32],
         window: usize,
@@ -203,7 +209,7 @@ impl Map {
         target: *mut f32,
         stride: usize,
     ) -> GradientWindow {
-        let [image, row, column] = place(window, self.grid);
+        let [image, row, column] = cell_position(window, self.grid);
         let mut cells = [std::ptr::null(); 4];
         for (k, cell) in cells.iter_mut().enumerate() {
             let (row, column) = (2 * row + k / 2, 2 * column + k % 2);
@@ -214,22 +220,22 @@ impl Map {
         GradientWindow { cells, channels, target, stride }
     }
 
-    /// Addresses of the results of a window: `columns` of `outputs`, from `first` on.
+    /// Output cells of a window: `columns` of their `outputs` channels, from `first` on.
     #[allow(clippy::too_many_arguments)]
-    fn window(
+    fn output_window(
         &self,
         window: usize,
         first: usize,
         columns: usize,
         outputs: usize,
-        finish: Finish<'_>,
-        target: Shared,
+        epilogue: Epilogue<'_>,
+        target: SharedBuffer,
         sums: *const f32,
         stride: usize,
     ) -> OutputWindow {
-        let [image, row, column] = place(window, self.grid);
+        let [image, row, column] = cell_position(window, self.grid);
         let (mut targets, mut residual) = ([std::ptr::null_mut(); 4], [std::ptr::null(); 4]);
-        let Finish::Cells { residual: others, rectified } = finish else {
+        let Epilogue::Cells { residual: residual_map, rectified } = epilogue else {
             targets[0] = target.get().wrapping_add(window * outputs + first);
             return OutputWindow { sums, stride, columns, targets, residual, rectified: true };
         };
@@ -238,7 +244,7 @@ impl Map {
             if row < self.rows && column < self.columns {
                 let at = ((image * self.rows + row) * self.columns + column) * outputs + first;
                 targets[k] = target.get().wrapping_add(at);
-                residual[k] = others.map_or(std::ptr::null(), |others| others[at..at + columns].as_ptr());
+                residual[k] = residual_map.map_or(std::ptr::null(), |map| map[at..at + columns].as_ptr());
             }
         }
         OutputWindow { sums, stride, columns, targets, residual, rectified }

@@ -1,5 +1,5 @@
-//! Transforms of Winograd's F(2x2, 3x3) (`winograd.rs`), a vector of channels or weights at a time: inputs, outputs, weights, and the
-//! gradients of outputs and weights.
+//! Transforms of Winograd's F(2x2, 3x3) (`winograd.rs`) of inputs, outputs, weights, and the gradients of outputs and weights. Each
+//! handles a vector of channels or weights at a time.
 
 use super::level::KernelLevel;
 use super::tile::WIDEST;
@@ -25,16 +25,16 @@ pub(crate) struct InputWindow {
     pub stride: usize,
 }
 
-/// Four cells of a convolution from the 16 sums of their transformed window.
+/// The four output cells of a window, computed from the 16 sums of its transform.
 pub(crate) struct OutputWindow {
-    /// Sums of the window's first point; whole vectors of them.
+    /// Sums of the window's first point, padded to whole vectors.
     pub sums: *const f32,
     /// Stride of `sums` from point to point.
     pub stride: usize,
     pub columns: usize,
-    /// Addresses of the four cells, null for none. With pooling only the first is used.
+    /// Addresses of the four cells, null for those outside the map. With pooling, only the first is used.
     pub targets: [*mut f32; 4],
-    /// Added to the cells, or null.
+    /// Addresses of the values that are added to the cells, or null.
     pub residual: [*const f32; 4],
     pub rectified: bool,
 }
@@ -49,7 +49,7 @@ pub(crate) struct GradientWindow {
     pub stride: usize,
 }
 
-/// Kernels side by side, and their points.
+/// Several kernels as vector lanes, and their points.
 pub(crate) struct Kernels {
     /// Values `[cell][kernel]`, [`Kernels::WIDTH`] from cell to cell.
     pub cells: *mut f32,
@@ -68,38 +68,38 @@ impl Kernels {
 
 // The code below uses loops instead of closures, because closures are not compiled for the kernel's instructions.
 
-/// Loads the first `left` lanes, or all.
+/// Loads `remaining` values into the first lanes, or a whole vector if there are enough.
 #[inline(always)]
-unsafe fn load_up_to<V: Vector>(from: *const f32, left: usize) -> V {
-    // SAFETY: as in `transform`.
-    unsafe { if left >= V::LANES { V::load(from) } else { V::load_first(from, left) } }
+unsafe fn load_up_to<V: Vector>(from: *const f32, remaining: usize) -> V {
+    // SAFETY: as in `transform_input`.
+    unsafe { if remaining >= V::LANES { V::load(from) } else { V::load_first(from, remaining) } }
 }
 
-/// Stores the first `left` lanes, or all.
+/// Stores the first `remaining` lanes, or all if there are fewer.
 #[inline(always)]
-unsafe fn store_up_to<V: Vector>(value: V, to: *mut f32, left: usize) {
-    // SAFETY: as in `transform`.
-    unsafe { if left >= V::LANES { value.store(to) } else { value.store_first(to, left) } }
+unsafe fn store_up_to<V: Vector>(value: V, to: *mut f32, remaining: usize) {
+    // SAFETY: as in `transform_input`.
+    unsafe { if remaining >= V::LANES { value.store(to) } else { value.store_first(to, remaining) } }
 }
 
 /// `B^T d` of four numbers.
 #[inline(always)]
-unsafe fn forth<V: Vector>(d: [V; 4]) -> [V; 4] {
-    // SAFETY: as in `transform`.
+unsafe fn input_transform<V: Vector>(d: [V; 4]) -> [V; 4] {
+    // SAFETY: as in `transform_input`.
     unsafe { [d[0].subtract(d[2]), d[1].add(d[2]), d[2].subtract(d[1]), d[1].subtract(d[3])] }
 }
 
 /// `A^T m` of four numbers.
 #[inline(always)]
-unsafe fn back<V: Vector>(m: [V; 4]) -> [V; 2] {
-    // SAFETY: as in `transform`.
+unsafe fn output_transform<V: Vector>(m: [V; 4]) -> [V; 2] {
+    // SAFETY: as in `transform_input`.
     unsafe { [m[0].add(m[1].add(m[2])), m[1].subtract(m[2]).subtract(m[3])] }
 }
 
-/// `A y` of two numbers: the transpose of [`back`].
+/// `A y` of two numbers: the transpose of [`output_transform`].
 #[inline(always)]
-unsafe fn back_transposed<V: Vector>(y: [V; 2]) -> [V; 4] {
-    // SAFETY: as in `transform`.
+unsafe fn gradient_transform<V: Vector>(y: [V; 2]) -> [V; 4] {
+    // SAFETY: as in `transform_input`.
     unsafe { [y[0], y[0].add(y[1]), y[0].subtract(y[1]), V::splat(0.0).subtract(y[1])] }
 }
 
@@ -107,21 +107,21 @@ unsafe fn back_transposed<V: Vector>(y: [V; 2]) -> [V; 4] {
 #[inline(always)]
 #[allow(clippy::needless_range_loop)]
 unsafe fn transform_gradient<V: Vector, const BORDER: bool>(window: &GradientWindow) {
-    // SAFETY: as in `transform`.
+    // SAFETY: as in `transform_input`.
     unsafe {
         for channel in (0..window.channels).step_by(V::LANES) {
-            let left = window.channels - channel;
+            let remaining = window.channels - channel;
             let mut cells = [V::splat(0.0); 4];
             for k in 0..4 {
                 if !BORDER || !window.cells[k].is_null() {
-                    cells[k] = load_up_to(window.cells[k].add(channel), left);
+                    cells[k] = load_up_to(window.cells[k].add(channel), remaining);
                 }
             }
-            let columns = [back_transposed([cells[0], cells[2]]), back_transposed([cells[1], cells[3]])];
+            let columns = [gradient_transform([cells[0], cells[2]]), gradient_transform([cells[1], cells[3]])];
             for row in 0..4 {
-                let points = back_transposed([columns[0][row], columns[1][row]]);
+                let points = gradient_transform([columns[0][row], columns[1][row]]);
                 for k in 0..4 {
-                    store_up_to(points[k], window.target.add((4 * row + k) * window.stride + channel), left);
+                    store_up_to(points[k], window.target.add((4 * row + k) * window.stride + channel), remaining);
                 }
             }
         }
@@ -130,8 +130,8 @@ unsafe fn transform_gradient<V: Vector, const BORDER: bool>(window: &GradientWin
 
 /// `G g` of three numbers.
 #[inline(always)]
-unsafe fn weights_forth<V: Vector>(g: [V; 3]) -> [V; 4] {
-    // SAFETY: as in `transform`.
+unsafe fn weight_transform<V: Vector>(g: [V; 3]) -> [V; 4] {
+    // SAFETY: as in `transform_input`.
     unsafe {
         let (half, zero, outer) = (V::splat(0.5), V::splat(0.0), g[0].add(g[2]));
         [g[0], outer.add(g[1]).multiply_add(half, zero), outer.subtract(g[1]).multiply_add(half, zero), g[2]]
@@ -140,8 +140,8 @@ unsafe fn weights_forth<V: Vector>(g: [V; 3]) -> [V; 4] {
 
 /// `G^T u` of four numbers.
 #[inline(always)]
-unsafe fn weights_back<V: Vector>(u: [V; 4]) -> [V; 3] {
-    // SAFETY: as in `transform`.
+unsafe fn weight_gradient_transform<V: Vector>(u: [V; 4]) -> [V; 3] {
+    // SAFETY: as in `transform_input`.
     unsafe {
         let (half, zero, inner) = (V::splat(0.5), V::splat(0.0), u[1].add(u[2]));
         let outer = [inner.multiply_add(half, u[0]), inner.multiply_add(half, u[3])];
@@ -149,29 +149,30 @@ unsafe fn weights_back<V: Vector>(u: [V; 4]) -> [V; 3] {
     }
 }
 
-/// `G g G^T` of cells to points, or `G^T u G` of points to cells if `BACK`.
+/// `G g G^T` of cells to points, or `G^T u G` of points to cells if `TRANSPOSED`.
 #[inline(always)]
 #[allow(clippy::needless_range_loop)]
-unsafe fn transform_kernels<V: Vector, const BACK: bool>(kernels: &Kernels) {
-    // SAFETY: as in `transform`.
+unsafe fn transform_kernels<V: Vector, const TRANSPOSED: bool>(kernels: &Kernels) {
+    // SAFETY: as in `transform_input`.
     unsafe {
         for first in (0..kernels.count).step_by(V::LANES) {
-            let left = kernels.count - first;
+            let remaining = kernels.count - first;
             let cells = kernels.cells.add(first);
             let points = kernels.points.add(first);
-            if BACK {
+            if TRANSPOSED {
                 let mut columns = [[V::splat(0.0); 3]; 4];
                 for k in 0..4 {
                     let mut u = [V::splat(0.0); 4];
                     for row in 0..4 {
-                        u[row] = load_up_to(points.add((4 * row + k) * kernels.stride), left);
+                        u[row] = load_up_to(points.add((4 * row + k) * kernels.stride), remaining);
                     }
-                    columns[k] = weights_back(u);
+                    columns[k] = weight_gradient_transform(u);
                 }
                 for row in 0..3 {
-                    let g = weights_back([columns[0][row], columns[1][row], columns[2][row], columns[3][row]]);
+                    let g =
+                        weight_gradient_transform([columns[0][row], columns[1][row], columns[2][row], columns[3][row]]);
                     for k in 0..3 {
-                        store_up_to(g[k], cells.add((3 * row + k) * Kernels::WIDTH), left);
+                        store_up_to(g[k], cells.add((3 * row + k) * Kernels::WIDTH), remaining);
                     }
                 }
                 continue;
@@ -180,14 +181,14 @@ unsafe fn transform_kernels<V: Vector, const BACK: bool>(kernels: &Kernels) {
             for k in 0..3 {
                 let mut g = [V::splat(0.0); 3];
                 for row in 0..3 {
-                    g[row] = load_up_to(cells.add((3 * row + k) * Kernels::WIDTH), left);
+                    g[row] = load_up_to(cells.add((3 * row + k) * Kernels::WIDTH), remaining);
                 }
-                columns[k] = weights_forth(g);
+                columns[k] = weight_transform(g);
             }
             for row in 0..4 {
-                let u = weights_forth([columns[0][row], columns[1][row], columns[2][row]]);
+                let u = weight_transform([columns[0][row], columns[1][row], columns[2][row]]);
                 for k in 0..4 {
-                    store_up_to(u[k], points.add((4 * row + k) * kernels.stride), left);
+                    store_up_to(u[k], points.add((4 * row + k) * kernels.stride), remaining);
                 }
             }
         }
@@ -197,60 +198,60 @@ unsafe fn transform_kernels<V: Vector, const BACK: bool>(kernels: &Kernels) {
 /// `B^T d B`. `BORDER` if some cells are not in the map.
 #[inline(always)]
 #[allow(clippy::needless_range_loop)]
-unsafe fn transform<V: Vector, const BORDER: bool>(patch: &InputWindow) {
+unsafe fn transform_input<V: Vector, const BORDER: bool>(window: &InputWindow) {
     // SAFETY: the caller gives addresses that are valid for the sizes of the window, and the processor has the instructions of V.
     unsafe {
-        let [top, bottom] = patch.rows;
-        let [first, end] = patch.columns;
-        for channel in (0..patch.channels).step_by(V::LANES) {
-            let left = patch.channels - channel;
+        let [top, bottom] = window.rows;
+        let [first, end] = window.columns;
+        for channel in (0..window.channels).step_by(V::LANES) {
+            let remaining = window.channels - channel;
             let mut columns = [[V::splat(0.0); 4]; 4];
             for k in 0..4 {
                 let mut cells = [V::splat(0.0); 4];
                 for row in 0..4 {
                     if !BORDER || (row >= top && row < bottom && k >= first && k < end) {
-                        let from = patch.corner.wrapping_add(row * patch.line + k * patch.channels + channel);
-                        cells[row] = load_up_to(from, left);
+                        let from = window.corner.wrapping_add(row * window.line + k * window.channels + channel);
+                        cells[row] = load_up_to(from, remaining);
                     }
                 }
-                columns[k] = forth(cells);
+                columns[k] = input_transform(cells);
             }
             for row in 0..4 {
-                let points = forth([columns[0][row], columns[1][row], columns[2][row], columns[3][row]]);
+                let points = input_transform([columns[0][row], columns[1][row], columns[2][row], columns[3][row]]);
                 for k in 0..4 {
-                    store_up_to(points[k], patch.target.add((4 * row + k) * patch.stride + channel), left);
+                    store_up_to(points[k], window.target.add((4 * row + k) * window.stride + channel), remaining);
                 }
             }
         }
     }
 }
 
-/// `A^T m A`, residual sum, and ReLU or pooling.
+/// `A^T m A`, sum with the residual, and ReLU or pooling.
 #[inline(always)]
 #[allow(clippy::needless_range_loop)]
-unsafe fn transform_back<V: Vector, const POOLED: bool>(window: &OutputWindow) {
-    // SAFETY: as in `transform`.
+unsafe fn transform_output<V: Vector, const POOLED: bool>(window: &OutputWindow) {
+    // SAFETY: as in `transform_input`.
     unsafe {
         let zero = V::splat(0.0);
         for column in (0..window.columns).step_by(V::LANES) {
-            let left = window.columns - column;
+            let remaining = window.columns - column;
             let mut columns = [[zero; 2]; 4];
             for k in 0..4 {
                 let mut points = [zero; 4];
                 for row in 0..4 {
                     points[row] = V::load(window.sums.add((4 * row + k) * window.stride + column));
                 }
-                columns[k] = back(points);
+                columns[k] = output_transform(points);
             }
             let mut cells = [zero; 4];
             for row in 0..2 {
-                let pair = back([columns[0][row], columns[1][row], columns[2][row], columns[3][row]]);
+                let pair = output_transform([columns[0][row], columns[1][row], columns[2][row], columns[3][row]]);
                 cells[2 * row] = pair[0];
                 cells[2 * row + 1] = pair[1];
             }
             if POOLED {
                 let largest = cells[3].larger(cells[2].larger(cells[1].larger(cells[0])));
-                store_up_to(zero.larger(largest), window.targets[0].add(column), left);
+                store_up_to(zero.larger(largest), window.targets[0].add(column), remaining);
                 continue;
             }
             for k in 0..4 {
@@ -258,18 +259,18 @@ unsafe fn transform_back<V: Vector, const POOLED: bool>(window: &OutputWindow) {
                     continue;
                 }
                 if !window.residual[k].is_null() {
-                    cells[k] = cells[k].add(load_up_to(window.residual[k].add(column), left));
+                    cells[k] = cells[k].add(load_up_to(window.residual[k].add(column), remaining));
                 }
                 if window.rectified {
                     cells[k] = zero.larger(cells[k]);
                 }
-                store_up_to(cells[k], window.targets[k].add(column), left);
+                store_up_to(cells[k], window.targets[k].add(column), remaining);
             }
         }
     }
 }
 
-/// The function of a level, compiled for its instructions, with a flag as its constant parameter.
+/// Selects the function that is compiled for the instructions of a level, with a flag as its constant parameter.
 macro_rules! by_level {
     ($level:expr, $flag:expr, $function:ident, $window:ty) => {{
         #[cfg(target_arch = "x86_64")]
@@ -306,19 +307,19 @@ impl InputWindow {
     /// The level is available. Cells in the map and points have `channels` values each.
     pub unsafe fn transform(&self, level: KernelLevel) {
         let border = self.rows != [0, 4] || self.columns != [0, 4];
-        let kernel = by_level!(level, border, transform, InputWindow);
+        let kernel = by_level!(level, border, transform_input, InputWindow);
         // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }
 }
 
 impl OutputWindow {
-    /// Transforms the sums back, to the largest of the four cells or zero where they are `pooled`.
+    /// Transforms the sums to the four cells, or if `pooled` to the largest of the four cells and zero.
     ///
     /// # Safety
     /// The level is available. Targets and residuals that are not null have `columns` values, points whole vectors of them.
-    pub unsafe fn transform_back(&self, level: KernelLevel, pooled: bool) {
-        let kernel = by_level!(level, pooled, transform_back, OutputWindow);
+    pub unsafe fn transform(&self, level: KernelLevel, pooled: bool) {
+        let kernel = by_level!(level, pooled, transform_output, OutputWindow);
         // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }
@@ -338,12 +339,12 @@ impl GradientWindow {
 }
 
 impl Kernels {
-    /// Writes the points of the cells, or the cells of the gradients at the points if `back`.
+    /// Computes the points from the cells or, if `transposed`, the gradients of the cells from those of the points.
     ///
     /// # Safety
     /// The level is available. There are `count` values at each cell and at each point.
-    pub unsafe fn transform(&self, level: KernelLevel, back: bool) {
-        let kernel = by_level!(level, back, transform_kernels, Kernels);
+    pub unsafe fn transform(&self, level: KernelLevel, transposed: bool) {
+        let kernel = by_level!(level, transposed, transform_kernels, Kernels);
         // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::buffer::unwritten;
+use super::buffer::uninitialised;
 use super::level::KernelLevel;
 use super::packed::{Packed, Side};
 use super::tile::Tiles;
@@ -11,17 +11,17 @@ use super::winograd_transform::{Kernels, POINTS};
 const CELLS: usize = Kernels::CELLS;
 const WIDTH: usize = Kernels::WIDTH;
 
-/// Channels whose kernels are read together: kernels of neighbouring inputs follow each other in memory.
+/// Number of channels whose kernels are read together. Kernels of neighbouring inputs are contiguous in memory.
 const GROUP: usize = 8;
 
-/// `G g G^T` of weights `[o][i][3][3]`, packed with the points as offsets; on the backward side, kernels are rotated by 180 degrees.
+/// `G g G^T` of weights `[o][i][3][3]`, packed with the points as offsets. For the backward pass, kernels are rotated by 180 degrees.
 pub(super) fn transformed(weight: &[f32], [outputs, inputs]: [usize; 2], side: Side, tiles: Tiles) -> Packed {
     let (columns, channels) = match side {
         Side::Forward => (outputs, inputs),
         Side::Backward => (inputs, outputs),
     };
     let weight = weight.as_chunks::<CELLS>().0;
-    Packed::filled(columns, POINTS * channels, tiles, |columns, width, target| {
+    Packed::with_panels(columns, POINTS * channels, tiles, |columns, width, target| {
         // Values behind the last column stay zero.
         let mut cells = [[[0.0; WIDTH]; CELLS]; GROUP];
         for first in (0..channels).step_by(GROUP) {
@@ -52,7 +52,7 @@ pub(super) fn transformed(weight: &[f32], [outputs, inputs]: [usize; 2], side: S
 /// Gradient `[o][i][3][3]` of weights, `G^T u G` of the gradients `u` `[point][o][i]` of the transformed ones.
 pub(super) fn gradient_of_weights(points: &[f32], [outputs, inputs]: [usize; 2], level: KernelLevel) -> Vec<f32> {
     assert_eq!(points.len(), POINTS * outputs * inputs);
-    let mut gradient = unwritten(outputs * inputs * CELLS);
+    let mut gradient = uninitialised(outputs * inputs * CELLS);
     gradient.par_chunks_exact_mut((inputs * CELLS).max(1)).enumerate().for_each(|(output, gradient)| {
         let mut cells = [[0.0; WIDTH]; CELLS];
         for (chunk, target) in gradient.chunks_mut(WIDTH * CELLS).enumerate() {

@@ -1,18 +1,18 @@
-//! Activations, alone or behind a sum of two maps.
+//! Activations, alone or after a sum of two maps.
 
 use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::level::{for_each_level, multiply_add};
 
 const ADD_RELU: &str = "add_relu";
 /// Number of values that one task processes.
 pub(super) const CHUNK: usize = 1 << 14;
 
-/// Defines the activations and the list of all, which tests go through.
+/// Defines the activations, and the list of all for tests.
 macro_rules! activations {
     ($($(#[$doc:meta])* $name:ident,)*) => {
         /// A function of each value.
@@ -41,10 +41,10 @@ activations! {
 }
 
 impl Activation {
-    /// The activation of one value by the exponential of the standard library, for inference where no convolution or dense layer
-    /// comes before it. It rounds otherwise than [`activate`], which runs in vectors.
+    /// Activation of one value by the exponential of the standard library, for inference where no convolution or dense layer comes
+    /// before it. Its rounding differs from that of [`activate`], which runs in vectors.
     #[inline]
-    pub(crate) fn of(self, x: f32) -> f32 {
+    pub(crate) fn apply(self, x: f32) -> f32 {
         match self {
             Activation::Relu if x < 0.0 => 0.0,
             Activation::None | Activation::Relu => x,
@@ -54,7 +54,7 @@ impl Activation {
     }
 }
 
-/// Compiles `$body` once for each activation, which is the constant `$constant` there, and runs that of `$activation`.
+/// Compiles `$body` once for each activation, which is the constant `$constant` in it, and runs the one for `$activation`.
 macro_rules! by_activation {
     ($activation:expr, $constant:ident => $body:expr) => {
         by_activation!($activation, $constant => $body; None Relu Silu Sigmoid)
@@ -105,10 +105,10 @@ pub(super) fn activate<const FUSED: bool>(activation: Activation, x: f32) -> f32
     }
 }
 
-/// Computes `gradient` times the derivative of the activation at `x`. The derivative of ReLU is zero at zero, as in
-/// PyTorch. In loops, `activation` is a constant ([`by_activation`]).
+/// `gradient` times the derivative of the activation at `x`. The derivative of ReLU is zero at zero, as in PyTorch. In
+/// loops, `activation` is a constant ([`by_activation`]).
 #[inline(always)]
-pub(super) fn descend<const FUSED: bool>(activation: Activation, x: f32, gradient: f32) -> f32 {
+pub(super) fn activation_gradient<const FUSED: bool>(activation: Activation, x: f32, gradient: f32) -> f32 {
     match activation {
         Activation::Relu if x <= 0.0 => 0.0,
         Activation::None | Activation::Relu => gradient,
@@ -132,21 +132,21 @@ for_each_level! {
 for_each_level! {
     fn backward(activation: Activation, input: &[f32], gradient: &mut [f32]) {
         by_activation!(
-            activation, A => gradient.iter_mut().zip(input).for_each(|(g, &x)| *g = descend::<FUSED>(A, x, *g))
+            activation, A => gradient.iter_mut().zip(input).for_each(|(g, &x)| *g = activation_gradient::<FUSED>(A, x, *g))
         )
     }
 }
 
 for_each_level! {
     /// Replaces values by their activation.
-    pub(super) fn in_place(activation: Activation, values: &mut [f32]) {
+    pub(super) fn activate_in_place(activation: Activation, values: &mut [f32]) {
         by_activation!(activation, A => values.iter_mut().for_each(|v| *v = activate::<FUSED>(A, *v)))
     }
 }
 
 for_each_level! {
-    /// Replaces values by the activation of their sums with others.
-    pub(super) fn add_in_place(activation: Activation, values: &mut [f32], others: &[f32]) {
+    /// Adds `others` to values and replaces the sums by their activation.
+    pub(super) fn add_and_activate(activation: Activation, values: &mut [f32], others: &[f32]) {
         by_activation!(
             activation, A => values.iter_mut().zip(others).for_each(|(v, &o)| *v = activate::<FUSED>(A, *v + o))
         )
@@ -169,7 +169,7 @@ struct Activate {
 impl Operation for Activate {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { bail!("activation: expected one input") };
-        let mut output = unwritten(input.values.len());
+        let mut output = uninitialised(input.values.len());
         output
             .par_chunks_mut(CHUNK)
             .zip(input.values.par_chunks(CHUNK))
@@ -195,8 +195,8 @@ for_each_level! {
     }
 }
 
-/// Output of a function of each pair of values of two arrays of one shape.
-pub(super) fn each_pair(
+/// Applies a function to the corresponding chunks of two arrays of one shape. Its arguments are both chunks and the output.
+pub(super) fn map_pairs(
     name: &str,
     inputs: &[Argument<'_>],
     function: impl Fn(&[f32], &[f32], &mut [f32]) + Sync,
@@ -205,7 +205,7 @@ pub(super) fn each_pair(
     if a.dims != b.dims {
         bail!("{name}: expected equal shapes, got {:?} and {:?}", a.dims, b.dims);
     }
-    let mut output = unwritten(a.values.len());
+    let mut output = uninitialised(a.values.len());
     let parts = output.par_chunks_mut(CHUNK).zip(a.values.par_chunks(CHUNK)).zip(b.values.par_chunks(CHUNK));
     parts.for_each(|((output, a), b)| function(a, b, output));
     Ok((output, Shape::from(a.dims)))
@@ -225,7 +225,7 @@ struct AddRelu {
 
 impl Operation for AddRelu {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        each_pair(ADD_RELU, inputs, |a, b, output| sum_relu(self.level, a, b, output))
+        map_pairs(ADD_RELU, inputs, |a, b, output| sum_relu(self.level, a, b, output))
     }
 
     fn backward(&self, _inputs: &[Argument<'_>], output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {

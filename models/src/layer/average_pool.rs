@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::feature::Feature;
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::level::for_each_level;
 use crate::kernel::spin_pool::for_each_chunk;
 
@@ -26,7 +26,7 @@ pub fn adaptive_average_pool(input: &Tensor, rows: usize, columns: usize) -> Res
 }
 
 /// First and end index of bin `index` of `bins` over `length` cells.
-pub(crate) fn bin(index: usize, bins: usize, length: usize) -> (usize, usize) {
+pub(crate) fn bin_bounds(index: usize, bins: usize, length: usize) -> (usize, usize) {
     (index * length / bins, ((index + 1) * length).div_ceil(bins))
 }
 
@@ -51,19 +51,19 @@ impl AveragePool {
         }
     }
 
-    /// Calls `f(bin index, first cell, end cell of each row range)` with the weight of a cell in its bin.
+    /// Calls `f` for each bin with its index, its first and end row, its first and end column, and the weight of a cell in it.
     fn for_each_bin(&self, rows: usize, columns: usize, mut f: impl FnMut(usize, (usize, usize), (usize, usize), f32)) {
         for i in 0..self.rows {
-            let row_range = bin(i, self.rows, rows);
+            let row_range = bin_bounds(i, self.rows, rows);
             for j in 0..self.columns {
-                let column_range = bin(j, self.columns, columns);
+                let column_range = bin_bounds(j, self.columns, columns);
                 let cells = (row_range.1 - row_range.0) * (column_range.1 - column_range.0);
                 f(i * self.columns + j, row_range, column_range, 1.0 / cells as f32);
             }
         }
     }
 
-    /// Computes the means. A task is one map, or one group of its channels if these are a multiple of the group.
+    /// Computes the means. A task is one map, or a group of [`LANES`] channels of it if they divide its channels.
     fn run(&self, [_, rows, columns, channels]: [usize; 4], input: &[f32], result: &mut [f32]) {
         let (bins, level) = (self.rows * self.columns, KernelLevel::detect());
         let group = if channels.is_multiple_of(LANES) { LANES } else { channels };
@@ -86,16 +86,17 @@ impl AveragePool {
 }
 
 for_each_level! {
-    /// Adds the channels from `first` on of cells of `channels`. Nothing is multiplied: the same bits at every level.
+    /// Adds the channels from `first` on of cells with this number of `channels` to `sums`. Nothing is multiplied, so that every
+    /// level gives the same bits.
     fn add_cells(cells: &[f32], channels: usize, first: usize, sums: &mut [f32]) {
         let cells = cells.chunks_exact(channels);
         if let Ok(sums) = <&mut [f32; LANES]>::try_from(&mut *sums) {
             // The sums stay in registers over all cells.
-            let mut of_lanes = *sums;
+            let mut register_sums = *sums;
             for values in cells.filter_map(|cell| cell[first..].first_chunk::<LANES>()) {
-                of_lanes.iter_mut().zip(values).for_each(|(s, &v)| *s += v);
+                register_sums.iter_mut().zip(values).for_each(|(s, &v)| *s += v);
             }
-            *sums = of_lanes;
+            *sums = register_sums;
             return;
         }
         for cell in cells {
@@ -123,7 +124,7 @@ impl Operation for AveragePool {
         let [input] = inputs else { bail!("{NAME}: expected one input") };
         let sizes @ [batch, _, _, channels] = self.sizes(input.dims)?;
         let length = channels * self.rows * self.columns;
-        let mut result = unwritten(batch * length);
+        let mut result = uninitialised(batch * length);
         self.run(sizes, input.values, &mut result);
         Ok((result, Shape::from((batch, length))))
     }

@@ -11,12 +11,12 @@ use super::activation::CHUNK;
 use super::operation::node_of;
 use super::tensor::with_values;
 
-/// Computes the gradients of all variables that the scalar `loss` depends on: the result of `loss.backward()`, several times
-/// faster.
+/// Computes the gradients of all variables that the scalar `loss` depends on. The result is that of `loss.backward()`, several
+/// times faster.
 ///
-/// candle's pass fills an array with zeros for each gradient, adds to it and copies the sum. This pass moves gradients from layer
-/// to layer. At an operation that is no layer of this crate, candle computes the gradients of that operation and of everything
-/// before it, at candle's speed. Gradients of tensors that are not variables are dropped.
+/// For each gradient, candle fills an array with zeros, adds to it and copies the sum. This pass moves gradients from layer to
+/// layer. At an operation that is no layer of this crate, candle computes the gradients of this operation and of all before it.
+/// Gradients of tensors that are not variables are dropped.
 ///
 /// # Errors
 /// A layer of the graph has no gradient by an input that asks for one, or a tensor operation fails.
@@ -59,6 +59,7 @@ pub fn backward(loss: &Tensor) -> Result<GradStore> {
     Ok(store)
 }
 
+/// Adds a gradient to that of the tensor `id`.
 fn accumulate(pending: &mut HashMap<TensorId, Vec<f32>>, id: TensorId, gradient: Vec<f32>) {
     match pending.entry(id) {
         Entry::Vacant(entry) => {

@@ -5,15 +5,15 @@ use std::sync::{Arc, OnceLock, RwLock};
 use candle_core::{Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
-use super::activation::{Activation, activate, by_activation, descend};
+use super::activation::{Activation, activate, activation_gradient, by_activation};
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::level::{for_each_level, multiply_add};
 
 const NAME: &str = "batch_norm";
 
-/// Values of a block that is summed at once. It stays in the first-level cache for two passes.
+/// Number of values of a block that is summed at once. The block stays in the first-level cache for two passes.
 const BLOCK: usize = 1 << 13;
 
 /// Settings of batch normalisation.
@@ -56,7 +56,7 @@ struct Moments {
 }
 
 impl RunningStatistics {
-    /// Starts with mean 0 and variance 1.
+    /// Makes statistics with mean 0 and variance 1.
     pub fn new(channels: usize, constants: BatchNormConstants) -> Self {
         let moments = Moments { mean: vec![0.0; channels], variance: vec![1.0; channels] };
         RunningStatistics { constants, channels, shared: Arc::new(RwLock::new(moments)) }
@@ -126,8 +126,13 @@ pub fn batch_norm(
     activation: Activation,
     level: KernelLevel,
 ) -> Result<Tensor> {
-    let operation =
-        BatchNorm { statistics: statistics.clone(), mode, activation, level: level.available(), used: OnceLock::new() };
+    let operation = BatchNorm {
+        statistics: statistics.clone(),
+        mode,
+        activation,
+        level: level.available(),
+        forward_moments: OnceLock::new(),
+    };
     apply(NAME, &[input, weight, bias], operation)
 }
 
@@ -136,28 +141,29 @@ struct BatchNorm {
     mode: BatchNormMode,
     activation: Activation,
     level: KernelLevel,
-    used: OnceLock<Used>,
+    forward_moments: OnceLock<ForwardMoments>,
 }
 
-/// Mean and scale that the forward pass used.
-struct Used {
+/// Mean and scale of each channel that the forward pass used.
+struct ForwardMoments {
     mean: Vec<f32>,
     /// One over the standard deviation.
-    inverse: Vec<f32>,
+    inverse_sigma: Vec<f32>,
 }
 
-/// Repeats `values` until loops over channels are long enough for vectors.
-fn repeated(values: &[f32]) -> Vec<f32> {
+/// Repeats values of the channels, so that loops over them are long enough for vectors.
+fn repeat_channels(values: &[f32]) -> Vec<f32> {
     values.repeat((256 / values.len().max(1)).max(1))
 }
 
-/// Sums the repetitions of [`repeated`].
-fn folded(sums: &[f32], channels: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+/// Elements of an array made by [`repeat_channels`], each with its channel.
+fn with_channel(sums: &[f32], channels: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
     sums.iter().enumerate().map(move |(k, &s)| (k % channels, f64::from(s)))
 }
 
 for_each_level! {
-    /// Mean of each channel of `[row][channel]`, repeated, and sums of squares of the centred values.
+    /// Computes for each channel of `[row][channel]` the mean and the sum of squared deviations from it. Both are repeated as by
+    /// [`repeat_channels`]; the repetitions of `square` are partial sums.
     fn block_moments(block: &[f32], channels: usize, mean: &mut [f32], square: &mut [f32]) {
         mean.fill(0.0);
         square.fill(0.0);
@@ -194,8 +200,8 @@ for_each_level! {
 }
 
 for_each_level! {
-    /// Replaces the gradient of the output by the one before the activation and adds it, and its product with the
-    /// centred input, to the sums of each channel. `constants` are mean, scale and shift.
+    /// Replaces the gradient of the output by the gradient before the activation. Adds the latter to `sum` and its product
+    /// with the centred input to `product`, for each channel. `constants` are mean, scale and shift.
     fn gradient_sums(
         activation: Activation, input: &[f32], constants: [&[f32]; 3], gradient: &mut [f32],
         sum: &mut [f32], product: &mut [f32],
@@ -206,7 +212,7 @@ for_each_level! {
         by_activation!(activation, A => {
             for (input, gradient) in input.chunks(length).zip(gradient.chunks_mut(length)) {
                 for (k, (&x, g)) in input.iter().zip(gradient).enumerate() {
-                    *g = descend::<FUSED>(A, multiply_add::<FUSED>(x, scale[k], shift[k]), *g);
+                    *g = activation_gradient::<FUSED>(A, multiply_add::<FUSED>(x, scale[k], shift[k]), *g);
                     sum[k] += *g;
                     product[k] = multiply_add::<FUSED>(*g, x - mean[k], product[k]);
                 }
@@ -254,7 +260,7 @@ impl BatchNorm {
     /// Mean and biased variance of each channel, in f64 over blocks (Chan, Golub and LeVeque, 1979).
     fn moments(&self, input: &[f32], channels: usize) -> Moments {
         let block = (BLOCK / channels).max(1) * channels;
-        let pattern = repeated(&vec![0.0; channels]).len();
+        let pattern = repeat_channels(&vec![0.0; channels]).len();
         let partials: Vec<(usize, Vec<f32>, Vec<f32>)> = input
             .par_chunks(block)
             .map(|block| {
@@ -272,7 +278,7 @@ impl BatchNorm {
                 *mean += difference * rows / total;
                 *square += difference * difference * count * rows / total;
             }
-            folded(block_square, channels).for_each(|(k, s)| square[k] += s);
+            with_channel(block_square, channels).for_each(|(k, s)| square[k] += s);
             count = total;
         }
         let variance = square.iter().map(|s| (s / count) as f32).collect();
@@ -301,26 +307,27 @@ impl Operation for BatchNorm {
             }
         };
         let epsilon = f64::from(self.statistics.constants.epsilon);
-        let inverse: Vec<f32> = variance.iter().map(|&v| (1.0 / (f64::from(v) + epsilon).sqrt()) as f32).collect();
-        let (scale, shift) = scale_and_shift(weight.values, bias.values, &mean, &inverse);
-        let mut output = unwritten(input.values.len());
+        let inverse_sigma: Vec<f32> =
+            variance.iter().map(|&v| (1.0 / (f64::from(v) + epsilon).sqrt()) as f32).collect();
+        let (scale, shift) = scale_and_shift(weight.values, bias.values, &mean, &inverse_sigma);
+        let mut output = uninitialised(input.values.len());
         let chunk = scale.len() * (BLOCK / scale.len()).max(1);
         output
             .par_chunks_mut(chunk)
             .zip(input.values.par_chunks(chunk))
             .for_each(|(output, input)| normalise(self.level, self.activation, input, &scale, &shift, output));
-        let _ = self.used.set(Used { mean, inverse });
+        let _ = self.forward_moments.set(ForwardMoments { mean, inverse_sigma });
         Ok((output, Shape::from(input.dims)))
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
         let channels = self.channels(inputs)?;
         let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };
-        let Some(Used { mean, inverse }) = self.used.get() else {
+        let Some(ForwardMoments { mean, inverse_sigma }) = self.forward_moments.get() else {
             bail!("{NAME}: backward pass without a forward pass");
         };
-        let (scale, shift) = scale_and_shift(weight.values, bias.values, mean, inverse);
-        let means = repeated(mean);
+        let (scale, shift) = scale_and_shift(weight.values, bias.values, mean, inverse_sigma);
+        let means = repeat_channels(mean);
         let chunk = scale.len() * (BLOCK / scale.len()).max(1);
         let partials: Vec<(Vec<f32>, Vec<f32>)> = gradient
             .par_chunks_mut(chunk)
@@ -334,19 +341,19 @@ impl Operation for BatchNorm {
             .collect();
         let (mut sum, mut product) = (vec![0.0f64; channels], vec![0.0f64; channels]);
         for (partial_sum, partial_product) in &partials {
-            folded(partial_sum, channels).for_each(|(k, s)| sum[k] += s);
-            folded(partial_product, channels).for_each(|(k, s)| product[k] += s);
+            with_channel(partial_sum, channels).for_each(|(k, s)| sum[k] += s);
+            with_channel(partial_product, channels).for_each(|(k, s)| product[k] += s);
         }
-        // The sums so far are of centred, not of normalised inputs.
-        product.iter_mut().zip(inverse).for_each(|(p, &i)| *p *= f64::from(i));
+        // The sums above use centred inputs, not normalised ones.
+        product.iter_mut().zip(inverse_sigma).for_each(|(p, &i)| *p *= f64::from(i));
         let count = (input.values.len() / channels) as f64;
         // In training, mean and variance of the batch depend on every input.
-        let moving = if self.mode == BatchNormMode::Training { 1.0 / count } else { 0.0 };
-        let offset: Vec<f32> = (0..channels).map(|k| (-f64::from(scale[k]) * sum[k] * moving) as f32).collect();
+        let batch_weight = if self.mode == BatchNormMode::Training { 1.0 / count } else { 0.0 };
+        let offset: Vec<f32> = (0..channels).map(|k| (-f64::from(scale[k]) * sum[k] * batch_weight) as f32).collect();
         let slope: Vec<f32> = (0..channels)
-            .map(|k| (-f64::from(scale[k]) * f64::from(inverse[k]) * product[k] * moving) as f32)
+            .map(|k| (-f64::from(scale[k]) * f64::from(inverse_sigma[k]) * product[k] * batch_weight) as f32)
             .collect();
-        let (offset, slope) = (repeated(&offset), repeated(&slope));
+        let (offset, slope) = (repeat_channels(&offset), repeat_channels(&slope));
         gradient
             .par_chunks_mut(chunk)
             .zip(input.values.par_chunks(chunk))
@@ -356,9 +363,9 @@ impl Operation for BatchNorm {
     }
 }
 
-/// `x scale + shift` is the normalised `x`, for each channel, repeated.
-fn scale_and_shift(weight: &[f32], bias: &[f32], mean: &[f32], inverse: &[f32]) -> (Vec<f32>, Vec<f32>) {
-    let scale: Vec<f32> = weight.iter().zip(inverse).map(|(w, i)| w * i).collect();
+/// Scale and shift of each channel, repeated: `x scale + shift` is the normalised `x`.
+fn scale_and_shift(weight: &[f32], bias: &[f32], mean: &[f32], inverse_sigma: &[f32]) -> (Vec<f32>, Vec<f32>) {
+    let scale: Vec<f32> = weight.iter().zip(inverse_sigma).map(|(w, i)| w * i).collect();
     let shift: Vec<f32> = bias.iter().zip(mean).zip(&scale).map(|((b, m), s)| b - m * s).collect();
-    (repeated(&scale), repeated(&shift))
+    (repeat_channels(&scale), repeat_channels(&shift))
 }

@@ -7,10 +7,10 @@ use candle_core::{Error, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
-use crate::quantum::{Circuit, CircuitError, Draw, Trained, expectations_of_rows, gradients_of_rows};
+use crate::quantum::{Circuit, CircuitError, ClosedForm, Draw, expectations_of_rows, gradients_of_rows};
 
 const NAME: &str = "circuit";
-/// Rows of the closed form in one task: fewer are not worth another thread.
+/// Number of rows of the closed form in one task. Fewer are not worth another thread.
 const ROWS: usize = 1024;
 
 /// `<Z>` of each qubit of `circuit` for each row of `input` `[batch][qubits]` (radians) at `theta` `[angles]` (radians),
@@ -29,14 +29,14 @@ pub(crate) fn run_circuit(circuit: &Circuit, theta: &[f64], call: u64, x: &[f32]
     let qubits = circuit.qubits();
     let rows = x.par_chunks_exact(qubits).zip(output.par_chunks_exact_mut(qubits)).enumerate();
     rows.try_for_each(|(row, (x, output))| {
-        let expectations = circuit.expectations(&widen(x), theta, Draw { call, row: row as u64 })?;
+        let expectations = circuit.expectations(&to_f64(x), theta, Draw { call, row: row as u64 })?;
         output.iter_mut().zip(expectations).for_each(|(output, v)| *output = v as f32);
         Ok(())
     })
-    .map_err(failed)
+    .map_err(to_candle_error)
 }
 
-fn failed(error: CircuitError) -> Error {
+fn to_candle_error(error: CircuitError) -> Error {
     Error::wrap(error)
 }
 
@@ -45,7 +45,7 @@ struct CircuitLayer {
     call: u64,
 }
 
-fn widen(values: &[f32]) -> Vec<f64> {
+fn to_f64(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&v| f64::from(v)).collect()
 }
 
@@ -59,54 +59,54 @@ impl CircuitLayer {
         }
     }
 
-    /// Coefficients of the closed form, if it applies to the circuit.
-    fn trained(&self, theta: &[f32]) -> Option<Trained> {
+    /// Closed form at these angles, if the circuit has one.
+    fn closed_form(&self, theta: &[f32]) -> Option<ClosedForm> {
         match *theta {
-            [a, b, c, d] if self.circuit.is_closed_form() => Some(Trained::new([a, b, c, d].map(f64::from))),
+            [a, b, c, d] if self.circuit.is_closed_form() => Some(ClosedForm::new([a, b, c, d].map(f64::from))),
             _ => None,
         }
     }
 
     fn expectations(&self, input: &[f32], theta: &[f32]) -> Result<Vec<f32>> {
         let mut result = vec![0.0f32; input.len()];
-        if let Some(trained) = self.trained(theta) {
-            let pieces =
+        if let Some(closed_form) = self.closed_form(theta) {
+            let chunks =
                 input.as_chunks::<2>().0.par_chunks(ROWS).zip(result.as_chunks_mut::<2>().0.par_chunks_mut(ROWS));
-            pieces.for_each(|(input, result)| expectations_of_rows(&trained, input, result));
+            chunks.for_each(|(input, result)| expectations_of_rows(&closed_form, input, result));
             return Ok(result);
         }
-        run_circuit(&self.circuit, &widen(theta), self.call, input, &mut result)?;
+        run_circuit(&self.circuit, &to_f64(theta), self.call, input, &mut result)?;
         Ok(result)
     }
 
     /// Gradients by the input and by the angles.
     fn gradients(&self, input: &[f32], theta: &[f32], cotangents: &[f32]) -> Result<(Vec<f32>, Vec<f32>)> {
         let mut by_input = vec![0.0f32; input.len()];
-        // The parts are summed in the order of rows, whichever thread is first.
-        let parts: Vec<Vec<f64>> = if let Some(trained) = self.trained(theta) {
+        // Partial sums are added in the order of rows, independently of the threads.
+        let partials: Vec<Vec<f64>> = if let Some(closed_form) = self.closed_form(theta) {
             let (input, cotangents) = (input.as_chunks::<2>().0, cotangents.as_chunks::<2>().0);
-            let pieces = input.par_chunks(ROWS).zip(cotangents.par_chunks(ROWS));
-            pieces
+            let chunks = input.par_chunks(ROWS).zip(cotangents.par_chunks(ROWS));
+            chunks
                 .zip(by_input.as_chunks_mut::<2>().0.par_chunks_mut(ROWS))
-                .map(|((x, g), by_x)| gradients_of_rows(&trained, x, g, by_x).to_vec())
+                .map(|((x, g), by_x)| gradients_of_rows(&closed_form, x, g, by_x).to_vec())
                 .collect()
         } else {
-            let (qubits, theta) = (self.circuit.qubits(), widen(theta));
+            let (qubits, theta) = (self.circuit.qubits(), to_f64(theta));
             let rows = input.par_chunks_exact(qubits).zip(cotangents.par_chunks_exact(qubits));
             rows.zip(by_input.par_chunks_exact_mut(qubits))
                 .enumerate()
                 .map(|(row, ((x, g), by_input))| {
                     let draw = Draw { call: self.call, row: row as u64 };
-                    let (by_x, by_theta) = self.circuit.gradients(&widen(x), &theta, &widen(g), draw)?;
+                    let (by_x, by_theta) = self.circuit.gradients(&to_f64(x), &theta, &to_f64(g), draw)?;
                     by_input.iter_mut().zip(by_x).for_each(|(to, v)| *to = v as f32);
                     Ok(by_theta)
                 })
                 .collect::<std::result::Result<_, _>>()
-                .map_err(failed)?
+                .map_err(to_candle_error)?
         };
         let mut by_theta = vec![0.0f64; theta.len()];
-        for part in parts {
-            by_theta.iter_mut().zip(part).for_each(|(sum, v)| *sum += v);
+        for partial in partials {
+            by_theta.iter_mut().zip(partial).for_each(|(sum, v)| *sum += v);
         }
         Ok((by_input, by_theta.into_iter().map(|v| v as f32).collect()))
     }
@@ -136,7 +136,7 @@ mod tests {
     use rand::Rng;
     use std::f32::consts::PI;
 
-    fn ready(spec: CircuitSpec) -> Circuit {
+    fn build(spec: CircuitSpec) -> Circuit {
         Circuit::new(&spec).expect("a good spec")
     }
 
@@ -159,11 +159,11 @@ mod tests {
         [flat(&out), flat(grads.get(&input).expect("gradient")), flat(grads.get(&theta).expect("gradient"))]
     }
 
-    /// The closed form in vector loops against the scalar one in f64 at the same f32 inputs, within what the module
-    /// states, at batches of all kinds of lengths.
+    /// Compares the closed form in vector loops with the scalar one in f64, at the same f32 inputs, within the errors that the
+    /// module states. Batches have different lengths.
     #[test]
     fn rows_follow_the_closed_form_to_the_last_bit_of_f32() {
-        let paper = ready(CircuitSpec::default());
+        let paper = build(CircuitSpec::default());
         for batch in [1, 2, 31, 32, 33, 1025, 3000] {
             let (x, theta) = (numbers(2 * batch, "x", 0.0, PI), numbers(4, "theta", -PI, PI));
             let weights = numbers(2 * batch, "weights", -1.0, 1.0);
@@ -197,7 +197,7 @@ mod tests {
             CircuitSpec { qubits: 2, repetitions: 2, ..CircuitSpec::default() },
             CircuitSpec { qubits: 3, encoding: Encoding::Angle, depth: 2, ..CircuitSpec::default() },
         ] {
-            let circuit = ready(spec);
+            let circuit = build(spec);
             let (qubits, batch) = (circuit.qubits(), 5);
             let x = numbers(qubits * batch, "x", 0.0, PI);
             let theta = numbers(circuit.angle_count(), "theta", -PI, PI);
@@ -207,7 +207,7 @@ mod tests {
                 let rows = x.chunks(qubits).map(|x| state_vector::run(&circuit, x, theta).expect("run").expectations());
                 rows.flatten().zip(&weights).map(|(z, w)| z * f64::from(*w)).sum()
             };
-            let (x, theta) = (widen(&x), widen(&theta));
+            let (x, theta) = (to_f64(&x), to_f64(&theta));
             let slow = |row: &[f64]| state_vector::run(&circuit, row, &theta).expect("run").expectations();
             for (got, want) in out.iter().zip(x.chunks(qubits).flat_map(slow)) {
                 assert!((f64::from(*got) - want).abs() < 6e-8, "{got} {want}");
@@ -230,14 +230,14 @@ mod tests {
     }
 
     #[test]
-    fn shots_differ_by_call_and_by_row_and_can_be_had_again() {
-        let measured = ready(CircuitSpec { execution: shots(100), ..CircuitSpec::default() });
+    fn shots_differ_by_call_and_by_row_and_are_reproducible() {
+        let measured = build(CircuitSpec { execution: shots(100), ..CircuitSpec::default() });
         let (x, theta) = (var(&[1.0; 6], &[3, 2]), var(&[0.5; 4], &[4]));
-        let of = |call| flat(&circuit(&x, &theta, &measured, call).expect("forward"));
-        let first = of(0);
-        assert_ne!(first, of(1));
-        assert!(first[..2] != first[2..4] || first[2..4] != first[4..], "rows have outcomes of their own");
-        assert_eq!(first, of(0));
+        let run = |call| flat(&circuit(&x, &theta, &measured, call).expect("forward"));
+        let first = run(0);
+        assert_ne!(first, run(1));
+        assert!(first[..2] != first[2..4] || first[2..4] != first[4..], "each row has its own outcomes");
+        assert_eq!(first, run(0));
     }
 
     mod hard_cases {
@@ -254,7 +254,7 @@ mod tests {
                 (CircuitSpec { qubits: 3, noise, ..default() }, 9),
             ];
             for (spec, batch) in specs {
-                let circuit = ready(spec);
+                let circuit = build(spec);
                 let x = numbers(circuit.qubits() * batch, "x", 0.0, PI);
                 let weights = numbers(circuit.qubits() * batch, "weights", -1.0, 1.0);
                 let theta = numbers(circuit.angle_count(), "theta", -PI, PI);
@@ -262,9 +262,9 @@ mod tests {
             }
         }
 
-        /// A row with a NaN spoils its own results and gradients and the gradients by the angles, but no other row.
+        /// A NaN in a row makes the results and gradients of this row NaN, and the gradients by the angles, but no other row.
         #[test]
-        fn what_is_no_number_stays_visible_and_in_its_row() {
+        fn a_nan_stays_visible_and_in_its_row() {
             for spec in [
                 CircuitSpec::default(),
                 CircuitSpec { repetitions: 2, ..CircuitSpec::default() },
@@ -273,23 +273,23 @@ mod tests {
                 for bad in [f32::NAN, f32::INFINITY] {
                     let mut x = numbers(12, "x", 0.0, PI);
                     x[5] = bad;
-                    let [out, by_x, by_theta] = run(&ready(spec.clone()), &x, &[0.3; 4], &[1.0; 12], 0);
+                    let [out, by_x, by_theta] = run(&build(spec.clone()), &x, &[0.3; 4], &[1.0; 12], 0);
                     for (k, (out, by_x)) in out.iter().zip(&by_x).enumerate() {
                         assert_eq!(out.is_nan(), k / 2 == 2, "{spec:?} {k} {out}");
                         assert_eq!(by_x.is_nan(), k / 2 == 2, "{spec:?} {k} {by_x}");
                     }
                     assert!(by_theta.iter().any(|v| v.is_nan()));
                 }
-                let out = run(&ready(spec), &[1.0; 4], &[f32::NAN; 4], &[1.0; 4], 0);
+                let out = run(&build(spec), &[1.0; 4], &[f32::NAN; 4], &[1.0; 4], 0);
                 assert!(out.iter().flatten().all(|v| v.is_nan()));
             }
         }
 
-        /// Far outside the range that the vector sines reduce.
+        /// Inputs far outside the range that the vector sines reduce are still angles.
         #[test]
         fn enormous_inputs_are_still_angles() {
             let x = [1e30f32, 2.0, 1e5, 4e4, 1.0, 2.0];
-            let [out, by_x, _] = run(&ready(CircuitSpec::default()), &x, &[0.3; 4], &[1.0; 6], 0);
+            let [out, by_x, _] = run(&build(CircuitSpec::default()), &x, &[0.3; 4], &[1.0; 6], 0);
             for (row, x) in x.chunks(2).enumerate() {
                 let point = quantum::circuit([f64::from(x[0]), f64::from(x[1])], [f64::from(0.3f32); 4]);
                 assert!((f64::from(out[2 * row]) - point.expectations[0]).abs() < 6e-8);
@@ -300,14 +300,14 @@ mod tests {
 
         #[test]
         fn wrong_shapes_say_what_was_expected() {
-            let circuit = ready(CircuitSpec { qubits: 3, ..CircuitSpec::default() });
-            let said = |x: &[usize], theta: usize| {
+            let circuit = build(CircuitSpec { qubits: 3, ..CircuitSpec::default() });
+            let error = |x: &[usize], theta: usize| {
                 let zeros =
                     |shape: &[usize]| Tensor::zeros(shape, candle_core::DType::F32, &Device::Cpu).expect("zeros");
                 super::circuit(&zeros(x), &zeros(&[theta]), &circuit, 0).expect_err("wrong shape").to_string()
             };
-            for said in [said(&[5, 2], 6), said(&[5, 3], 4), said(&[3], 6)] {
-                assert!(said.contains("expected input [batch, 3] and 6 angles"), "{said}");
+            for error in [error(&[5, 2], 6), error(&[5, 3], 4), error(&[3], 6)] {
+                assert!(error.contains("expected input [batch, 3] and 6 angles"), "{error}");
             }
             assert_eq!(run(&circuit, &[], &[0.0; 6], &[], 0)[2], [0.0; 6]);
         }

@@ -4,22 +4,22 @@ use candle_core::{Error, Result, Shape, Tensor, bail};
 
 use super::operation::{Argument, Gradients, InputGradient, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::depthwise;
 use crate::kernel::implicit_gemm::{ImplicitGemm, KernelOffset};
 use crate::kernel::packed::{Packed, Side};
 use crate::kernel::tile::Tiles;
 use crate::kernel::weight_gradient::{column_sums, weight_gradient};
-use crate::kernel::winograd::{Finish, Winograd};
+use crate::kernel::winograd::{Epilogue, Winograd};
 use crate::kernel::winograd_gradient;
 
 const NAME: &str = "conv2d";
 
 /// Least number of channels on either side for which Winograd's transforms are worth their cost.
-const FEW_CHANNELS: usize = 16;
-/// Least number of rows and columns for which Winograd's transforms are worth their cost. With fewer, much of the
-/// windows lies outside.
-const FEW_CELLS: usize = 4;
+const LEAST_CHANNELS: usize = 16;
+/// Least number of rows and columns for which Winograd's transforms are worth their cost. With fewer, large parts of the
+/// windows lie outside the map.
+const LEAST_CELLS: usize = 4;
 
 /// Stride, padding and groups of a convolution, equal along rows and columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -45,8 +45,8 @@ impl ConvGeometry {
 
     /// Cells along an axis of the output; `None` if the kernel does not fit into the padded input.
     pub fn output_length(&self, input: usize, kernel: usize) -> Option<usize> {
-        let room = (input + 2 * self.padding).checked_sub(kernel)?;
-        Some(room.checked_div(self.stride)? + 1)
+        let last_start = (input + 2 * self.padding).checked_sub(kernel)?;
+        Some(last_start.checked_div(self.stride)? + 1)
     }
 }
 
@@ -146,11 +146,11 @@ impl ConvSizes {
     }
 
     /// Returns whether a training step computes the convolution by Winograd's algorithm.
-    fn in_windows(&self) -> bool {
+    fn uses_winograd(&self) -> bool {
         self.kernel == [3, 3]
             && self.geometry == ConvGeometry::dense(1, 1)
-            && self.inputs.min(self.outputs) >= FEW_CHANNELS
-            && self.input[0].min(self.input[1]) >= FEW_CELLS
+            && self.inputs.min(self.outputs) >= LEAST_CHANNELS
+            && self.input[0].min(self.input[1]) >= LEAST_CELLS
     }
 
     /// Batch, rows and columns of the input.
@@ -178,7 +178,7 @@ impl ConvSizes {
         let padding = -(self.geometry.padding as isize);
         let offsets = (0..self.offsets())
             .map(|t| KernelOffset {
-                by: [(t / self.kernel[1]) as isize, (t % self.kernel[1]) as isize],
+                shift: [(t / self.kernel[1]) as isize, (t % self.kernel[1]) as isize],
                 index: t as u32,
             })
             .collect();
@@ -196,18 +196,19 @@ impl ConvSizes {
         }
     }
 
-    /// Products from the output's gradient to the input's. With a stride of s, cells fall into s x s kinds by the kernel offsets
-    /// that touch them; each kind is one product. Cells that no offset touches are in none.
+    /// Products from the output's gradient to the input's. With a stride of s, input cells have s x s phases, each of which is
+    /// read by other kernel offsets. Each phase is one product. Cells that no offset reads are in none.
     pub fn backward_gemms(&self) -> Vec<ImplicitGemm> {
         let ConvGeometry { stride, padding, .. } = self.geometry;
         let mut gemms = Vec::new();
-        for kind in 0..stride * stride {
-            let start = [kind / stride, kind % stride];
+        for phase in 0..stride * stride {
+            let start = [phase / stride, phase % stride];
             let mut grid = [0; 2];
+            // For each axis, pairs of shift in the output and kernel offset.
             let mut offsets_along: [Vec<(isize, usize)>; 2] = Default::default();
             for axis in 0..2 {
                 grid[axis] = self.input[axis].saturating_sub(start[axis]).div_ceil(stride);
-                // Input cell y is touched by offset k of output cell (y + padding - k) / stride where that is whole.
+                // Kernel offset k of output cell (y + padding - k) / stride reads input cell y, if this is a whole number.
                 offsets_along[axis] = (0..self.kernel[axis])
                     .filter(|k| (start[axis] + padding + stride * self.kernel[axis] - k).is_multiple_of(stride))
                     .map(|k| (((start[axis] + padding) as isize - k as isize).div_euclid(stride as isize), k))
@@ -218,7 +219,7 @@ impl ConvSizes {
                 .flat_map(|&(y, ky)| {
                     offsets_along[1]
                         .iter()
-                        .map(move |&(x, kx)| KernelOffset { by: [y, x], index: (ky * self.kernel[1] + kx) as u32 })
+                        .map(move |&(x, kx)| KernelOffset { shift: [y, x], index: (ky * self.kernel[1] + kx) as u32 })
                 })
                 .collect();
             if offsets.is_empty() || grid.contains(&0) {
@@ -253,16 +254,17 @@ impl Conv2d {
     /// Gradient of the input, from that of the output.
     fn input_gradient(&self, sizes: &ConvSizes, weight: &[f32], gradient: &[f32]) -> Vec<f32> {
         let cells: usize = sizes.input_cells().iter().product();
-        if sizes.in_windows() {
-            let mut target = unwritten(cells * sizes.inputs);
+        if sizes.uses_winograd() {
+            let mut target = uninitialised(cells * sizes.inputs);
             let winograd = Winograd::backward(weight, [sizes.outputs, sizes.inputs], self.tiles);
-            winograd.run(gradient, sizes.input_cells(), Finish::NONE, &mut target);
+            winograd.run(gradient, sizes.input_cells(), Epilogue::NONE, &mut target);
             return target;
         }
         let gemms = sizes.backward_gemms();
-        // With strides longer than the kernel there are cells that no offset touches, and no gemm writes.
-        let all = gemms.iter().map(ImplicitGemm::cells).sum::<usize>() == cells;
-        let mut target = if all { unwritten(cells * sizes.inputs) } else { vec![0.0; cells * sizes.inputs] };
+        // With a stride longer than the kernel, no product writes the cells that no offset reads.
+        let all_written = gemms.iter().map(ImplicitGemm::cells).sum::<usize>() == cells;
+        let mut target =
+            if all_written { uninitialised(cells * sizes.inputs) } else { vec![0.0; cells * sizes.inputs] };
         if sizes.is_depthwise() {
             let weight = depthwise::transposed(weight, sizes.offsets());
             for gemm in &gemms {
@@ -284,15 +286,15 @@ impl Operation for Conv2d {
         let sizes = self.sizes(inputs)?;
         let [input, weight, ..] = inputs else { bail!("{NAME}: no weight") };
         let bias = inputs.get(2).map(|b| b.values);
-        let mut output = unwritten(sizes.output_count());
+        let mut output = uninitialised(sizes.output_count());
         let gemm = sizes.forward_gemm();
         if sizes.is_depthwise() {
             let weight = depthwise::transposed(weight.values, sizes.offsets());
             depthwise::run(&gemm, input.values, &weight, bias, &mut output, self.tiles);
-        } else if sizes.in_windows() {
+        } else if sizes.uses_winograd() {
             let channels = [sizes.outputs, sizes.inputs];
             let winograd = Winograd::new(weight.values, channels, bias.unwrap_or_default(), self.tiles);
-            winograd.run(input.values, sizes.input_cells(), Finish::NONE, &mut output);
+            winograd.run(input.values, sizes.input_cells(), Epilogue::NONE, &mut output);
         } else {
             let weight =
                 Packed::new(weight.values, [sizes.outputs, sizes.inputs, sizes.offsets()], Side::Forward, self.tiles);
@@ -307,7 +309,7 @@ impl Operation for Conv2d {
         let gemm = sizes.forward_gemm();
         let weight_gradient = if sizes.is_depthwise() {
             depthwise::weight_gradient(&gemm, input.values, &gradient, self.tiles)
-        } else if sizes.in_windows() {
+        } else if sizes.uses_winograd() {
             let channels = [sizes.outputs, sizes.inputs];
             winograd_gradient::weight_gradient(input.values, sizes.input_cells(), &gradient, channels, self.tiles)
         } else {

@@ -10,7 +10,7 @@ use crate::kernel::KernelLevel;
 use crate::kernel::conv_pool::{self, Block};
 
 const NAME: &str = "conv_relu_pool";
-/// Batches below this size are cut into bands of rows, so that all threads have work.
+/// Batches below this size are divided into bands of rows, so that all threads have work.
 const FEW_SAMPLES: usize = 8;
 /// Rows of the pooled output in a band.
 const BAND: usize = 8;
@@ -35,11 +35,12 @@ pub fn conv_relu_pool(
 struct ConvReluPool {
     input_gradient: InputGradient,
     level: KernelLevel,
-    /// Index of the largest cell of each pooling window in the forward pass. The backward pass needs nothing else of it.
+    /// Index of the largest cell of each pooling window in the forward pass, for the backward pass.
     winner: OnceLock<Vec<u8>>,
 }
 
-fn geometry(inputs: &[Argument<'_>]) -> Result<(usize, Block)> {
+/// Checks the shapes. Returns the batch size and the sizes of a sample.
+fn sizes(inputs: &[Argument<'_>]) -> Result<(usize, Block)> {
     let dims: Vec<_> = inputs.iter().map(|a| a.dims).collect();
     match dims[..] {
         [&[batch, rows, columns, inputs], &[outputs, i, 3, 3], &[o]]
@@ -55,7 +56,7 @@ fn geometry(inputs: &[Argument<'_>]) -> Result<(usize, Block)> {
 
 impl Operation for ConvReluPool {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let (batch, block) = geometry(inputs)?;
+        let (batch, block) = sizes(inputs)?;
         let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };
         let (input, packed, bias) = (input.values, block.pack(weight.values), bias.values);
         let mut pooled = vec![0.0f32; batch * block.pooled_length()];
@@ -73,7 +74,7 @@ impl Operation for ConvReluPool {
                         conv_pool::forward(self.level, block, padded, &packed, bias, pooled, winner);
                         return;
                     }
-                    // Bands of rows are separate blocks: every cell is the same sum.
+                    // A band of rows is a separate block. Its cells are the same sums as in the whole map.
                     let pooled_line = block.columns / 2 * block.outputs;
                     let line = (block.columns + 2) * block.inputs;
                     let bands =
@@ -86,24 +87,24 @@ impl Operation for ConvReluPool {
                     });
                 },
             );
-        // Set once per op: candle makes one op for each application.
+        // Set once, because candle makes an operation for each application.
         let _ = self.winner.set(winner);
         Ok((pooled, Shape::from((batch, block.rows / 2, block.columns / 2, block.outputs))))
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
-        let (_, block) = geometry(inputs)?;
+        let (_, block) = sizes(inputs)?;
         let [input, weight, _] = inputs else { bail!("{NAME}: expected three inputs") };
         let Some(winner) = self.winner.get() else {
             bail!("{NAME}: backward pass without a forward pass");
         };
         let (input_values, weight) = (input.values, weight.values);
         let sample = block.rows * block.columns * block.inputs;
-        let wanted = self.input_gradient == InputGradient::Needed;
-        let mut input_gradient = vec![0.0f32; if wanted { input_values.len() } else { 0 }];
+        let needs_input_gradient = self.input_gradient == InputGradient::Needed;
+        let mut input_gradient = vec![0.0f32; if needs_input_gradient { input_values.len() } else { 0 }];
         let weight = block.to_channel_last(weight);
-        // One partial gradient for each sample, added up below in the order of the samples.
-        let job = |scratch: &mut Scratch, index: usize, input_gradient: &mut [f32]| {
+        // Each sample has partial gradients, which are added below in the order of the samples.
+        let sample_gradients = |scratch: &mut Scratch, index: usize, input_gradient: &mut [f32]| {
             let pooled = index * block.pooled_length()..(index + 1) * block.pooled_length();
             block.pad(&input_values[index * sample..(index + 1) * sample], &mut scratch.padded);
             let mut weights = vec![0.0f32; weight.len()];
@@ -120,24 +121,24 @@ impl Operation for ConvReluPool {
                 &mut biases,
                 &mut scratch.gradient,
             );
-            if wanted {
+            if needs_input_gradient {
                 block.crop(&scratch.gradient, input_gradient);
             }
             (weights, biases)
         };
         let scratch = || Scratch {
             padded: vec![0.0; block.padded_length()],
-            gradient: vec![0.0; if wanted { block.padded_length() } else { 0 }],
+            gradient: vec![0.0; if needs_input_gradient { block.padded_length() } else { 0 }],
         };
         let batch = input_values.len() / sample;
-        let partials: Vec<(Vec<f32>, Vec<f32>)> = if wanted {
+        let partials: Vec<(Vec<f32>, Vec<f32>)> = if needs_input_gradient {
             input_gradient
                 .par_chunks_exact_mut(sample)
                 .enumerate()
-                .map_init(scratch, |s, (index, gradient)| job(s, index, gradient))
+                .map_init(scratch, |s, (index, gradient)| sample_gradients(s, index, gradient))
                 .collect()
         } else {
-            (0..batch).into_par_iter().map_init(scratch, |s, index| job(s, index, &mut [])).collect()
+            (0..batch).into_par_iter().map_init(scratch, |s, index| sample_gradients(s, index, &mut [])).collect()
         };
         let mut weights = vec![0.0f32; weight.len()];
         let mut biases = vec![0.0f32; block.outputs];
@@ -145,7 +146,7 @@ impl Operation for ConvReluPool {
             weights.iter_mut().zip(partial_weights).for_each(|(sum, part)| *sum += part);
             biases.iter_mut().zip(partial_biases).for_each(|(sum, part)| *sum += part);
         }
-        Ok(vec![wanted.then_some(input_gradient), Some(block.to_channel_first(&weights)), Some(biases)])
+        Ok(vec![needs_input_gradient.then_some(input_gradient), Some(block.to_channel_first(&weights)), Some(biases)])
     }
 }
 

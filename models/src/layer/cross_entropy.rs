@@ -8,7 +8,7 @@ const NAME: &str = "cross_entropy";
 
 /// `sum_i w_i (log sum_k exp z_ik - z_i,label) / sum_i w_i` with `w_i` the weight of sample i's class: a scalar.
 ///
-/// `logits` is `[batch][class]`. Where all weights of a batch are zero the loss is zero.
+/// `logits` is `[batch][class]`. If all weights of a batch are zero, the loss is zero.
 ///
 /// # Errors
 /// `logits` has another shape, there is not one label for each row and one weight for each class, a label is no class, or the
@@ -28,7 +28,7 @@ pub fn cross_entropy(logits: &Tensor, labels: &[usize], class_weights: &[f32]) -
     apply(NAME, &[logits], CrossEntropy { labels: labels.to_vec(), class_weights: class_weights.to_vec() })
 }
 
-/// Probabilities of one row of logits, by the softmax; f64, shifted by the maximum so that nothing overflows.
+/// Softmax of one row of logits, in f64. The maximum is subtracted first, so that nothing overflows.
 pub(crate) fn softmax(logits: &[f32], temperature: f64) -> Vec<f64> {
     let largest = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let exponentials: Vec<f64> = logits.iter().map(|&z| (f64::from(z - largest) / temperature).exp()).collect();

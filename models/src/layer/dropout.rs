@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::random::stream;
 
-/// Values for which one generator is used.
+/// Number of values for which one random generator is used.
 const BLOCK: usize = 4096;
 
 /// Sets each value to zero with `probability` and scales the others by `1 / (1 - probability)`, in training only. The choice is a
@@ -48,7 +48,7 @@ pub fn drop_samples(input: &Tensor, probability: f32, seed: u64, draw: u64) -> R
     apply(name, &[input], Dropout(drop))
 }
 
-/// Factor on the values that are kept.
+/// Factor of the values that are kept.
 fn scale(name: &str, probability: f32) -> Result<f32> {
     if !(0.0..1.0).contains(&probability) {
         bail!("{name}: expected a probability from 0 to below 1, got {probability}");

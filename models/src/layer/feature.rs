@@ -52,8 +52,8 @@ pub struct Affine<'a> {
     pub shift: &'a [f32],
 }
 
-/// Weights `[o][..]` and biases of a convolution with the affine function behind it folded in.
-pub(super) fn fold(
+/// Folds an affine function behind a convolution into its weights `[o][..]` and its biases.
+pub(super) fn fold_affine(
     weight: &[f32],
     outputs: usize,
     bias: Option<&[f32]>,

@@ -4,7 +4,7 @@ use candle_core::{Result, Shape, Tensor, bail};
 
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::implicit_gemm::ImplicitGemm;
 use crate::kernel::packed::{Packed, Side};
 use crate::kernel::tile::Tiles;
@@ -37,7 +37,7 @@ impl Operation for Linear {
         let [batch, i, o] = sizes(inputs)?;
         let [input, weight, bias] = inputs else { bail!("{NAME}: expected three inputs") };
         let weight = Packed::new(weight.values, [o, i, 1], Side::Forward, self.tiles);
-        let mut output = unwritten(batch * o);
+        let mut output = uninitialised(batch * o);
         ImplicitGemm::rows(batch, i).run(input.values, &weight, Some(bias.values), &mut output);
         Ok((output, Shape::from((batch, o))))
     }
@@ -46,7 +46,7 @@ impl Operation for Linear {
         let [batch, i, o] = sizes(inputs)?;
         let [input, weight, _] = inputs else { bail!("{NAME}: expected three inputs") };
         let weight = Packed::new(weight.values, [o, i, 1], Side::Backward, self.tiles);
-        let mut input_gradient = unwritten(batch * i);
+        let mut input_gradient = uninitialised(batch * i);
         ImplicitGemm::rows(batch, o).run(&gradient, &weight, None, &mut input_gradient);
         let weight_gradient = weight_gradient(&ImplicitGemm::rows(batch, i), input.values, &gradient, o, self.tiles);
         Ok(vec![Some(input_gradient), Some(weight_gradient), Some(column_sums(&gradient, o))])

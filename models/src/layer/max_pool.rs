@@ -8,14 +8,14 @@ use rayon::prelude::*;
 use super::feature::Feature;
 use super::operation::{Argument, Gradients, Operation, apply};
 use crate::kernel::KernelLevel;
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::level::for_each_level;
 use crate::kernel::spin_pool::for_each_chunk;
 
 const NAME: &str = "max_pool2d";
 
-/// PyTorch's `max_pool2d` of `[batch][row][column][channel]` with a square window. Padding is never the largest, a NaN always is,
-/// and among equals the first in row-major order.
+/// PyTorch's `max_pool2d` of `[batch][row][column][channel]` with a square window. Padding is never the maximum, and a NaN always is.
+/// Among equal cells, the maximum is the first in row-major order.
 ///
 /// # Errors
 /// The kernel has a side of 0 or more than 15 cells, the stride is 0, the padding exceeds half of the kernel, the padded input is
@@ -29,7 +29,7 @@ struct MaxPool {
     stride: usize,
     padding: usize,
     level: KernelLevel,
-    /// Index in its window of the cell that each output comes from.
+    /// Index of each output's cell in its window.
     winners: OnceLock<Vec<u8>>,
 }
 
@@ -60,7 +60,7 @@ impl MaxPool {
         )
     }
 
-    /// Cells of the window of output cell `(row, column)` that are in the input: index in the window, and cell.
+    /// Input cells in the window of output cell `(row, column)`: index in the window, and index of the cell in the input.
     fn window(&self, sizes: &Sizes, row: usize, column: usize) -> impl Iterator<Item = (u8, usize)> {
         let (kernel, stride, padding) = (self.kernel, self.stride, self.padding);
         let [rows, columns] = sizes.input;
@@ -85,7 +85,7 @@ impl MaxPool {
                 for (column, (best, winner)) in cells.enumerate() {
                     window.clear();
                     window.extend(self.window(sizes, row, column));
-                    pick(self.level, input, &window, best, winner);
+                    window_maxima(self.level, input, &window, best, winner);
                 }
             },
         );
@@ -115,7 +115,7 @@ impl Feature {
             for (column, best) in line.chunks_exact_mut(sizes.channels).enumerate() {
                 best.fill(f32::NEG_INFINITY);
                 for (_, cell) in pool.window(&sizes, row, column) {
-                    keep_larger(pool.level, &input[cell * sizes.channels..][..sizes.channels], best);
+                    update_maxima(pool.level, &input[cell * sizes.channels..][..sizes.channels], best);
                 }
             }
         });
@@ -124,8 +124,8 @@ impl Feature {
 }
 
 for_each_level! {
-    /// Replaces values by larger ones; a NaN counts as larger than all, and stays.
-    fn keep_larger(values: &[f32], best: &mut [f32]) {
+    /// Replaces maxima by larger values. A NaN is larger than any number, and stays.
+    fn update_maxima(values: &[f32], best: &mut [f32]) {
         for (best, &value) in best.iter_mut().zip(values) {
             *best = if (value > *best) | value.is_nan() { value } else { *best };
         }
@@ -135,14 +135,15 @@ for_each_level! {
 /// Channels that are compared at once.
 const LANES: usize = 16;
 
+/// Maxima of [`LANES`] channels from `first` on over the cells of a window, and their indices in the window.
 #[inline(always)]
-fn pick_lanes(input: &[f32], window: &[(u8, usize)], channels: usize, first: usize) -> ([f32; LANES], [u32; LANES]) {
+fn lane_maxima(input: &[f32], window: &[(u8, usize)], channels: usize, first: usize) -> ([f32; LANES], [u32; LANES]) {
     let (mut best, mut winner) = ([f32::NEG_INFINITY; LANES], [u32::MAX; LANES]);
     for &(k, cell) in window {
         let Some(values) = input[cell * channels + first..].first_chunk::<LANES>() else { break };
         for lane in 0..LANES {
             let value = values[lane];
-            // The first cell is taken in any case. A NaN is taken and stays, because comparisons with it are false.
+            // The first cell is always taken. A NaN is taken and stays, because comparisons with it are false.
             let better = (winner[lane] == u32::MAX) | (value > best[lane]) | value.is_nan();
             best[lane] = if better { value } else { best[lane] };
             winner[lane] = if better { u32::from(k) } else { winner[lane] };
@@ -152,13 +153,13 @@ fn pick_lanes(input: &[f32], window: &[(u8, usize)], channels: usize, first: usi
 }
 
 for_each_level! {
-    /// The largest value of each channel over the cells of a window, and its index in the window.
-    fn pick(input: &[f32], window: &[(u8, usize)], best: &mut [f32], winner: &mut [u8]) {
+    /// Computes the maximum of each channel over the cells of a window, and its index in the window.
+    fn window_maxima(input: &[f32], window: &[(u8, usize)], best: &mut [f32], winner: &mut [u8]) {
         let channels = best.len();
         for first in (0..channels).step_by(LANES) {
             let lanes = LANES.min(channels - first);
             let (values, winners) = if lanes == LANES {
-                pick_lanes(input, window, channels, first)
+                lane_maxima(input, window, channels, first)
             } else {
                 let mut rest = [0.0; 225 * LANES];
                 let mut cells = [(0, 0); 225];
@@ -166,7 +167,7 @@ for_each_level! {
                     rest[index * LANES..][..lanes].copy_from_slice(&input[cell * channels + first..][..lanes]);
                     cells[index] = (k, index);
                 }
-                pick_lanes(&rest, &cells[..window.len()], LANES, 0)
+                lane_maxima(&rest, &cells[..window.len()], LANES, 0)
             };
             best[first..first + lanes].copy_from_slice(&values[..lanes]);
             for (to, &k) in winner[first..first + lanes].iter_mut().zip(&winners) {
@@ -178,7 +179,7 @@ for_each_level! {
 
 for_each_level! {
     /// Adds each channel's gradient to the largest cell of the window.
-    fn spread(gradient: &[f32], winners: &[u8], window: &[(u8, usize)], map: &mut [f32]) {
+    fn scatter_gradient(gradient: &[f32], winners: &[u8], window: &[(u8, usize)], map: &mut [f32]) {
         let channels = gradient.len();
         for &(k, cell) in window {
             let sums = &mut map[cell * channels..(cell + 1) * channels];
@@ -193,7 +194,7 @@ impl Operation for MaxPool {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { bail!("{NAME}: expected one input") };
         let (batch, sizes) = self.sizes(input.dims)?;
-        let mut output = unwritten(batch * sizes.output[0] * sizes.output[1] * sizes.channels);
+        let mut output = uninitialised(batch * sizes.output[0] * sizes.output[1] * sizes.channels);
         let mut winners = vec![0u8; output.len()];
         self.run(&sizes, input.values, &mut output, &mut winners);
         let _ = self.winners.set(winners);
@@ -218,7 +219,7 @@ impl Operation for MaxPool {
                 for (index, (gradient, winners)) in cells.enumerate() {
                     window.clear();
                     window.extend(self.window(&sizes, index / sizes.output[1], index % sizes.output[1]));
-                    spread(self.level, gradient, winners, &window, map);
+                    scatter_gradient(self.level, gradient, winners, &window, map);
                 }
             });
         Ok(vec![Some(input_gradient)])

@@ -2,17 +2,17 @@
 //!
 //! candle's max-pool gradient is wrong (scaled by the share of maxima in a window), and its convolution backward pass
 //! takes several times as long as needed. Therefore this crate implements every layer itself:
-//! - [`conv_relu_pool()`]: 3x3 convolution, ReLU and 2x2 max-pooling in one pass. Only the largest cell of each pooling window has a
-//!   gradient, so the backward pass does at most a quarter of the dense work, and the convolution's output is never stored.
+//! - [`conv_relu_pool()`]: 3x3 convolution, ReLU and 2x2 max-pooling in one pass. The convolution's output is never stored. Only the
+//!   largest cell of each pooling window has a gradient, so the backward pass does at most a quarter of the dense work.
 //! - [`conv2d`] (dense, pointwise, depthwise), [`batch_norm`] with its activation, [`max_pool2d`], [`add_relu`],
 //!   [`scale_channels`], [`dropout`], [`activation`], [`adaptive_average_pool`], [`linear`], [`circuit()`], [`cross_entropy`].
 //! - [`PreparedConv`], [`PreparedBlock`], [`PreparedDense`] and [`Feature`]: the same layers for inference, without gradients, with
-//!   batch normalisation folded in and buffers used again.
+//!   folded batch normalisation and reused buffers.
 //! - [`descriptors`]: numbers that describe a map, without parameters or gradients.
 //! - [`backward`]: candle's backward pass without its copies.
 //!
-//! All layers run in parallel over the batch or over outputs and reduce in a fixed order: the same bits for any number of threads.
-//! The tests compare them with slow versions in f64 (`tests/reference.rs`).
+//! All layers run in parallel over the batch or over outputs, and sum in a fixed order. Results have the same bits for any number of
+//! threads. The tests compare them with slow versions in f64 (`tests/reference.rs`).
 //!
 //! # Examples
 //! ```
@@ -56,7 +56,7 @@ mod trigonometric;
 pub use crate::kernel::KernelLevel;
 pub use activation::{Activation, activation, add_relu};
 pub use average_pool::adaptive_average_pool;
-pub(crate) use average_pool::bin;
+pub(crate) use average_pool::bin_bounds;
 pub use backward::backward;
 pub use batch_norm::{BatchNormConstants, BatchNormMode, RunningStatistics, batch_norm};
 pub use circuit::circuit;

@@ -22,12 +22,12 @@ pub(super) trait Operation: Send + Sync + 'static {
     /// Checks the shapes and computes the output.
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)>;
 
-    /// Computes gradients of the inputs. `gradient` belongs to `output`; it is passed by value, so that an input's gradient can
-    /// reuse it.
+    /// Computes gradients of the inputs. `gradient` is that of `output`. It is passed by value, so that an input's gradient can
+    /// reuse its memory.
     fn backward(&self, inputs: &[Argument<'_>], output: &[f32], gradient: Vec<f32>) -> Result<Gradients>;
 }
 
-/// Selects whether the backward pass computes the gradient of a layer's input.
+/// Whether the backward pass computes the gradient of a layer's input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InputGradient {
     /// The input comes from another layer.
@@ -36,7 +36,7 @@ pub enum InputGradient {
     Unused,
 }
 
-/// Applies `operation`, which errors call `name`, to tensors as one node of candle's graph.
+/// Applies `operation` to tensors as one node of candle's graph. Errors contain `name`.
 pub(super) fn apply(name: &'static str, inputs: &[&Tensor], operation: impl Operation) -> Result<Tensor> {
     let node = Arc::new(Node {
         name,
@@ -71,7 +71,7 @@ fn nodes() -> MutexGuard<'static, HashMap<TensorId, Weak<Node>>> {
     NODES.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// Layer that was applied to tensors.
+/// Layer applied to tensors.
 pub(super) struct Node {
     name: &'static str,
     operation: Box<dyn Operation>,
@@ -107,6 +107,7 @@ impl Node {
     }
 }
 
+/// Adapter of a node to candle's custom operations.
 struct Handle(Arc<Node>);
 
 impl Handle {

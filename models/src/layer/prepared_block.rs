@@ -1,18 +1,18 @@
-//! Fused block of [`super::conv_relu_pool()`] prepared for inference, without gradients.
+//! Fused block of [`super::conv_relu_pool()`], prepared for inference, without gradients.
 //!
-//! Several threads share one map. Every cell is summed in the same order on any thread.
+//! Several threads work on one map. Every cell is summed in the same order on any thread.
 
 use std::cell::RefCell;
 
 use candle_core::{Result, bail};
 
-use super::feature::{Affine, Feature, fold};
+use super::feature::{Affine, Feature, fold_affine};
 use crate::kernel::KernelLevel;
 use crate::kernel::conv_pool::{Block, LANES};
 use crate::kernel::level::{for_each_level, multiply_add};
 use crate::kernel::spin_pool::for_each_chunk;
 use crate::kernel::tile::Tiles;
-use crate::kernel::winograd::{Finish, Winograd};
+use crate::kernel::winograd::{Epilogue, Winograd};
 
 /// Pooled rows of one task for an input of a single channel.
 const STRIP_ROWS: usize = 2;
@@ -26,13 +26,14 @@ pub struct PreparedBlock {
 }
 
 enum Weight {
-    /// For a single input channel: weights `[output / 16][row][column][output % 16]`, and accumulator init, padded alike.
-    Single(Vec<f32>, Vec<f32>),
+    /// Weights for a single input channel, `[output / 16][row][column][output % 16]`, and accumulator init, padded to the same
+    /// number of outputs.
+    SingleChannel(Vec<f32>, Vec<f32>),
     Winograd(Winograd),
 }
 
 thread_local! {
-    /// A strip with its border of zeros.
+    /// Four input rows with their border of zeros.
     static PADDED: RefCell<Vec<f32>> = RefCell::default();
 }
 
@@ -58,12 +59,13 @@ impl PreparedBlock {
                 weight.len()
             );
         }
-        let (folded, mut init) = fold(weight, outputs, bias, affine);
+        let (folded_weight, mut init) = fold_affine(weight, outputs, bias, affine);
         let weight = if inputs == 1 {
             init.resize(outputs.next_multiple_of(LANES), 0.0);
-            Weight::Single(Block { rows: 0, columns: 0, inputs, outputs }.pack(&folded), init)
+            let packed = Block { rows: 0, columns: 0, inputs, outputs }.pack(&folded_weight);
+            Weight::SingleChannel(packed, init)
         } else {
-            Weight::Winograd(Winograd::new(&folded, shape, &init, Tiles::new(level)))
+            Weight::Winograd(Winograd::new(&folded_weight, shape, &init, Tiles::new(level)))
         };
         Ok(PreparedBlock { inputs, outputs, weight, level: level.available() })
     }
@@ -86,22 +88,18 @@ impl PreparedBlock {
         output.reshape([batch, pooled_rows, pooled_columns, self.outputs]);
         match &self.weight {
             Weight::Winograd(winograd) => {
-                winograd.run(input.values(), [batch, rows, columns], Finish::Pool, output.values_mut());
+                winograd.run(input.values(), [batch, rows, columns], Epilogue::Pool, output.values_mut());
             }
-            Weight::Single(weight, init) => {
-                let row = pooled_columns * self.outputs;
-                for_each_chunk(output.values_mut(), STRIP_ROWS * row, |strip, output| {
+            Weight::SingleChannel(weight, init) => {
+                let row_length = pooled_columns * self.outputs;
+                for_each_chunk(output.values_mut(), STRIP_ROWS * row_length, |strip, output| {
                     PADDED.with_borrow_mut(|padded| {
-                        for (k, output) in output.chunks_exact_mut(row).enumerate() {
-                            let (map, pooled_row) =
+                        for (k, output) in output.chunks_exact_mut(row_length).enumerate() {
+                            let (map, row) =
                                 ((strip * STRIP_ROWS + k) / pooled_rows, (strip * STRIP_ROWS + k) % pooled_rows);
-                            pad(
-                                &input.values()[map * rows * columns..][..rows * columns],
-                                columns,
-                                2 * pooled_row,
-                                padded,
-                            );
-                            single(self.level, padded, weight, init, self.outputs, output);
+                            let map = &input.values()[map * rows * columns..][..rows * columns];
+                            pad_rows(map, columns, 2 * row, padded);
+                            pooled_row(self.level, padded, weight, init, self.outputs, output);
                         }
                     });
                 });
@@ -111,8 +109,8 @@ impl PreparedBlock {
     }
 }
 
-/// Copies the four rows from row `first - 1` on, with a zero at both ends of each and rows of zeros outside of the map.
-fn pad(input: &[f32], columns: usize, first: usize, padded: &mut Vec<f32>) {
+/// Copies the four rows from row `first - 1` on, with a zero at both ends of each. Rows outside of the map are zero.
+fn pad_rows(input: &[f32], columns: usize, first: usize, padded: &mut Vec<f32>) {
     padded.resize(4 * (columns + 2), 0.0);
     for (k, target) in padded.chunks_exact_mut(columns + 2).enumerate() {
         match (first + k).checked_sub(1).and_then(|row| input.get(row * columns..(row + 1) * columns)) {
@@ -127,8 +125,8 @@ fn pad(input: &[f32], columns: usize, first: usize, padded: &mut Vec<f32>) {
 }
 
 for_each_level! {
-    /// Computes a pooled row from four padded rows of a single channel. Each cell is read once for a window.
-    fn single(padded: &[f32], weight: &[f32], init: &[f32], outputs: usize, output: &mut [f32]) {
+    /// Computes a pooled row from four padded rows of a single channel.
+    fn pooled_row(padded: &[f32], weight: &[f32], init: &[f32], outputs: usize, output: &mut [f32]) {
         let line = padded.len() / 4;
         let lines: [&[f32]; 4] = std::array::from_fn(|k| &padded[k * line..(k + 1) * line]);
         let groups = weight.as_chunks::<LANES>().0.as_chunks::<9>().0.iter().zip(init.as_chunks::<LANES>().0);

@@ -1,19 +1,19 @@
 //! Convolution prepared for inference: weights packed or transformed once, batch normalisation and activation fused.
 
-use super::activation::{Activation, CHUNK, add_in_place, in_place};
+use super::activation::{Activation, CHUNK, activate_in_place, add_and_activate};
 use super::conv2d::{ConvGeometry, ConvSizes};
-use super::feature::{Affine, Feature, fold};
+use super::feature::{Affine, Feature, fold_affine};
 use crate::kernel::packed::{Packed, Side};
 use crate::kernel::spin_pool::for_each_chunk;
 use crate::kernel::tile::Tiles;
-use crate::kernel::winograd::{Finish, Winograd};
+use crate::kernel::winograd::{Epilogue, Winograd};
 use crate::kernel::{KernelLevel, depthwise};
 use candle_core::{Result, bail};
 
 /// Least number of input channels for which Winograd's transforms are worth their cost.
-const FEW_CHANNELS: usize = 8;
-/// Largest number of weights for which Winograd's transforms are worth their cost. There are 16 transformed weights for
-/// nine, and loading more takes longer than the saved sums.
+const LEAST_CHANNELS: usize = 8;
+/// Largest number of weights for which Winograd's transforms are worth their cost. Nine weights become 16 transformed ones,
+/// and loading more of these takes longer than the saved sums.
 const MOST_TRANSFORMED: usize = 1 << 16;
 
 /// Convolution with folded batch normalisation, bias and activation.
@@ -64,18 +64,18 @@ impl PreparedConv {
                 weight.len()
             );
         }
-        let (folded, bias) = fold(weight, outputs, bias, affine);
+        let (folded_weight, bias) = fold_affine(weight, outputs, bias, affine);
         let tiles = Tiles::new(level);
-        let in_windows = [rows, columns] == [3, 3]
+        let uses_winograd = [rows, columns] == [3, 3]
             && geometry == ConvGeometry::dense(1, 1)
-            && inputs >= FEW_CHANNELS
+            && inputs >= LEAST_CHANNELS
             && inputs * outputs <= MOST_TRANSFORMED;
-        let weight = if in_windows {
-            Weight::Winograd(Winograd::new(&folded, [outputs, inputs], &bias, tiles))
+        let weight = if uses_winograd {
+            Weight::Winograd(Winograd::new(&folded_weight, [outputs, inputs], &bias, tiles))
         } else if geometry.groups > 1 {
-            Weight::Depthwise(depthwise::transposed(&folded, rows * columns))
+            Weight::Depthwise(depthwise::transposed(&folded_weight, rows * columns))
         } else {
-            Weight::Dense(Packed::new(&folded, [outputs, inputs, rows * columns], Side::Forward, tiles))
+            Weight::Dense(Packed::new(&folded_weight, [outputs, inputs, rows * columns], Side::Forward, tiles))
         };
         Ok(PreparedConv { weight_dims, geometry, activation, bias, weight, tiles, level: level.available() })
     }
@@ -101,11 +101,11 @@ impl PreparedConv {
             Weight::Winograd(winograd) => {
                 let [batch, rows, columns, _] = input.dims;
                 let rectified = self.activation == Activation::Relu;
-                let whole = rectified || self.activation == Activation::None;
-                let residual = residual.filter(|_| whole).map(|residual| residual.values.as_slice());
-                let finish = Finish::Cells { residual, rectified };
-                winograd.run(&input.values, [batch, rows, columns], finish, &mut output.values);
-                if whole {
+                let is_fused = rectified || self.activation == Activation::None;
+                let residual = residual.filter(|_| is_fused).map(|residual| residual.values.as_slice());
+                let epilogue = Epilogue::Cells { residual, rectified };
+                winograd.run(&input.values, [batch, rows, columns], epilogue, &mut output.values);
+                if is_fused {
                     return Ok(());
                 }
             }
@@ -113,10 +113,12 @@ impl PreparedConv {
         if let Some(residual) = residual {
             for_each_chunk(&mut output.values, CHUNK, |index, values| {
                 let residual = &residual.values[index * CHUNK..][..values.len()];
-                add_in_place(self.level, self.activation, values, residual);
+                add_and_activate(self.level, self.activation, values, residual);
             });
         } else if self.activation != Activation::None {
-            for_each_chunk(&mut output.values, CHUNK, |_, values| in_place(self.level, self.activation, values));
+            for_each_chunk(&mut output.values, CHUNK, |_, values| {
+                activate_in_place(self.level, self.activation, values)
+            });
         }
         Ok(())
     }

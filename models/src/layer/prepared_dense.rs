@@ -5,12 +5,12 @@
 
 use candle_core::{Result, bail};
 
-use super::activation::{Activation, in_place};
+use super::activation::{Activation, activate_in_place};
 use super::feature::Feature;
 use crate::kernel::KernelLevel;
 use crate::kernel::level::for_each_level;
 
-/// Outputs that are summed at once, in registers.
+/// Number of outputs that are summed at once, in registers.
 const LANES: usize = 32;
 
 /// `activation(input weight^T + bias)`, each output rounded once.
@@ -71,14 +71,14 @@ impl PreparedDense {
         let rows = output.values_mut().chunks_exact_mut(self.outputs).zip(input.values().chunks_exact(self.inputs));
         for (output, input) in rows {
             row(self.level, input, &self.weight, &self.bias, output);
-            in_place(self.level, self.activation, output);
+            activate_in_place(self.level, self.activation, output);
         }
         Ok(())
     }
 }
 
 for_each_level! {
-    /// One row of outputs, before the activation.
+    /// Computes one row of outputs, before the activation.
     fn row(input: &[f32], weight: &[f32], bias: &[f32], output: &mut [f32]) {
         let groups = weight.chunks_exact(input.len() * LANES).zip(bias.as_chunks::<LANES>().0);
         for ((weight, bias), output) in groups.zip(output.chunks_mut(LANES)) {

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::feature::Feature;
 use super::operation::{Argument, Gradients, Operation, apply};
-use crate::kernel::buffer::unwritten;
+use crate::kernel::buffer::uninitialised;
 use crate::kernel::spin_pool::for_each_chunk;
 
 const NAME: &str = "scale_channels";
@@ -61,7 +61,7 @@ impl Operation for ScaleChannels {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let (map, channels) = sizes(inputs)?;
         let [input, scale] = inputs else { bail!("{NAME}: expected two inputs") };
-        let mut output = unwritten(input.values.len());
+        let mut output = uninitialised(input.values.len());
         output
             .par_chunks_exact_mut(map)
             .zip(input.values.par_chunks_exact(map))

@@ -1,4 +1,4 @@
-//! Sigmoid scaled to (0, pi): latent to angles.
+//! Sigmoid scaled to (0, pi), which converts the latent to angles.
 
 use std::f32::consts::PI;
 
@@ -10,8 +10,8 @@ const NAME: &str = "scaled_sigmoid";
 
 /// `pi * sigmoid(u)` of each value: radians in (0, pi).
 ///
-/// `penalty` times the mean of `u^2` is part of the loss. The backward pass adds its gradient, which keeps `u` off the flat ends of
-/// the sigmoid. The output does not depend on it.
+/// `penalty` times the mean of `u^2` is part of the loss, and keeps `u` off the flat ends of the sigmoid. The backward pass adds its
+/// gradient; the output does not depend on it.
 ///
 /// # Errors
 /// The tensor is not f32 on the CPU.
@@ -36,10 +36,10 @@ impl Operation for ScaledSigmoid {
 
     fn backward(&self, inputs: &[Argument<'_>], output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
         let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
-        let pull = 2.0 * self.penalty / input.values.len().max(1) as f32;
+        let penalty_slope = 2.0 * self.penalty / input.values.len().max(1) as f32;
         for ((g, &u), &y) in gradient.iter_mut().zip(input.values).zip(output) {
-            // pi s (1 - s) with s = y / pi.
-            *g = *g * y * (1.0 - y / PI) + pull * u;
+            // The derivative is pi s (1 - s) with s = y / pi.
+            *g = *g * y * (1.0 - y / PI) + penalty_slope * u;
         }
         Ok(vec![Some(gradient)])
     }

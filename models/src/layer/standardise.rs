@@ -7,7 +7,7 @@ use super::operation::{Argument, Gradients, Operation, apply};
 
 const NAME: &str = "standardise";
 
-/// `(input - mean) / sigma`, `input` `[batch][feature]` and a mean and a sigma for each feature. Constants have no gradient.
+/// `(input - mean) / sigma`, with `input` `[batch][feature]` and a mean and a sigma for each feature. The constants have no gradient.
 ///
 /// # Errors
 /// There is not one mean and one sigma for each feature, there are none, or the tensor is not f32 on the CPU.
@@ -18,6 +18,7 @@ pub fn standardise(input: &Tensor, mean: &[f32], sigma: &[f32]) -> Result<Tensor
 
 struct Standardise {
     mean: Vec<f32>,
+    /// One over sigma.
     factor: Vec<f32>,
 }
 

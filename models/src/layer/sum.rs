@@ -2,7 +2,7 @@
 
 use candle_core::{Result, Shape, Tensor, bail};
 
-use super::activation::each_pair;
+use super::activation::map_pairs;
 use super::operation::{Argument, Gradients, Operation, apply};
 
 const ADD: &str = "add";
@@ -19,7 +19,7 @@ struct Add;
 
 impl Operation for Add {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        each_pair(ADD, inputs, |a, b, output| {
+        map_pairs(ADD, inputs, |a, b, output| {
             output.iter_mut().zip(a).zip(b).for_each(|((y, a), b)| *y = a + b);
         })
     }

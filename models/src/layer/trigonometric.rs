@@ -1,4 +1,4 @@
-//! The five features of which the two-qubit circuit is a linear combination, as a layer.
+//! Layer of the five trigonometric features, of which the two-qubit circuit is a linear combination.
 
 use candle_core::{Result, Shape, Tensor, bail};
 
@@ -35,10 +35,10 @@ impl Operation for Trigonometric {
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
-        let by_row = |(x, gradient): ([f64; 2], &[f32; 5])| {
-            let along = |by: [f64; 5]| by.iter().zip(gradient).map(|(f, &g)| f * f64::from(g)).sum::<f64>() as f32;
-            features(x).1.map(along)
+        let row_gradient = |(x, gradient): ([f64; 2], &[f32; 5])| {
+            let (_, derivatives) = features(x);
+            derivatives.map(|by| by.iter().zip(gradient).map(|(f, &g)| f * f64::from(g)).sum::<f64>() as f32)
         };
-        Ok(vec![Some(rows(inputs)?.zip(gradient.as_chunks::<5>().0).flat_map(by_row).collect())])
+        Ok(vec![Some(rows(inputs)?.zip(gradient.as_chunks::<5>().0).flat_map(row_gradient).collect())])
     }
 }

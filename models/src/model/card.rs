@@ -10,7 +10,7 @@ use thiserror::Error;
 use super::adapted::Adapted;
 use super::onnx_runtime::OnnxError;
 use crate::dataset::{Dataset, SplitSpec, sequence_hash};
-use crate::evidence_mean::{MEMORIES, is_memory};
+use crate::evidence_mean::{MEMORY_RANGE, is_valid_memory};
 use crate::kernel::KernelLevel;
 use crate::metrics::Metrics;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, Normalisation, PAPER_POOLED};
@@ -184,14 +184,14 @@ impl ModelCard {
         }
     }
 
-    /// Sequences of a dataset that have the name of one which the model was trained or chosen on or adapted to, with or without
-    /// the folders before it; `None` if the model's file does not list those.
+    /// Sequences of a dataset that the model was trained, chosen or adapted on, found by their names with or without folders. `None`
+    /// if the model's file does not list its sequences.
     pub fn seen_in<'a>(&self, dataset: &'a Dataset) -> Option<BTreeSet<&'a str>> {
         let seen = &self.training.seen_sequences;
         let sequences: BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
         // A recording that the model was adapted to has no folder in its name.
-        let own_name = |name: &str| sequence_hash(name.rsplit('/').next().unwrap_or(name));
-        let is_seen = |name: &&str| seen.contains(&sequence_hash(name)) || seen.contains(&own_name(name));
+        let hash_without_folders = |name: &str| sequence_hash(name.rsplit('/').next().unwrap_or(name));
+        let is_seen = |name: &&str| seen.contains(&sequence_hash(name)) || seen.contains(&hash_without_folders(name));
         (!seen.is_empty()).then(|| sequences.into_iter().filter(is_seen).collect())
     }
 
@@ -212,13 +212,13 @@ impl ModelCard {
         let found = format!("{:?}", self.input_shape);
         match self.rdm_spec.shape(&self.waveform) {
             Ok(shape) => {
-                let of_map = input_shape(shape.range, shape.doppler, self.is_transposed());
-                let is_of_map = shape.rx == 1 && self.input_shape == of_map;
-                check(is_of_map, "input_shape", format!("that of a map of {shape}"), found.clone())?;
+                let map_shape = input_shape(shape.range, shape.doppler, self.is_transposed());
+                let is_map_shape = shape.rx == 1 && self.input_shape == map_shape;
+                check(is_map_shape, "input_shape", format!("that of a map of {shape}"), found.clone())?;
             }
             Err(error) => check(false, "rdm_spec", "one that fits the waveform".to_owned(), error.to_string())?,
         }
-        // This comes before the layout of the network, whose sizes are products of these numbers.
+        // Checked before the layout of the network, whose sizes are products of these numbers.
         let is_pooled = self.pooled.iter().all(|n| (1..=MOST_POOLED).contains(n));
         let expected = format!("1 to {MOST_POOLED} rows and columns");
         check(is_pooled, "pooled", expected, format!("{:?}", self.pooled))?;
@@ -236,12 +236,12 @@ impl ModelCard {
         let fits_latent = mean.len() == sigma.len() && (mean.is_empty() || mean.len() == width);
         let found = format!("{} means and {} sigmas", mean.len(), sigma.len());
         check(fits_latent, "latent", format!("{width} constants or none"), found)?;
-        check(is_memory(self.memory_s), "memory_s", MEMORIES.to_owned(), self.memory_s.to_string())?;
-        if let Some((name, value, expected)) = self.smoothing.fault() {
+        check(is_valid_memory(self.memory_s), "memory_s", MEMORY_RANGE.to_owned(), self.memory_s.to_string())?;
+        if let Some((name, value, expected)) = self.smoothing.invalid_setting() {
             return check(false, name, expected.to_owned(), value.to_string());
         }
         let Standardisation { reference, mean_db, sigma_db, ref label_leaking_cells } = self.standardisation;
-        if let Some((name, value, expected)) = reference.fault() {
+        if let Some((name, value, expected)) = reference.invalid_setting() {
             return check(false, name, expected.to_owned(), value.to_string());
         }
         let range = if self.is_transposed() { columns } else { rows };

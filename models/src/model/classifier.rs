@@ -96,15 +96,15 @@ pub enum ClassifyError {
     Network(#[from] candle_core::Error),
 }
 
-/// Settings in which a map spec differs from the expected one.
+/// Settings in which a map spec differs from the expected one, as text.
 fn differences(got: &RdmSpec, expected: &RdmSpec) -> String {
     let settings = |spec: &RdmSpec| serde_json::to_value(spec).unwrap_or_default();
     let (got, expected) = (settings(got), settings(expected));
     let all = expected.as_object().into_iter().flatten();
-    let others = all.filter(|&(key, value)| got.get(key) != Some(value));
-    let named = others
+    let different = all.filter(|&(key, value)| got.get(key) != Some(value));
+    let texts = different
         .map(|(key, value)| format!("{key} {} instead of {value}", got.get(key).unwrap_or(&serde_json::Value::Null)));
-    named.collect::<Vec<_>>().join(", ")
+    texts.collect::<Vec<_>>().join(", ")
 }
 
 impl Classifier {
@@ -140,11 +140,11 @@ impl Classifier {
         &self.card.rdm_spec
     }
 
-    /// Checks that maps which `spec` makes of the frames of `waveform` are such as the model was trained on. They may end at a nearer
+    /// Checks that `spec` makes the same kind of maps of the frames of `waveform` as the model was trained on. They may end at a nearer
     /// range ([`RdmSpec::max_range_m`]): people beyond it then do not count.
     ///
     /// # Errors
-    /// [`ClassifyError::OtherMaps`].
+    /// [`ClassifyError::OtherMaps`] if a setting differs, or the waveform does not fit.
     pub fn check_maps(&self, spec: &RdmSpec, waveform: &Waveform) -> Result<(), ClassifyError> {
         let expected = RdmSpec { max_range_m: spec.max_range_m, ..self.card.rdm_spec };
         if *spec != expected {
@@ -199,17 +199,17 @@ impl Classifier {
         self.run(&map.db, &input)
     }
 
-    /// [`Classifier::classify`] for the cells `[rx][doppler][range]`, dB, of a map of a dataset. Models that need scene and label take
-    /// them from the row.
+    /// [`Classifier::classify`] for the cells `[rx][doppler][range]`, dB, of a map of a dataset. `row` has the scene and the label for
+    /// models that need them.
     ///
     /// # Errors
-    /// Those of [`Classifier::classify`], but for a model that needs labels: `row` has one.
+    /// Those of [`Classifier::classify`], except [`ClassifyError::NeedsLabels`].
     pub fn classify_row(&mut self, db: &[f32], shape: RdmShape, row: &ManifestRow) -> Result<[f32; 3], ClassifyError> {
         let input = self.input(db, shape, row.frame, Some((&row.scene, row.label)))?;
         self.run(db, &input)
     }
 
-    /// Probabilities of a map by the network's input for it.
+    /// Probabilities of a map from the network's input, `db` being its cells for the error.
     fn run(&mut self, db: &[f32], input: &[f32]) -> Result<[f32; 3], ClassifyError> {
         let [_, rows, columns] = self.card.input_shape;
         let logits = self.engine.logits(input, rows, columns)?;
@@ -226,21 +226,21 @@ impl Classifier {
         db: &[f32],
         got: RdmShape,
         sequence: u64,
-        of: Option<(&str, Occupancy)>,
+        scene_and_class: Option<(&str, Occupancy)>,
     ) -> Result<Vec<f32>, ClassifyError> {
         let card = &self.card;
         let [_, rows, columns] = card.input_shape;
         let (range, doppler) = if card.is_transposed() { (columns, rows) } else { (rows, columns) };
         let expected = RdmShape { rx: 1, doppler, range };
-        let fitting = Some(got).filter(|got| *got == expected).and_then(|shape| network_input(db, shape, 0));
-        let Some(mut input) = fitting else {
+        let raw_input = Some(got).filter(|got| *got == expected).and_then(|shape| network_input(db, shape, 0));
+        let Some(mut input) = raw_input else {
             return Err(ClassifyError::Shape { expected, got, cells: db.len() });
         };
         if let Some(first) = db.iter().position(|v| !v.is_finite()) {
             let cells = db.iter().filter(|v| !v.is_finite()).count();
             return Err(ClassifyError::NonFinite { sequence, cells, first });
         }
-        card.standardisation.apply(&mut input, doppler, of);
+        card.standardisation.apply(&mut input, doppler, scene_and_class);
         Ok(if card.is_transposed() { transposed(&input, doppler) } else { input })
     }
 }

@@ -8,10 +8,10 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 use super::card::{CARD_KEY, ModelCard, ModelError};
 use crate::array_hash::{self, Damaged};
+use crate::atomic_file;
 use crate::kernel::KernelLevel;
 use crate::layer::{DESCRIPTORS, EARLIER_DESCRIPTORS};
 use crate::network::Network;
-use crate::whole_file;
 
 /// A network with its card.
 pub struct Model {
@@ -21,7 +21,7 @@ pub struct Model {
     pub network: Network,
 }
 
-/// Returns whether the name of a file says that it is ONNX.
+/// Returns whether a file is ONNX by its extension.
 pub(crate) fn is_onnx(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
 }
@@ -35,13 +35,13 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
 }
 
 impl Model {
-    /// Writes the model under a temporary name and renames it, so that a file of this name is whole. An existing file is replaced.
+    /// Writes the model under a temporary name and renames it, so that the file is always complete. An existing file is replaced.
     ///
     /// # Errors
     /// Those of [`Model::to_bytes`], and [`ModelError::Io`] if the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), ModelError> {
         let data = self.to_bytes(path)?;
-        whole_file::write(path, &data).map_err(|source| ModelError::Io {
+        atomic_file::write(path, &data).map_err(|source| ModelError::Io {
             path: path.to_owned(),
             action: "writing",
             source,
@@ -65,8 +65,8 @@ impl Model {
             let view = TensorView::new(Dtype::F32, shape.clone(), bytes).map_err(|e| not_safetensors(path, 0, e))?;
             views.push((name, view));
         }
-        let hashed = arrays.iter().map(|(name, _, bytes)| (name.as_str(), bytes.as_slice()));
-        let card = array_hash::to_json(&self.card, hashed);
+        let named_bytes = arrays.iter().map(|(name, _, bytes)| (name.as_str(), bytes.as_slice()));
+        let card = array_hash::to_json(&self.card, named_bytes);
         let card = card.map_err(|source| ModelError::Card { path: path.to_owned(), source })?;
         let metadata = HashMap::from([(CARD_KEY.to_owned(), card)]);
         safetensors::serialize(views, Some(metadata)).map_err(|e| not_safetensors(path, 0, e))
@@ -119,8 +119,8 @@ impl Model {
             arrays.insert(name.clone(), view.data());
             values.insert(name, numbers);
         }
-        let hashed = arrays.iter().map(|(name, bytes)| (name.as_str(), *bytes));
-        check_hash(path, &text, hashed)?;
+        let named_bytes = arrays.iter().map(|(name, bytes)| (name.as_str(), *bytes));
+        check_hash(path, &text, named_bytes)?;
         let mut network = Network::from_values(&spec, &values, KernelLevel::detect())?;
         network.set_latent_constants(card.latent.clone());
         Ok(Model { card, network })
@@ -162,7 +162,7 @@ fn not_safetensors(path: &Path, length: usize, error: impl std::fmt::Display) ->
 mod tests {
     use super::*;
 
-    /// A file of fewer descriptors is the model whose later ones have no weight.
+    /// In the model of a file with fewer descriptors, later descriptors have weight zero.
     #[test]
     fn files_with_fewer_descriptors_are_read() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/room-linear.safetensors");
@@ -175,7 +175,7 @@ mod tests {
             let weight = bytes(rows().flatten().copied().collect());
             let view = |shape: &[usize], data| TensorView::new(Dtype::F32, shape.to_vec(), data).expect("a tensor");
             let views = [("head.weight", view(&[3, count], &weight)), ("head.bias", view(&[3], &bias))];
-            // The card of a file of that time has no hash of the arrays.
+            // Cards of these files have no hash of the arrays.
             let metadata = HashMap::from([(CARD_KEY.to_owned(), serde_json::to_string(&card).expect("a card"))]);
             let file = safetensors::serialize(views, Some(metadata)).expect("a file");
             let read = Model::from_bytes(Path::new("older.safetensors"), &file).expect("read");

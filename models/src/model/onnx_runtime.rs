@@ -27,8 +27,8 @@ const CLASSES: i64 = 3;
 #[allow(missing_docs, reason = "the message says what each field is")]
 pub enum OnnxError {
     /// The library was not found.
-    #[error("ONNX files are run by onnxruntime, which is not installed: {looked}\n\n{INSTALL_HINT}")]
-    NoLibrary { looked: String },
+    #[error("ONNX files are run by onnxruntime, which is not installed: {searched}\n\n{INSTALL_HINT}")]
+    NoLibrary { searched: String },
     /// The library cannot be loaded or is too old.
     #[error("onnxruntime cannot be loaded: {reason}\n\n{INSTALL_HINT}")]
     Library { reason: String },
@@ -67,7 +67,8 @@ impl OnnxSession {
             Err(OnnxError::Signature { path: path.to_owned(), what, expected, found })
         };
         match session.inputs() {
-            [input] if input.name() == INPUT_NAME && fits(input.dtype(), &[1, rows as i64, columns as i64]) => {}
+            [input]
+                if input.name() == INPUT_NAME && matches_shape(input.dtype(), &[1, rows as i64, columns as i64]) => {}
             inputs => {
                 let found: Vec<String> = inputs.iter().map(|i| format!("{} {}", i.name(), i.dtype())).collect();
                 let expected = format!("{INPUT_NAME}, float32 [batch, 1, {rows}, {columns}]");
@@ -75,7 +76,7 @@ impl OnnxSession {
             }
         }
         match session.outputs() {
-            [output] if output.name() == OUTPUT_NAME && fits(output.dtype(), &[CLASSES]) => {}
+            [output] if output.name() == OUTPUT_NAME && matches_shape(output.dtype(), &[CLASSES]) => {}
             outputs => {
                 let found: Vec<String> = outputs.iter().map(|o| format!("{} {}", o.name(), o.dtype())).collect();
                 return signature("output", format!("{OUTPUT_NAME}, float32 [batch, {CLASSES}]"), found.join(", "));
@@ -102,14 +103,14 @@ impl OnnxSession {
     }
 }
 
-/// Returns whether a value is float32 of a batch of this shape. Dynamic sizes fit any.
-fn fits(of: &ValueType, shape: &[i64]) -> bool {
-    let ValueType::Tensor { ty: TensorElementType::Float32, shape: found, .. } = of else { return false };
+/// Returns whether a value is a batch of float32 arrays of this shape. A dynamic size matches any size.
+fn matches_shape(value: &ValueType, shape: &[i64]) -> bool {
+    let ValueType::Tensor { ty: TensorElementType::Float32, shape: found, .. } = value else { return false };
     found.len() == shape.len() + 1
         && found.iter().skip(1).zip(shape).all(|(&found, &size)| found == -1 || found == size)
 }
 
-/// Environment of the process. It is kept, because a process can have only one.
+/// onnxruntime's environment. It is stored, because a process can have only one.
 fn environment() -> Result<Environment, OnnxError> {
     static ENVIRONMENT: Mutex<Option<Environment>> = Mutex::new(None);
     let mut environment = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
@@ -136,26 +137,27 @@ fn environment() -> Result<Environment, OnnxError> {
 /// Finds the library by the environment variable or in a Python installation's onnxruntime. The working directory is not searched,
 /// because others may have put files there.
 fn find_library() -> Result<PathBuf, OnnxError> {
-    if let Some(named) = std::env::var_os(LIBRARY_VARIABLE).filter(|named| !named.is_empty()) {
-        let path = PathBuf::from(&named);
+    if let Some(value) = std::env::var_os(LIBRARY_VARIABLE).filter(|value| !value.is_empty()) {
+        let path = PathBuf::from(&value);
         let no_library =
-            || OnnxError::NoLibrary { looked: format!("{LIBRARY_VARIABLE} is {}, which holds none", path.display()) };
+            || OnnxError::NoLibrary { searched: format!("{LIBRARY_VARIABLE} is {}, which holds none", path.display()) };
         return if path.is_file() { Ok(path) } else { installed_in(&path).ok_or_else(no_library) };
     }
     let python = if cfg!(windows) { "python" } else { "python3" };
-    // Finding the package without importing it, which takes a second.
+    // Finds the package without importing it, which takes a second.
     let script = "import importlib.util as u; s = u.find_spec('onnxruntime'); print(s.submodule_search_locations[0] if s else '')";
     // Isolated mode (-I) keeps Python from searching its working directory and PYTHONPATH. It runs in a directory that only the
     // administrator can write, so that a relative entry of PATH cannot name another python.
-    let said =
+    let output =
         Command::new(python).args(["-I", "-c", script]).current_dir(if cfg!(windows) { "C:\\" } else { "/" }).output();
-    let said = said.ok().map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).unwrap_or_default();
-    let folder = Some(Path::new(&said)).filter(|folder| folder.is_absolute());
+    let package =
+        output.ok().map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).unwrap_or_default();
+    let folder = Some(Path::new(&package)).filter(|folder| folder.is_absolute());
     if let Some(library) = folder.and_then(installed_in) {
         return Ok(library);
     }
-    let looked = format!("{LIBRARY_VARIABLE} is not set, and `{python} -I` finds no onnxruntime");
-    Err(OnnxError::NoLibrary { looked })
+    let searched = format!("{LIBRARY_VARIABLE} is not set, and `{python} -I` finds no onnxruntime");
+    Err(OnnxError::NoLibrary { searched })
 }
 
 /// The library in a folder, or in the Python package that is installed there. Its name carries a version.
@@ -165,7 +167,7 @@ fn installed_in(folder: &Path) -> Option<PathBuf> {
         (name.starts_with("libonnxruntime.so") || name.starts_with("libonnxruntime.") && name.ends_with(".dylib"))
             || name == "onnxruntime.dll"
     };
-    let places = [folder.to_owned(), folder.join("capi"), folder.join("onnxruntime/capi")];
-    let files = places.iter().filter_map(|place| std::fs::read_dir(place).ok()).flatten().filter_map(Result::ok);
+    let folders = [folder.to_owned(), folder.join("capi"), folder.join("onnxruntime/capi")];
+    let files = folders.iter().filter_map(|folder| std::fs::read_dir(folder).ok()).flatten().filter_map(Result::ok);
     files.filter(|file| is_library(&file.file_name())).map(|file| file.path()).max()
 }

@@ -30,13 +30,13 @@ pub(crate) fn linear() -> Graph {
 /// Descriptors, a latent and a head of the HQNN.
 pub(crate) fn hqnn(head: &Head) -> Graph {
     let (g, features) = features();
-    hqnn::behind(g, features, DESCRIPTORS, false, head)
+    hqnn::add_latent_and_head(g, features, DESCRIPTORS, false, head)
 }
 
 fn features() -> (Graph, Value) {
     let mut g = Graph::default();
-    let found = g.add(names::DESCRIPTORS, Layer::Descriptors, &[INPUT]);
-    let features = g.add(names::FEATURES, Layer::Standardise { width: DESCRIPTORS }, &[found]);
+    let descriptors = g.add(names::DESCRIPTORS, Layer::Descriptors, &[INPUT]);
+    let features = g.add(names::FEATURES, Layer::Standardise { width: DESCRIPTORS }, &[descriptors]);
     (g, features)
 }
 
@@ -78,7 +78,7 @@ mod tests {
         all.filter(|spec| spec.kind.reads_descriptors()).chain(heads).collect()
     }
 
-    /// A network whose descriptors are of order one, as training has them.
+    /// A network with its descriptors normalised to order one, as in training.
     fn network(spec: &NetworkSpec) -> Network {
         let mut network = Network::initialise(spec, 3, 0, KernelLevel::detect()).expect("network");
         let value = network.graph().value("descriptors").expect("descriptors");
@@ -109,7 +109,7 @@ mod tests {
         assert_eq!(linear.too_small_for(1, 1), None);
     }
 
-    /// Gradients by all parameters beside differences of a weighted sum of the logits.
+    /// Compares gradients by all parameters with differences of a weighted sum of the logits.
     #[test]
     fn gradients_are_those_of_differences() {
         const STEP: f32 = 5e-4;
@@ -123,7 +123,7 @@ mod tests {
             let weighted = Tensor::from_slice(&weights, (SHAPE[0], 3), &Device::Cpu).expect("weights");
             let loss = (values.take(output).expect("logits") * weighted).and_then(|t| t.sum_all()).expect("loss");
             let gradients = backward(&loss).expect("backward");
-            let slow = || {
+            let weighted_sum = || {
                 let logits: Vec<f32> = logits(&network).flatten_all().and_then(|t| t.to_vec1()).expect("logits");
                 logits.iter().zip(&weights).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>()
             };
@@ -135,11 +135,11 @@ mod tests {
                         let mut moved = numbers.clone();
                         moved[k] += by;
                         network.parameters().set_numbers(name, &moved).expect("set");
-                        slow()
+                        weighted_sum()
                     };
-                    // Differences to both sides: a rectifier may turn between them, and its gradient is that of one side.
-                    let (before, here, after) = (at(-STEP), at(0.0), at(STEP));
-                    let sides = [(here - before) / f64::from(STEP), (after - here) / f64::from(STEP)];
+                    // The kink of a ReLU may lie between the points, and its gradient is that of one side.
+                    let (minus, unmoved, plus) = (at(-STEP), at(0.0), at(STEP));
+                    let sides = [(unmoved - minus) / f64::from(STEP), (plus - unmoved) / f64::from(STEP)];
                     network.parameters().set_numbers(name, &numbers).expect("set");
                     let tolerance = 1e-2 * sides[0].abs().max(1.0);
                     let (least, most) = (sides[0].min(sides[1]) - tolerance, sides[0].max(sides[1]) + tolerance);
@@ -150,27 +150,27 @@ mod tests {
         }
     }
 
-    /// With constants before the dense layer, folded into it, and prepared: the same answers.
+    /// Logits agree with constants before the dense layer, with constants folded into it, and in prepared inference.
     #[test]
     fn inference_is_the_training_graph() {
         for spec in specs() {
             let mut network = network(&spec);
             let expected: Vec<f32> = logits(&network).flatten_all().and_then(|t| t.to_vec1()).expect("logits");
             assert_ne!(expected[..3], expected[3..6], "{:?}", spec.head);
-            let near = |what: &str, found: &[f32]| {
+            let assert_near = |what: &str, found: &[f32]| {
                 for (a, b) in found.iter().zip(&expected) {
                     assert!((a - b).abs() < 1e-3 * b.abs().max(1.0), "{what} {:?}: {a} {b}", spec.head);
                 }
             };
             let mut inference = Inference::new(&network).expect("prepared");
-            near("prepared", inference.logits(&maps(), SHAPE).expect("run"));
+            assert_near("prepared", inference.logits(&maps(), SHAPE).expect("run"));
             network.fold_features().expect("fold");
             let mut inference = Inference::new(&network).expect("prepared");
-            near("folded", inference.logits(&maps(), SHAPE).expect("run"));
+            assert_near("folded", inference.logits(&maps(), SHAPE).expect("run"));
             let values = network.values().expect("values");
-            let again = Network::from_values(&spec, &values, KernelLevel::detect()).expect("network");
-            let mut inference = Inference::new(&again).expect("prepared");
-            near("from numbers", inference.logits(&maps(), SHAPE).expect("run"));
+            let reloaded = Network::from_values(&spec, &values, KernelLevel::detect()).expect("network");
+            let mut inference = Inference::new(&reloaded).expect("prepared");
+            assert_near("from numbers", inference.logits(&maps(), SHAPE).expect("run"));
         }
     }
 

@@ -61,7 +61,7 @@ pub(crate) struct Node {
 
 /// Initial distribution of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Start {
+pub(crate) enum Initialisation {
     /// Uniform between minus and plus this value.
     Uniform(f32),
     /// Gaussian of this standard deviation.
@@ -70,12 +70,12 @@ pub(crate) enum Start {
     Constant(f32),
 }
 
-/// Name, shape and start of a trained array.
+/// Name, shape and initial distribution of a trained array.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Declaration {
     pub name: String,
     pub shape: Vec<usize>,
-    pub start: Start,
+    pub initialisation: Initialisation,
 }
 
 /// A network's nodes in the order of running.
@@ -100,7 +100,7 @@ impl Graph {
         self.nodes.len()
     }
 
-    /// Result of the node of this name.
+    /// Result of the node of this name, if there is one.
     pub fn value(&self, name: &str) -> Option<Value> {
         self.nodes.iter().position(|node| node.name == name).map(|index| index + 1)
     }
@@ -128,12 +128,12 @@ impl Graph {
     /// Sizes of all values for maps of `range x doppler`.
     ///
     /// # Errors
-    /// The first node that has nothing left to work on.
+    /// The first node that cannot read its input, because the map is too small for it or the shapes do not fit.
     pub fn sizes(&self, range: usize, doppler: usize) -> Result<Vec<Size>, &Node> {
         let mut sizes = vec![Size::Map { rows: range, columns: doppler, channels: 1 }];
         for node in &self.nodes {
-            let of = |k: usize| node.inputs.get(k).and_then(|&value| sizes.get(value)).copied();
-            let size = of(0).and_then(|first| node.layer.size(first, of(1))).ok_or(node)?;
+            let input = |k: usize| node.inputs.get(k).and_then(|&value| sizes.get(value)).copied();
+            let size = input(0).and_then(|first| node.layer.size(first, input(1))).ok_or(node)?;
             sizes.push(size);
         }
         Ok(sizes)
@@ -180,9 +180,9 @@ impl Graph {
             Size::Map { rows, columns, channels } => rows * columns * channels,
             Size::Vector(width) => width,
         };
-        let of_map: usize = results.map(|(_, size)| cells(size)).sum();
+        let values_per_map: usize = results.map(|(_, size)| cells(size)).sum();
         let parameters: usize = self.declarations().iter().map(|d| d.shape.iter().product::<usize>()).sum();
-        4 * (of_map as u64 * batch as u64 + 4 * parameters as u64)
+        4 * (values_per_map as u64 * batch as u64 + 4 * parameters as u64)
     }
 
     /// All trained arrays, in the order of the nodes.
@@ -264,40 +264,47 @@ impl Layer {
 }
 
 impl Node {
-    /// Trained arrays of this layer; shapes as PyTorch's.
+    /// Trained arrays of this layer, with PyTorch's shapes.
     ///
-    /// Initial distributions are He's (He et al., ICCV 2015): uniform over the inputs before a ReLU. For convolutions
-    /// before a batch normalisation they are Gaussian over the outputs, as in torchvision's networks.
+    /// Initial distributions are He's (He et al., ICCV 2015): uniform, scaled by the number of inputs. For convolutions
+    /// before a batch normalisation they are Gaussian, scaled by the number of outputs, as in torchvision's networks.
     pub fn declarations(&self) -> Vec<Declaration> {
-        let declare =
-            |what: &str, shape: Vec<usize>, start| Declaration { name: format!("{}.{what}", self.name), shape, start };
+        let declare = |what: &str, shape: Vec<usize>, initialisation| Declaration {
+            name: format!("{}.{what}", self.name),
+            shape,
+            initialisation,
+        };
         match &self.layer {
             Layer::ConvReluPool { inputs, outputs } => vec![
-                declare("weight", vec![*outputs, *inputs, 3, 3], Start::Uniform((6.0 / (9 * inputs) as f32).sqrt())),
-                declare("bias", vec![*outputs], Start::Constant(0.0)),
+                declare(
+                    "weight",
+                    vec![*outputs, *inputs, 3, 3],
+                    Initialisation::Uniform((6.0 / (9 * inputs) as f32).sqrt()),
+                ),
+                declare("bias", vec![*outputs], Initialisation::Constant(0.0)),
             ],
             Layer::Convolution { inputs, outputs, kernel, geometry, bias } => {
-                let each = inputs / geometry.groups.max(1);
+                let inputs_per_group = inputs / geometry.groups.max(1);
                 let fan_out = kernel * kernel * outputs / geometry.groups.max(1);
-                let start = Start::Normal((2.0 / fan_out as f32).sqrt());
-                let weight = declare("weight", vec![*outputs, each, *kernel, *kernel], start);
-                let bias = bias.then(|| declare("bias", vec![*outputs], Start::Constant(0.0)));
+                let initialisation = Initialisation::Normal((2.0 / fan_out as f32).sqrt());
+                let weight = declare("weight", vec![*outputs, inputs_per_group, *kernel, *kernel], initialisation);
+                let bias = bias.then(|| declare("bias", vec![*outputs], Initialisation::Constant(0.0)));
                 [Some(weight), bias].into_iter().flatten().collect()
             }
             Layer::BatchNorm { channels, .. } => vec![
-                declare("weight", vec![*channels], Start::Constant(1.0)),
-                declare("bias", vec![*channels], Start::Constant(0.0)),
+                declare("weight", vec![*channels], Initialisation::Constant(1.0)),
+                declare("bias", vec![*channels], Initialisation::Constant(0.0)),
             ],
             Layer::Linear { inputs, outputs } => {
-                // The gain is six before a ReLU, else three: unit variance in, unit variance out.
+                // A gain of six before a ReLU, else of three, keeps the variance.
                 let gain = if self.name == names::HIDDEN_DENSE { 6.0 } else { 3.0 };
                 vec![
-                    declare("weight", vec![*outputs, *inputs], Start::Uniform((gain / *inputs as f32).sqrt())),
-                    declare("bias", vec![*outputs], Start::Constant(0.0)),
+                    declare("weight", vec![*outputs, *inputs], Initialisation::Uniform((gain / *inputs as f32).sqrt())),
+                    declare("bias", vec![*outputs], Initialisation::Constant(0.0)),
                 ]
             }
             Layer::Circuit { circuit, .. } => {
-                vec![declare("theta", vec![circuit.angle_count()], Start::Uniform(std::f32::consts::PI))]
+                vec![declare("theta", vec![circuit.angle_count()], Initialisation::Uniform(std::f32::consts::PI))]
             }
             _ => Vec::new(),
         }

@@ -101,18 +101,18 @@ pub(crate) fn graph(pooled: [usize; 2], head: &Head) -> Graph {
     let mut g = Graph::default();
     let block1 = g.add("conv1", Layer::ConvReluPool { inputs: 1, outputs: 16 }, &[INPUT]);
     let block2 = g.add("conv2", Layer::ConvReluPool { inputs: 16, outputs: CHANNELS }, &[block1]);
-    let features = g.add(names::POOL, Layer::AveragePool { rows: pooled[0], columns: pooled[1] }, &[block2]);
+    let averages = g.add(names::POOL, Layer::AveragePool { rows: pooled[0], columns: pooled[1] }, &[block2]);
     let count = CHANNELS * pooled[0] * pooled[1];
-    let centred = g.add(names::FEATURES, Layer::Standardise { width: count }, &[features]);
-    behind(g, centred, count, true, head)
+    let features = g.add(names::FEATURES, Layer::Standardise { width: count }, &[averages]);
+    add_latent_and_head(g, features, count, true, head)
 }
 
-/// Completes a network behind `count` features with the latent, the head, and the linear head of the warm-up. A hidden
-/// layer comes first if `deep` or if the circuit is in front of one.
-pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, head: &Head) -> Graph {
+/// Completes a network of `count` features with the latent, the head, and the linear head of the warm-up. A hidden layer
+/// precedes the latent if `deep`, and follows the circuit if that is at the front.
+pub(super) fn add_latent_and_head(mut g: Graph, features: Value, count: usize, deep: bool, head: &Head) -> Graph {
     let width = head.width();
     if let Head::Circuit { circuit, frozen, placement: Placement::Front } = head {
-        let latent = latent(&mut g, count, width, centred);
+        let latent = latent(&mut g, count, width, features);
         let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
         let expectations = circuit_node(&mut g, circuit, *frozen, squashed);
         let hidden = hidden(&mut g, width, expectations);
@@ -120,26 +120,28 @@ pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, hea
         linear(&mut g, names::WARM_UP, width, CLASSES, latent);
         return g;
     }
-    let (inputs, from) = if deep { (HIDDEN, hidden(&mut g, count, centred)) } else { (count, centred) };
+    let (inputs, from) = if deep { (HIDDEN, hidden(&mut g, count, features)) } else { (count, features) };
     let latent = latent(&mut g, inputs, width, from);
-    let seen = if head.uses_scaled_sigmoid() { g.add("squash", Layer::ScaledSigmoid, &[latent]) } else { latent };
+    let head_input = if head.uses_scaled_sigmoid() { g.add("squash", Layer::ScaledSigmoid, &[latent]) } else { latent };
     g.output = match head {
         Head::Circuit { circuit, frozen, placement } => {
-            let mut seen = (circuit_node(&mut g, circuit, *frozen, seen), width);
+            let expectations = circuit_node(&mut g, circuit, *frozen, head_input);
             if *placement == Placement::Beside {
-                seen = (g.add("beside", Layer::Concatenate, &[latent, seen.0]), 2 * width);
+                let both = g.add("beside", Layer::Concatenate, &[latent, expectations]);
+                linear(&mut g, names::HEAD, 2 * width, CLASSES, both)
+            } else {
+                linear(&mut g, names::HEAD, width, CLASSES, expectations)
             }
-            linear(&mut g, names::HEAD, seen.1, CLASSES, seen.0)
         }
-        Head::Linear | Head::SquashedLinear => linear(&mut g, names::HEAD, width, CLASSES, seen),
+        Head::Linear | Head::SquashedLinear => linear(&mut g, names::HEAD, width, CLASSES, head_input),
         Head::Dequantization | Head::SquashedDequantization => {
-            let dense = linear(&mut g, names::HEAD_HIDDEN, width, width, seen);
+            let dense = linear(&mut g, names::HEAD_HIDDEN, width, width, head_input);
             let hidden = g.add("head_relu", Layer::Activate(Activation::Relu), &[dense]);
             linear(&mut g, names::HEAD, width, CLASSES, hidden)
         }
         Head::Trigonometric => {
-            let features = g.add("trigonometric", Layer::Trigonometric, &[seen]);
-            linear(&mut g, names::HEAD, 5, CLASSES, features)
+            let products = g.add("trigonometric", Layer::Trigonometric, &[head_input]);
+            linear(&mut g, names::HEAD, 5, CLASSES, products)
         }
     };
     linear(&mut g, names::WARM_UP, width, CLASSES, latent);

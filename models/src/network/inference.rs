@@ -16,14 +16,14 @@ use crate::layer::{
     Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense, run_circuit,
     scaled_sigmoid_of, with_values,
 };
-use crate::quantum::{Circuit, Trained, expectations_of_rows, features};
+use crate::quantum::{Circuit, ClosedForm, expectations_of_rows, features};
 
 /// Number of values that one task processes in a step without sums.
 const CHUNK: usize = 1 << 14;
 
-/// Largest number of weights of a dense layer that is summed in f64, on one thread. The dense layers of the HQNN are no
-/// larger.
-const MOST_EXACT: usize = 1 << 17;
+/// Largest number of weights of a dense layer that is summed in f64, on one thread. All dense layers of the HQNN are
+/// below it.
+const MOST_F64_WEIGHTS: usize = 1 << 17;
 
 /// A network ready to run.
 pub struct Inference {
@@ -48,7 +48,7 @@ enum Kernel {
     Descriptors,
     Repeat { channels: usize },
     Block(PreparedBlock),
-    // Also of a dense layer; a second input is added before the activation.
+    // A convolution or dense layer. A second input is added before the activation.
     Convolution(PreparedConv),
     Dense(PreparedDense),
     Activate(Activation),
@@ -59,7 +59,7 @@ enum Kernel {
     Affine { scale: Vec<f32>, shift: Vec<f32>, activation: Activation },
     Standardise { mean: Vec<f32>, factor: Vec<f32> },
     ScaledSigmoid,
-    ClosedForm(Trained),
+    ClosedForm(ClosedForm),
     Circuit { circuit: Circuit, theta: Vec<f64> },
     Trigonometric,
     Concatenate,
@@ -86,19 +86,19 @@ impl Inference {
     /// Prepares a network with its present numbers.
     ///
     /// # Errors
-    /// A layer's numbers contradict its sizes, or the circuit is none.
+    /// A layer's numbers contradict its sizes, or the circuit's settings are out of range.
     pub fn new(network: &Network) -> Result<Self> {
         let graph = network.graph();
         let needed = graph.needed(&[graph.output], &[]);
-        let running =
+        let needed_nodes =
             || graph.nodes.iter().enumerate().zip(&needed).filter(|(_, needed)| **needed).map(|(node, _)| node);
         let mut readers: Vec<Vec<usize>> = vec![Vec::new(); graph.nodes.len() + 1];
-        for (index, node) in running() {
+        for (index, node) in needed_nodes() {
             node.inputs.iter().for_each(|&value| readers[value].push(index));
         }
         let mut plan = Plan { network, readers, results: vec![None; graph.nodes.len() + 1], steps: Vec::new() };
         plan.results[INPUT] = Some(0);
-        for (index, node) in running() {
+        for (index, node) in needed_nodes() {
             if plan.results[index + 1].is_none() {
                 plan.add(index + 1, node).map_err(|error| error.context(node.name.clone()))?;
             }
@@ -115,7 +115,7 @@ impl Inference {
         self.logits_step_by_step(maps, shape, |_| ())
     }
 
-    /// [`Inference::logits`] that calls `after` with the name of each step when it is done, to measure times.
+    /// [`Inference::logits`] that calls `after` with the name of each completed step, to measure times.
     ///
     /// # Errors
     /// Those of [`Inference::logits`].
@@ -136,17 +136,17 @@ impl Inference {
         pool.run(|| {
             steps.iter().try_for_each(|step| {
                 let mut output = std::mem::take(&mut buffers[step.output]);
-                let done = step.run(buffers, &mut output);
+                let result = step.run(buffers, &mut output);
                 buffers[step.output] = output;
                 after(&step.name);
-                done.map_err(|error| error.context(step.name.clone()))
+                result.map_err(|error| error.context(step.name.clone()))
             })
         })?;
         Ok(buffers[*output].values())
     }
 }
 
-/// Results of steps are numbered from 1, in order; 0 is the input. Gives each a buffer.
+/// Assigns a buffer to each result. Results of steps are numbered from 1, in order; 0 is the input.
 fn share_buffers(mut steps: Vec<Step>, output: usize) -> Inference {
     let mut last_reader = vec![0; steps.len() + 1];
     for (index, step) in steps.iter().enumerate() {
@@ -156,31 +156,31 @@ fn share_buffers(mut steps: Vec<Step>, output: usize) -> Inference {
     // The input's own buffer is written before every run.
     let (mut buffer_of, mut free, mut count) = (vec![0usize; steps.len() + 1], Vec::new(), 1);
     for (index, step) in steps.iter_mut().enumerate() {
-        let mut done: Vec<usize> =
+        let mut freed: Vec<usize> =
             step.inputs.iter().filter(|&&input| last_reader[input] == index).map(|&input| buffer_of[input]).collect();
-        done.sort_unstable();
-        done.dedup();
+        freed.sort_unstable();
+        freed.dedup();
         for input in &mut step.inputs {
             *input = buffer_of[*input];
         }
-        // A map that is scaled for its last reader is scaled in place.
-        let in_place = step.inputs.first().copied().filter(|first| step.kernel.is_in_place() && done.contains(first));
+        // The last reader of a buffer may overwrite it.
+        let in_place = step.inputs.first().copied().filter(|first| step.kernel.is_in_place() && freed.contains(first));
         step.output = in_place.or_else(|| free.pop()).unwrap_or_else(|| {
             count += 1;
             count - 1
         });
         buffer_of[index + 1] = step.output;
-        free.extend(done.into_iter().filter(|&buffer| buffer != step.output));
+        free.extend(freed.into_iter().filter(|&buffer| buffer != step.output));
     }
     Inference { steps, buffers: vec![Feature::default(); count], output: buffer_of[output], pool: SpinPool::default() }
 }
 
-/// Steps found so far.
+/// Steps added so far.
 struct Plan<'a> {
     network: &'a Network,
     /// Nodes that read each value.
     readers: Vec<Vec<usize>>,
-    /// Number (from 1) of the step that computes each value, also for values that only this step uses.
+    /// Number (from 1) of the step that computes each value, also for values inside a fused step.
     results: Vec<Option<usize>>,
     steps: Vec<Step>,
 }
@@ -203,7 +203,7 @@ impl Plan<'_> {
         }
     }
 
-    /// Adds a step that computes `values`, of which the last is read by others.
+    /// Adds a step that computes `values`, of which other steps read the last.
     fn push(&mut self, node: &Node, kernel: Kernel, inputs: Vec<usize>, values: &[Value]) {
         self.steps.push(Step { name: node.name.clone(), kernel, inputs, output: 0 });
         for &value in values {
@@ -220,12 +220,12 @@ impl Plan<'_> {
         let (weight, bias) = (self.numbers(node, "weight")?, self.numbers(node, "bias")?);
         let statistics = self.network.parameters().statistics(&node.name)?;
         let epsilon = f64::from(statistics.constants().epsilon);
-        let of = |((&weight, &bias), (mean, variance)): ((&f32, &f32), (f32, f32))| {
+        let factor_and_summand = |((&weight, &bias), (mean, variance)): ((&f32, &f32), (f32, f32))| {
             let scale = f64::from(weight) / (f64::from(variance) + epsilon).sqrt();
             (scale as f32, (f64::from(bias) - f64::from(mean) * scale) as f32)
         };
         let moments = statistics.mean().into_iter().zip(statistics.variance());
-        Ok(weight.iter().zip(&bias).zip(moments).map(of).unzip())
+        Ok(weight.iter().zip(&bias).zip(moments).map(factor_and_summand).unzip())
     }
 
     fn add(&mut self, value: Value, node: &Node) -> Result<()> {
@@ -237,9 +237,9 @@ impl Plan<'_> {
                 let (weight, bias) = (self.numbers(node, "weight")?, self.numbers(node, "bias")?);
                 Kernel::Block(PreparedBlock::new(&weight, [*outputs, *i], Some(&bias), None, level)?)
             }
-            Layer::Dropout { .. } | Layer::DropSamples { .. } => return self.pass(value, &inputs),
+            Layer::Dropout { .. } | Layer::DropSamples { .. } => return self.pass_through(value, &inputs),
             Layer::Standardise { .. } => match self.network.parameters().normalisation(&node.name) {
-                None => return self.pass(value, &inputs),
+                None => return self.pass_through(value, &inputs),
                 Some(Normalisation { mean, sigma }) => {
                     Kernel::Standardise { mean: mean.clone(), factor: sigma.iter().map(|sigma| 1.0 / sigma).collect() }
                 }
@@ -260,7 +260,7 @@ impl Plan<'_> {
                 let circuit = Circuit::new(circuit).map_err(candle_core::Error::wrap)?;
                 let theta: Vec<f64> = self.numbers(node, "theta")?.into_iter().map(f64::from).collect();
                 match *theta.as_slice() {
-                    [a, b, c, d] if circuit.is_closed_form() => Kernel::ClosedForm(Trained::new([a, b, c, d])),
+                    [a, b, c, d] if circuit.is_closed_form() => Kernel::ClosedForm(ClosedForm::new([a, b, c, d])),
                     _ => Kernel::Circuit { circuit, theta },
                 }
             }
@@ -271,8 +271,8 @@ impl Plan<'_> {
         Ok(())
     }
 
-    /// Handles a node that changes nothing in inference.
-    fn pass(&mut self, value: Value, inputs: &[usize]) -> Result<()> {
+    /// Replaces a node that changes nothing in inference by its input.
+    fn pass_through(&mut self, value: Value, inputs: &[usize]) -> Result<()> {
         self.results[value] = inputs.first().copied();
         Ok(())
     }
@@ -306,7 +306,7 @@ impl Plan<'_> {
                 (activation, last) = (function, next);
                 values.push(last);
             } else {
-                self.follow_sum(&mut inputs, &mut activation, &mut values);
+                self.fuse_sum(&mut inputs, &mut activation, &mut values);
             }
         } else if activation == Activation::Relu
             && dims[2..] == [3, 3]
@@ -320,7 +320,7 @@ impl Plan<'_> {
             return Ok(());
         }
         if let Layer::Linear { inputs: i, outputs } = node.layer
-            && i * outputs <= MOST_EXACT
+            && i * outputs <= MOST_F64_WEIGHTS
             && affine.is_none()
             && inputs.len() == 1
             && let Some(bias) = &bias
@@ -335,7 +335,7 @@ impl Plan<'_> {
     }
 
     /// Fuses the sum behind the last of `values`, if the other summand is already computed.
-    fn follow_sum(&self, inputs: &mut Vec<usize>, activation: &mut Activation, values: &mut Vec<Value>) {
+    fn fuse_sum(&self, inputs: &mut Vec<usize>, activation: &mut Activation, values: &mut Vec<Value>) {
         let (mut last, mut passed) = (values.last().copied().unwrap_or_default(), Vec::new());
         while let Some((next, Node { layer: Layer::DropSamples { .. } | Layer::Dropout { .. }, .. })) =
             self.only_reader(last)
@@ -393,20 +393,20 @@ impl Step {
             Kernel::ScaleChannels => output.scale_channels(input(1)?)?,
             Kernel::Add { rectified } => add(input(1)?, *rectified, output)?,
             Kernel::Activate(function) => {
-                output.values_mut().iter_mut().for_each(|x| *x = function.of(*x));
+                output.values_mut().iter_mut().for_each(|x| *x = function.apply(*x));
             }
             Kernel::Affine { scale, shift, activation } => {
                 for cell in output.values_mut().chunks_exact_mut(channels) {
                     let constants = scale.iter().zip(shift);
-                    cell.iter_mut().zip(constants).for_each(|(x, (a, b))| *x = activation.of(*x * a + b));
+                    cell.iter_mut().zip(constants).for_each(|(x, (a, b))| *x = activation.apply(*x * a + b));
                 }
             }
             Kernel::Standardise { mean, factor } => standardise(mean, factor, output)?,
             Kernel::ScaledSigmoid => output.values_mut().iter_mut().for_each(|x| *x = scaled_sigmoid_of(*x)),
-            Kernel::ClosedForm(trained) => {
+            Kernel::ClosedForm(closed_form) => {
                 let input = input(0)?;
                 output.reshape(input.dims());
-                expectations_of_rows(trained, input.values().as_chunks().0, output.values_mut().as_chunks_mut().0);
+                expectations_of_rows(closed_form, input.values().as_chunks().0, output.values_mut().as_chunks_mut().0);
             }
             Kernel::Circuit { circuit, theta } => {
                 let input = input(0)?;
@@ -428,7 +428,7 @@ fn add(other: &Feature, rectified: bool, output: &mut Feature) -> Result<()> {
     let function = if rectified { Activation::Relu } else { Activation::None };
     for_each_chunk(output.values_mut(), CHUNK, |index, values| {
         let other = &other.values()[index * CHUNK..];
-        values.iter_mut().zip(other).for_each(|(x, y)| *x = function.of(*x + y));
+        values.iter_mut().zip(other).for_each(|(x, y)| *x = function.apply(*x + y));
     });
     Ok(())
 }

@@ -130,10 +130,10 @@ impl Network {
     /// No dense layer reads the features, or a tensor operation failed.
     pub fn fold_features(&mut self) -> Result<()> {
         let Some(normalisation) = self.parameters.normalisation(names::FEATURES).cloned() else { return Ok(()) };
-        let behind = self.graph.value(names::FEATURES).and_then(|value| {
+        let dense = self.graph.value(names::FEATURES).and_then(|value| {
             self.graph.nodes.iter().find(|node| node.inputs == [value] && matches!(node.layer, Layer::Linear { .. }))
         });
-        let Some(node) = behind else { candle_core::bail!("no dense layer reads the features") };
+        let Some(node) = dense else { candle_core::bail!("no dense layer reads the features") };
         let [weight_name, bias_name] = ["weight", "bias"].map(|what| format!("{}.{what}", node.name));
         let mut weight = self.parameters.numbers(&weight_name)?;
         let mut bias = self.parameters.numbers(&bias_name)?;

@@ -1,6 +1,6 @@
 //! Names of layers by which training and adaptation find them. Arrays in files are named after their layers.
 //!
-//! A dense layer of any other name starts as one without an activation behind it, and learns at the learning rate.
+//! A dense layer of any other name is initialised as one without an activation behind it, and learns at the learning rate.
 
 /// The descriptors of a map ([`Layer::Descriptors`](super::Layer::Descriptors)). Training normalises its output by all maps, and
 /// minimises the loss over all maps at once behind it.
@@ -10,8 +10,8 @@ pub(crate) const POOL: &str = "pool";
 /// Standardisation that reads [`DESCRIPTORS`] or [`POOL`] and holds their constants while training, which are folded into the
 /// dense layer behind it at the end. In a network of descriptors, adaptation fits the layers behind it.
 pub(crate) const FEATURES: &str = "features";
-/// Dense layer with a ReLU behind it, for which its weights start. Where the ReLU is [`HIDDEN`] and comes before the latent, they
-/// are then rescaled by some maps.
+/// Dense layer with a ReLU behind it, which its initial weights allow for. Where the ReLU is [`HIDDEN`] and comes before the
+/// latent, training rescales them by some maps.
 pub(crate) const HIDDEN_DENSE: &str = "fc1";
 /// The ReLU behind [`HIDDEN_DENSE`].
 pub(crate) const HIDDEN: &str = "hidden";
@@ -20,8 +20,8 @@ pub(crate) const HIDDEN: &str = "hidden";
 pub(crate) const LATENT_DENSE: &str = "fc2";
 /// Standardisation that reads [`LATENT_DENSE`]. The layers behind it are fitted when the warm-up ends.
 pub(crate) const LATENT: &str = "latent";
-/// Linear head that reads [`LATENT`] and gives the logits of the warm-up. Only training has it: it is in no model file and does not
-/// count as a part of the network.
+/// Linear head that reads [`LATENT`] and gives the logits of the warm-up. It exists only in training: it is in no model file, and
+/// the number of parameters excludes it.
 pub(crate) const WARM_UP: &str = "warm_up";
 /// Quantum circuit. Its angles learn at `angle_rate`; the fit at the end of the warm-up starts them anywhere on the circle.
 pub(crate) const CIRCUIT: &str = "circuit";

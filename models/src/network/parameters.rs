@@ -7,7 +7,7 @@ use rand::Rng;
 use rand_distr::{Distribution, Normal};
 use serde::{Deserialize, Serialize};
 
-use super::graph::{Declaration, Graph, Layer, Start};
+use super::graph::{Declaration, Graph, Initialisation, Layer};
 use super::names;
 use crate::layer::{BatchNormConstants, RunningStatistics};
 use crate::random::stream;
@@ -53,20 +53,19 @@ impl Parameters {
     pub fn initialise(graph: &Graph, seed: u64, attempt: u64) -> Result<Self> {
         let start = |declaration: &Declaration, count: usize| {
             let mut rng = stream(seed, &declaration.name, attempt);
-            Ok::<Vec<f32>, candle_core::Error>(match declaration.start {
-                Start::Uniform(bound) => (0..count).map(|_| rng.random_range(-bound..bound)).collect(),
-                Start::Normal(sigma) => {
+            Ok::<Vec<f32>, candle_core::Error>(match declaration.initialisation {
+                Initialisation::Uniform(bound) => (0..count).map(|_| rng.random_range(-bound..bound)).collect(),
+                Initialisation::Normal(sigma) => {
                     let normal = Normal::new(0.0f32, sigma).map_err(candle_core::Error::wrap)?;
                     (0..count).map(|_| normal.sample(&mut rng)).collect()
                 }
-                Start::Constant(value) => vec![value; count],
+                Initialisation::Constant(value) => vec![value; count],
             })
         };
         Self::build(graph, start)
     }
 
-    /// Loads parameters by name. Arrays that only training needs may be missing; any other missing array is named in
-    /// the error.
+    /// Loads parameters by name. Arrays that only training needs may be missing.
     ///
     /// # Errors
     /// An array is missing or has another length.
@@ -76,7 +75,7 @@ impl Parameters {
         Ok(parameters)
     }
 
-    /// Builds parameters whose values `start` gives by declaration and number.
+    /// Builds parameters, with values from `start(declaration, number of values)`.
     fn build(graph: &Graph, start: impl Fn(&Declaration, usize) -> Result<Vec<f32>>) -> Result<Self> {
         let mut list = Vec::new();
         for declaration in graph.declarations() {

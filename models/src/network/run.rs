@@ -86,23 +86,23 @@ impl Network {
         self.run_from(INPUT, &input, &[wanted], mode)
     }
 
-    /// Runs the layers that `wanted` needs, where one value is given.
+    /// Runs the layers that `wanted` needs, from the value `given`, which is `tensor`.
     pub(crate) fn run_from(&self, given: Value, tensor: &Tensor, wanted: &[Value], mode: Mode) -> Result<Values<'_>> {
         let nodes = &self.graph().nodes;
         let needed = self.graph().needed(wanted, &[given]);
-        let running: Vec<(usize, &Node)> =
+        let needed_nodes: Vec<(usize, &Node)> =
             nodes.iter().enumerate().zip(&needed).filter(|(_, needed)| **needed).map(|(node, _)| node).collect();
         // Without gradients, a value is dropped after its last reader.
         let mut last_reader = vec![usize::MAX; nodes.len() + 1];
         if mode == Mode::Evaluation {
-            for &(index, node) in &running {
+            for &(index, node) in &needed_nodes {
                 node.inputs.iter().for_each(|&input| last_reader[input] = index);
             }
             wanted.iter().for_each(|&value| last_reader[value] = usize::MAX);
         }
         let mut tensors: Vec<Option<Tensor>> = vec![None; nodes.len() + 1];
         tensors[given] = Some(tensor.clone());
-        for &(index, node) in &running {
+        for &(index, node) in &needed_nodes {
             let result = self.layer(index, node, &tensors, mode).map_err(|error| error.context(node.name.clone()))?;
             tensors[index + 1] = Some(result);
             for &input in node.inputs.iter().filter(|&&input| last_reader[input] == index) {
@@ -123,22 +123,23 @@ impl Network {
             let tensor = self.parameters().get(&format!("{}.{what}", node.name))?;
             Ok::<Tensor, candle_core::Error>(if mode == Mode::Evaluation { tensor.detach() } else { tensor.clone() })
         };
-        let needs = if node.inputs == [INPUT] { InputGradient::Unused } else { InputGradient::Needed };
+        let input_gradient = if node.inputs == [INPUT] { InputGradient::Unused } else { InputGradient::Needed };
         let first = input(0)?;
         match &node.layer {
             Layer::Descriptors => map_descriptors(first),
             Layer::Repeat { channels } => first.repeat((1, 1, 1, *channels)),
             Layer::ConvReluPool { .. } => {
-                conv_relu_pool(first, &parameter("weight")?, &parameter("bias")?, needs, level)
+                conv_relu_pool(first, &parameter("weight")?, &parameter("bias")?, input_gradient, level)
             }
             Layer::Convolution { geometry, bias, .. } => {
                 let bias = if *bias { Some(parameter("bias")?) } else { None };
-                conv2d(first, &parameter("weight")?, bias.as_ref(), *geometry, needs, level)
+                conv2d(first, &parameter("weight")?, bias.as_ref(), *geometry, input_gradient, level)
             }
             Layer::BatchNorm { activation, .. } => {
                 let statistics = self.parameters().statistics(&node.name)?;
-                let of = if mode == Mode::Evaluation { BatchNormMode::Evaluation } else { BatchNormMode::Training };
-                batch_norm(first, &parameter("weight")?, &parameter("bias")?, statistics, of, *activation, level)
+                let (weight, bias) = (parameter("weight")?, parameter("bias")?);
+                let mode = if mode == Mode::Evaluation { BatchNormMode::Evaluation } else { BatchNormMode::Training };
+                batch_norm(first, &weight, &bias, statistics, mode, *activation, level)
             }
             Layer::Activate(function) => activation(first, *function, level),
             Layer::MaxPool { kernel, stride, padding } => max_pool2d(first, *kernel, *stride, *padding, level),

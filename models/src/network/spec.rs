@@ -26,7 +26,7 @@ impl NetworkSpec {
 
     /// Finds a network by its name, one of [`networks`].
     pub fn named(name: &str) -> Option<Self> {
-        named().into_iter().find(|(known, _)| known == name).map(|(_, spec)| spec)
+        named_specs().into_iter().find(|(known, _)| known == name).map(|(_, spec)| spec)
     }
 
     /// Names and shapes of the arrays in a model file, in order.
@@ -36,9 +36,9 @@ impl NetworkSpec {
 
     /// Number of trained parameters.
     pub fn parameter_count(&self) -> usize {
-        let declared = self.graph().declarations();
-        let kept = declared.iter().filter(|declaration| !parameters::is_transient(&declaration.name));
-        kept.map(|declaration| declaration.shape.iter().product::<usize>()).sum()
+        let declarations = self.graph().declarations();
+        let saved = declarations.iter().filter(|declaration| !parameters::is_transient(&declaration.name));
+        saved.map(|declaration| declaration.shape.iter().product::<usize>()).sum()
     }
 
     /// Multiply-adds of one map of `range x doppler` bins; 0 where the map is too small for the network.
@@ -65,7 +65,7 @@ impl NetworkSpec {
 }
 
 /// Networks with their names, as commands and studies spell them: each kind with the paper's head, and the HQNN with other heads.
-pub(super) fn named() -> Vec<(String, NetworkSpec)> {
+pub(super) fn named_specs() -> Vec<(String, NetworkSpec)> {
     let frozen = Head::Circuit { circuit: Default::default(), frozen: true, placement: Placement::Latent };
     let heads = [
         ("estimator_matched", Head::Linear),
@@ -76,11 +76,11 @@ pub(super) fn named() -> Vec<(String, NetworkSpec)> {
         ("frozen_angles", frozen),
     ];
     let with_head = |(name, head): (&str, Head)| (name.to_owned(), NetworkSpec::with_head(head));
-    let of_kind =
+    let with_kind =
         |kind: NetworkKind| (kind.to_string(), NetworkSpec { kind, pooled: PAPER_POOLED, head: Head::default() });
     let others = NetworkKind::ALL.into_iter().filter(|kind| *kind != NetworkKind::Hqnn);
-    let hqnns = std::iter::once(of_kind(NetworkKind::Hqnn)).chain(heads.map(with_head));
-    hqnns.chain(others.map(of_kind)).collect()
+    let hqnns = std::iter::once(with_kind(NetworkKind::Hqnn)).chain(heads.map(with_head));
+    hqnns.chain(others.map(with_kind)).collect()
 }
 
 /// Name, size and cost of a network.
@@ -104,5 +104,5 @@ pub fn networks() -> Vec<NetworkInfo> {
         multiply_adds: spec.multiply_adds(128, 128),
         input: [1, 128, 128],
     };
-    named().into_iter().map(info).collect()
+    named_specs().into_iter().map(info).collect()
 }

@@ -1,4 +1,4 @@
-use super::spec::named;
+use super::spec::named_specs;
 use super::*;
 use crate::layer::KernelLevel;
 use candle_core::{Device, Tensor};
@@ -29,11 +29,12 @@ fn every_network_has_the_known_number_of_parameters() {
         ("descriptor_linear", 50 * 3 + 3),
         ("descriptor_hqnn", 50 * 2 + 2 + 4 + 9),
     ];
-    let found: Vec<(String, usize)> = named().into_iter().map(|(name, spec)| (name, spec.parameter_count())).collect();
+    let found: Vec<(String, usize)> =
+        named_specs().into_iter().map(|(name, spec)| (name, spec.parameter_count())).collect();
     assert_eq!(found, expected.map(|(name, parameters)| (name.to_owned(), parameters)));
 }
 
-/// Errors name a network as files and commands do; they had names of the code.
+/// Errors name a network as files and commands do. Regression test: they printed the names of the code.
 #[test]
 fn kinds_are_written_as_users_type_them() {
     for kind in NetworkKind::ALL {
@@ -46,7 +47,7 @@ fn kinds_are_written_as_users_type_them() {
     assert!(error.to_string().starts_with("descriptor_linear describes maps"), "{error}");
 }
 
-/// A kind that is not listed could not be trained by its name.
+/// [`NetworkKind::ALL`] has every kind, so that each can be trained by its name.
 #[test]
 fn every_kind_is_listed() {
     let schema = serde_json::json!(schemars::schema_for!(NetworkKind));
@@ -89,10 +90,10 @@ fn folding_the_feature_scale_leaves_the_answer_alone() {
     }
 }
 
-/// Every network answers, and every trained number that reaches the answer has a gradient.
+/// Every network has logits, and every trained number that they depend on has a gradient.
 #[test]
 fn every_network_runs_and_learns() {
-    for (name, spec) in &named() {
+    for (name, spec) in &named_specs() {
         let network = Network::initialise(spec, 3, 0, KernelLevel::detect()).expect(name);
         let input = maps(3, 64, 64);
         let output = network.graph().output;
@@ -111,7 +112,7 @@ fn every_network_runs_and_learns() {
 /// Training finds the layers of every network by their names.
 #[test]
 fn layers_that_training_looks_for_are_there() {
-    for (name, spec) in named() {
+    for (name, spec) in named_specs() {
         let graph = spec.graph();
         let has = |layer: &str| graph.value(layer).is_some();
         let (reads_descriptors, has_latent) = (spec.kind.reads_descriptors(), spec.kind.has_latent());
@@ -129,9 +130,9 @@ fn layers_that_training_looks_for_are_there() {
     }
 }
 
-/// The circuit is a linear function of the trigonometric features, so that a head on them can be the circuit's.
+/// The circuit is a linear function of the trigonometric features, so a head on them can represent it.
 #[test]
-fn the_trigonometric_head_can_be_the_circuit() {
+fn the_trigonometric_head_can_represent_the_circuit() {
     let level = KernelLevel::detect();
     let circuit = Network::initialise(&NetworkSpec::named("hqnn").expect("known"), 3, 0, level).expect("network");
     let spec = NetworkSpec::named("trigonometric").expect("known");
@@ -163,7 +164,7 @@ mod hard_cases {
         assert_eq!(spec.too_small_for(32, 32), None);
     }
 
-    /// Training went on without it: it measured the map instead, or fitted nothing.
+    /// Regression test: training continued without the layer, and measured the map instead or fitted nothing.
     #[test]
     fn a_layer_that_training_does_not_find_is_named() {
         let spec = NetworkSpec::named("resnet18").expect("known");
@@ -187,7 +188,7 @@ mod hard_cases {
 
     /// Logits are finite where the scaled sigmoid saturates.
     #[test]
-    fn a_saturated_latent_gives_an_answer() {
+    fn logits_of_a_saturated_latent_are_finite() {
         let spec = NetworkSpec::named("hqnn").expect("known");
         let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
         for scale in [1e-30f32, 1e4, 1e30] {
@@ -201,7 +202,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_nan_is_found_in_the_layer_where_it_arose() {
+    fn first_non_finite_names_the_layer_of_a_nan() {
         let spec = NetworkSpec::named("hqnn").expect("known");
         let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
         network.parameters().set_numbers("fc1.bias", &[f32::NAN; 64]).expect("set");

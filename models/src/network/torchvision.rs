@@ -95,8 +95,8 @@ impl TorchvisionWeights {
                 found,
             };
             let Ok(array) = tensors.tensor(name) else {
-                let unmet = if name.starts_with(head) { &mut initialised } else { &mut missing };
-                unmet.push(name.clone());
+                let absent = if name.starts_with(head) { &mut initialised } else { &mut missing };
+                absent.push(name.clone());
                 continue;
             };
             if array.dtype() != Dtype::F32 {
@@ -139,11 +139,12 @@ impl TorchvisionWeights {
 
     /// Warnings for the user about differences between file and network.
     pub fn warnings(&self) -> Vec<String> {
-        let say =
+        let warning =
             |names: &[String], what: &str| (!names.is_empty()).then(|| format!("weights: {} {what}", list(names)));
-        let left = say(&self.initialised, "of the network stay as initialised: the file has none for these classes");
-        let unused = say(&self.unused, "of the file are not used: the network has no such arrays");
-        [left, unused].into_iter().flatten().collect()
+        let initialised =
+            warning(&self.initialised, "of the network stay as initialised: the file has none for these classes");
+        let unused = warning(&self.unused, "of the file are not used: the network has no such arrays");
+        [initialised, unused].into_iter().flatten().collect()
     }
 
     /// Overwrites a network's numbers.
@@ -181,7 +182,7 @@ mod tests {
 
     type Arrays = Vec<(String, Vec<usize>, Vec<f32>)>;
 
-    /// Content of torchvision's file: names and shapes of ours in its layout, three channels, a thousand classes.
+    /// Arrays of a file of torchvision: this network's names in its layout, with three channels and this many classes.
     fn file_of(spec: &NetworkSpec, classes: usize) -> Arrays {
         let mut arrays = Arrays::new();
         for (k, (name, mut shape)) in spec.layout().into_iter().enumerate() {
@@ -219,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn every_array_finds_its_place() {
+    fn every_array_is_assigned() {
         for (name, stem, head) in [
             ("resnet18", "conv1.weight", "fc"),
             ("efficientnet_b0", "features.0.0.weight", "classifier.1"),
@@ -253,15 +254,15 @@ mod tests {
     }
 
     #[test]
-    fn a_head_for_our_classes_comes_along() {
+    fn a_head_for_the_same_classes_is_read() {
         let spec = named("resnet18");
         let weights = read(&file_of(&spec, 3), &spec).expect("read");
         assert!(weights.initialised.is_empty() && weights.warnings().is_empty());
     }
 
-    /// Each of three channels sees the map, or one channel with the sum of their weights: the same.
+    /// A stem for one channel with summed weights agrees with a stem for three copies of the map.
     #[test]
-    fn a_summed_stem_is_three_channels_that_see_the_map() {
+    fn a_summed_stem_agrees_with_three_channels() {
         let (one, three) = (named("efficientnet_b0"), named("efficientnet_b0_rgb"));
         let start = Network::initialise(&three, 3, 0, KernelLevel::detect()).expect("network");
         let values = start.values().expect("values");
@@ -284,7 +285,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn unmatched_names_are_told_both_ways() {
+        fn errors_list_missing_and_unknown_arrays() {
             let spec = named("resnet18");
             let mut arrays = file_of(&spec, 1000);
             arrays.push(("projector.weight".to_owned(), vec![2], vec![0.0; 2]));
@@ -317,7 +318,7 @@ mod tests {
         }
 
         #[test]
-        fn a_pickle_is_told_how_to_become_safetensors() {
+        fn the_error_of_a_pickle_says_how_to_convert_it() {
             let error =
                 TorchvisionWeights::from_bytes(Path::new("a.pth"), b"PK\x03\x04 a zip archive", &named("resnet18"))
                     .expect_err("refused")
@@ -326,7 +327,7 @@ mod tests {
         }
 
         #[test]
-        fn numbers_that_are_none_are_refused() {
+        fn nan_in_weights_is_an_error() {
             let spec = named("resnet18");
             let mut arrays = file_of(&spec, 1000);
             arrays.iter_mut().find(|(name, ..)| name == "bn1.bias").expect("there").2[3] = f32::NAN;

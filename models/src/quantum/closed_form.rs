@@ -38,13 +38,13 @@ fn coefficients(angles: [(f64, f64); 4]) -> Coefficients {
 
 /// Coefficients of the expectations at fixed trained angles, for many inputs.
 #[derive(Debug, Clone, Copy)]
-pub struct Trained {
+pub struct ClosedForm {
     coefficients: Coefficients,
     /// Derivatives of the coefficients by each angle.
     by_angle: [Coefficients; 4],
 }
 
-impl Trained {
+impl ClosedForm {
     /// Computes the coefficients at these angles (radians).
     pub fn new(theta: [f64; 4]) -> Self {
         let angles = theta.map(f64::sin_cos);
@@ -57,11 +57,11 @@ impl Trained {
             let (plus, minus) = (coefficients(plus), coefficients(minus));
             std::array::from_fn(|o| std::array::from_fn(|f| 0.5 * (plus[o][f] - minus[o][f])))
         });
-        Trained { coefficients: coefficients(angles), by_angle }
+        ClosedForm { coefficients: coefficients(angles), by_angle }
     }
 
-    /// [`circuit`] at input `x`.
-    pub fn circuit(&self, x: [f64; 2]) -> CircuitPoint {
+    /// Expectations and exact gradients at input `x` (radians).
+    pub fn evaluate(&self, x: [f64; 2]) -> CircuitPoint {
         let (features, by_x) = features(x);
         CircuitPoint {
             expectations: self.coefficients.map(|c| dot(&c, &features)),
@@ -82,7 +82,7 @@ fn dot(a: &[f64; 5], b: &[f64; 5]) -> f64 {
 }
 
 /// Sines and cosines of `2 x0`, `2 x1` and `w`.
-type Waves = [(f64, f64); 3];
+type SinesCosines = [(f64, f64); 3];
 
 #[inline(always)]
 fn arguments([x0, x1]: [f64; 2]) -> [f64; 3] {
@@ -90,13 +90,13 @@ fn arguments([x0, x1]: [f64; 2]) -> [f64; 3] {
 }
 
 #[inline(always)]
-fn features_of([(s0, c0), (s1, c1), (sw, cw)]: Waves) -> [f64; 5] {
+fn features_from([(s0, c0), (s1, c1), (sw, cw)]: SinesCosines) -> [f64; 5] {
     [s1 * sw, s0 * sw, c0 * c1, c1 * cw, c0 * cw]
 }
 
 /// Derivatives of the features by x0 and x1.
 #[inline(always)]
-fn feature_gradients([x0, x1]: [f64; 2], [(s0, c0), (s1, c1), (sw, cw)]: Waves) -> [[f64; 5]; 2] {
+fn feature_gradients([x0, x1]: [f64; 2], [(s0, c0), (s1, c1), (sw, cw)]: SinesCosines) -> [[f64; 5]; 2] {
     let (w0, w1) = (-2.0 * (PI - x1), -2.0 * (PI - x0)); // dw/dx0, dw/dx1
     [
         [s1 * cw * w0, 2.0 * c0 * sw + s0 * cw * w0, -2.0 * s0 * c1, -c1 * sw * w0, -2.0 * s0 * cw - c0 * sw * w0],
@@ -106,19 +106,19 @@ fn feature_gradients([x0, x1]: [f64; 2], [(s0, c0), (s1, c1), (sw, cw)]: Waves) 
 
 /// The features at input `x`, and their derivatives by x0 and x1.
 pub(crate) fn features(x: [f64; 2]) -> ([f64; 5], [[f64; 5]; 2]) {
-    let waves = arguments(x).map(f64::sin_cos);
-    (features_of(waves), feature_gradients(x, waves))
+    let sines_cosines = arguments(x).map(f64::sin_cos);
+    (features_from(sines_cosines), feature_gradients(x, sines_cosines))
 }
 
 /// `[<ZI>, <IZ>]` alone.
 pub fn expectations(x: [f64; 2], theta: [f64; 4]) -> [f64; 2] {
-    let features = features_of(arguments(x).map(f64::sin_cos));
+    let features = features_from(arguments(x).map(f64::sin_cos));
     coefficients(theta.map(f64::sin_cos)).map(|c| dot(&c, &features))
 }
 
 /// Expectations and exact gradients at input `x` (radians, in `[0, pi]` in the HQNN) and angles `theta` (radians).
 pub fn circuit(x: [f64; 2], theta: [f64; 4]) -> CircuitPoint {
-    Trained::new(theta).circuit(x)
+    ClosedForm::new(theta).evaluate(x)
 }
 
 /// Samples that a vector loop takes at once.
@@ -126,22 +126,22 @@ const LANES: usize = 32;
 
 /// Sines and cosines of up to [`LANES`] samples.
 #[inline(always)]
-fn waves(x: &[[f64; 2]; LANES]) -> [[[f64; LANES]; 2]; 3] {
-    let mut waves = [[[0.0; LANES]; 2]; 3];
-    for (k, [sines, cosines]) in waves.iter_mut().enumerate() {
+fn sines_cosines(x: &[[f64; 2]; LANES]) -> [[[f64; LANES]; 2]; 3] {
+    let mut sines_cosines = [[[0.0; LANES]; 2]; 3];
+    for (k, [sines, cosines]) in sines_cosines.iter_mut().enumerate() {
         let mut angles = [0.0; LANES];
         angles.iter_mut().zip(x).for_each(|(angle, &x)| *angle = arguments(x)[k]);
         sin_cos::sin_cos(&angles, sines, cosines);
     }
-    waves
+    sines_cosines
 }
 
 #[inline(always)]
-fn lane(waves: &[[[f64; LANES]; 2]; 3], lane: usize) -> Waves {
+fn lane(sines_cosines: &[[[f64; LANES]; 2]; 3], lane: usize) -> SinesCosines {
     [
-        (waves[0][0][lane], waves[0][1][lane]),
-        (waves[1][0][lane], waves[1][1][lane]),
-        (waves[2][0][lane], waves[2][1][lane]),
+        (sines_cosines[0][0][lane], sines_cosines[0][1][lane]),
+        (sines_cosines[1][0][lane], sines_cosines[1][1][lane]),
+        (sines_cosines[2][0][lane], sines_cosines[2][1][lane]),
     ]
 }
 
@@ -180,13 +180,13 @@ pub(super) use vectorised;
 
 vectorised! {
     /// Writes `[<ZI>, <IZ>]` of each of `x` into `result`, which has the same length.
-    pub fn expectations_of_rows(trained: &Trained, x: &[[f32; 2]], result: &mut [[f32; 2]]) {
+    pub fn expectations_of_rows(closed_form: &ClosedForm, x: &[[f32; 2]], result: &mut [[f32; 2]]) {
         for (x, result) in x.chunks(LANES).zip(result.chunks_mut(LANES)) {
-            let waves = waves(&widen(x));
+            let sines_cosines = sines_cosines(&widen(x));
             let mut values = [[0.0f32; 2]; LANES];
             for (l, value) in values.iter_mut().enumerate() {
-                let features = features_of(lane(&waves, l));
-                *value = [0, 1].map(|o| dot(&trained.coefficients[o], &features) as f32);
+                let features = features_from(lane(&sines_cosines, l));
+                *value = [0, 1].map(|o| dot(&closed_form.coefficients[o], &features) as f32);
             }
             result.copy_from_slice(&values[..result.len()]);
         }
@@ -197,7 +197,7 @@ vectorised! {
     /// Writes the gradients by each of `x` into `by_x`, and returns the gradient by the angles, summed over rows.
     /// `cotangents` are the gradients of a loss by the expectations.
     pub fn gradients_of_rows(
-        trained: &Trained,
+        closed_form: &ClosedForm,
         x: &[[f32; 2]],
         cotangents: &[[f32; 2]],
         by_x: &mut [[f32; 2]],
@@ -205,22 +205,22 @@ vectorised! {
         let mut sums = [[[0.0; LANES]; 5]; 2];
         for ((x, cotangents), by_x) in x.chunks(LANES).zip(cotangents.chunks(LANES)).zip(by_x.chunks_mut(LANES)) {
             let (x, cotangents) = (widen(x), widen(cotangents));
-            let waves = waves(&x);
+            let sines_cosines = sines_cosines(&x);
             let mut gradients = [[0.0f32; 2]; LANES];
             for l in 0..LANES {
-                let waves = lane(&waves, l);
-                let (features, [by_x0, by_x1]) = (features_of(waves), feature_gradients(x[l], waves));
+                let sines_cosines = lane(&sines_cosines, l);
+                let (features, [by_x0, by_x1]) = (features_from(sines_cosines), feature_gradients(x[l], sines_cosines));
                 let mut mixed = [0.0; 5];
                 for f in 0..5 {
                     for o in 0..2 {
                         sums[o][f][l] += cotangents[l][o] * features[f];
-                        mixed[f] += cotangents[l][o] * trained.coefficients[o][f];
+                        mixed[f] += cotangents[l][o] * closed_form.coefficients[o][f];
                     }
                 }
                 gradients[l] = [dot(&mixed, &by_x0) as f32, dot(&mixed, &by_x1) as f32];
             }
             by_x.copy_from_slice(&gradients[..by_x.len()]);
         }
-        trained.gradient(&sums.map(|o| o.map(|lanes| lanes.iter().sum())))
+        closed_form.gradient(&sums.map(|o| o.map(|lanes| lanes.iter().sum())))
     }
 }

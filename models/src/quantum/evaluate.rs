@@ -160,11 +160,11 @@ impl Circuit {
     /// Gradient by the angle of each rotation gate of the exact expectations' weighted sum.
     fn exact_gradient(&self, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
         // Readout errors scale every expectation by the same factor.
-        let read: Vec<f64> = cotangent.iter().map(|g| g * (1.0 - 2.0 * self.spec.noise.readout_flip)).collect();
+        let scaled: Vec<f64> = cotangent.iter().map(|g| g * (1.0 - 2.0 * self.spec.noise.readout_flip)).collect();
         if self.spec.noise.is_depolarising() {
-            return noise::gradient(self, angles, &read);
+            return noise::gradient(self, angles, &scaled);
         }
-        Workspace::run(self, angles).gradient(self, angles, &read)
+        Workspace::run(self, angles).gradient(self, angles, &scaled)
     }
 
     /// Derivatives as hardware measures them, `[observable][gate]`.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::spec::{CircuitError, CircuitSpec, Encoding};
 
-/// One gate. A rotation gate names its place in the list of angles ([`Circuit::gate_angles`]).
+/// One gate. `angle` of a rotation gate is an index of the list of angles ([`Circuit::gate_angles`]).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Gate {
     /// H.
@@ -23,10 +23,10 @@ pub(super) enum Gate {
 pub(super) enum Layer {
     /// H on each qubit.
     Hadamards,
-    /// All phases of one repetition of the ZZ feature map; their angles begin here: one for each qubit, then one for
-    /// each pair.
+    /// All phases of one repetition of the ZZ feature map. `angle` is the index of the first of their angles: one for
+    /// each qubit, then one for each pair.
     Phases { angle: usize },
-    /// RY on each qubit; the angles begin here.
+    /// RY on each qubit; `angle` is the index of the first of their angles.
     Rotations { angle: usize },
     /// CX on each pair.
     Entangler,
@@ -152,7 +152,7 @@ impl Circuit {
         self.angles.iter().map(angle).collect()
     }
 
-    /// Chain rule from gates to inputs and trained angles: sums over all gates that an input feeds.
+    /// Gradients by inputs and trained angles from those by the gates' angles (chain rule), summed over gates.
     pub(super) fn pull_back(&self, x: &[f64], by_gate: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let (mut by_x, mut by_theta) = (vec![0.0; self.qubits()], vec![0.0; self.angle_count()]);
         for (angle, gradient) in self.angles.iter().zip(by_gate) {

@@ -71,7 +71,7 @@ vectorised! {
                 Layer::Hadamards => hadamards(&mut work.state, work.qubits),
                 Layer::Phases { angle } => {
                     phases(work, angles, angle);
-                    turn::<false>(&mut work.state, &work.phases);
+                    apply_phases::<false>(&mut work.state, &work.phases);
                 }
                 Layer::Rotations { angle } => {
                     for (q, angle) in angles[angle..].iter().take(work.qubits).enumerate() {
@@ -99,8 +99,8 @@ vectorised! {
                     phase_gradient(work, &mut gradient[angle..]);
                     if index > 1 {
                         phases(work, angles, angle);
-                        turn::<true>(&mut work.state, &work.phases);
-                        turn::<true>(&mut work.adjoint, &work.phases);
+                        apply_phases::<true>(&mut work.state, &work.phases);
+                        apply_phases::<true>(&mut work.adjoint, &work.phases);
                     }
                 }
                 Layer::Rotations { angle } => {
@@ -171,8 +171,8 @@ fn masks(qubits: usize) -> impl Iterator<Item = usize> {
     (0..qubits).map(|q| 1 << q).chain(pairs(qubits).map(|(i, j)| (1 << i) | (1 << j)))
 }
 
-/// Cosines and sines of the sum of phases that each basis state gets: with `(1 - walsh) / 2` for "odd", the sum is a
-/// Walsh-Hadamard transform of the angles.
+/// Computes cosines and sines of the sum of phases of each basis state. A phase acts where a Walsh function is -1, or
+/// `(1 - walsh) / 2`, so the sum is a Walsh-Hadamard transform of the angles.
 #[inline(always)]
 fn phases(work: &mut Workspace, angles: &[f64], first: usize) {
     let size = 1 << work.qubits;
@@ -187,18 +187,19 @@ fn phases(work: &mut Workspace, angles: &[f64], first: usize) {
     sin_cos(sums, sines, cosines);
 }
 
-/// Multiplies each amplitude by its phase factor, or divides by it if `BACK`.
+/// Multiplies each amplitude by its phase factor, or divides by it if `INVERSE`.
 #[inline(always)]
-fn turn<const BACK: bool>(data: &mut [f64], phases: &[f64]) {
+fn apply_phases<const INVERSE: bool>(data: &mut [f64], phases: &[f64]) {
     let (re, im) = data.split_at_mut(data.len() / 2);
     let (cosines, sines) = phases.split_at(re.len());
     for ((re, im), (&c, &s)) in re.iter_mut().zip(im).zip(cosines.iter().zip(sines)) {
-        let s = if BACK { -s } else { s };
+        let s = if INVERSE { -s } else { s };
         (*re, *im) = (c * *re - s * *im, s * *re + c * *im);
     }
 }
 
-/// `2 Re <adjoint| i odd |state>` for each phase: again a Walsh-Hadamard transform.
+/// Gradient by each phase, `2 Re <adjoint| i odd |state>`, where `odd` selects the states that it acts on: again a
+/// Walsh-Hadamard transform.
 #[inline(always)]
 fn phase_gradient(work: &mut Workspace, gradient: &mut [f64]) {
     let size = 1 << work.qubits;
@@ -213,8 +214,8 @@ fn phase_gradient(work: &mut Workspace, gradient: &mut [f64]) {
     }
 }
 
-/// `2 Re <adjoint| (-i Y / 2) |state>` on qubit `q`: the sum of `adjoint1 state0 - adjoint0 state1` over pairs, in eight
-/// sums side by side, whatever the machine.
+/// Gradient by the rotation of qubit `q`, `2 Re <adjoint| (-i Y / 2) |state>`: the sum of `adjoint1 state0 - adjoint0
+/// state1` over pairs. Eight partial sums on every machine keep the result the same.
 #[inline(always)]
 fn rotation_gradient(state: &[f64], adjoint: &[f64], q: usize) -> f64 {
     let mut sums = [0.0; 8];
@@ -247,15 +248,15 @@ fn short_gradient<const WIDTH: usize>(state: &[f64], adjoint: &[f64], sums: &mut
     }
 }
 
-/// Applies all CX of a full entanglement at once, or undoes them if `BACK`.
+/// Applies all CX of a full entanglement at once, or undoes them if `INVERSE`.
 #[inline(always)]
-fn entangle<const BACK: bool>(data: &mut [f64], scratch: &mut [f64]) {
+fn entangle<const INVERSE: bool>(data: &mut [f64], scratch: &mut [f64]) {
     let size = data.len() / 2;
     scratch.copy_from_slice(data);
     for (target, source) in data.chunks_exact_mut(size).zip(scratch.chunks_exact(size)) {
         for k in 0..size {
             let image = (k ^ (k << 1)) & (size - 1);
-            if BACK {
+            if INVERSE {
                 target[k] = source[image];
             } else {
                 target[image] = source[k];

@@ -28,7 +28,7 @@ pub(crate) mod state_vector;
 mod tests;
 
 pub(crate) use closed_form::features;
-pub use closed_form::{CircuitPoint, Trained, circuit, expectations, expectations_of_rows, gradients_of_rows};
+pub use closed_form::{CircuitPoint, ClosedForm, circuit, expectations, expectations_of_rows, gradients_of_rows};
 pub use evaluate::{Draw, Jacobian};
 pub use gates::Circuit;
 pub use spec::{

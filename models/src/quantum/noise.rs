@@ -92,7 +92,7 @@ fn angle_of(gate: Gate, angles: &[f64]) -> Option<(usize, f64)> {
     }
 }
 
-fn step(circuit: &Circuit, rho: &mut Density, gate: Gate, angle: f64) {
+fn apply_with_noise(circuit: &Circuit, rho: &mut Density, gate: Gate, angle: f64) {
     rho.apply(gate, angle);
     rho.depolarise(gate, &circuit.spec.noise);
 }
@@ -101,7 +101,7 @@ fn step(circuit: &Circuit, rho: &mut Density, gate: Gate, angle: f64) {
 pub(super) fn probabilities(circuit: &Circuit, angles: &[f64]) -> Vec<f64> {
     let mut rho = Density::diagonal(circuit.qubits(), [1.0]);
     for &gate in circuit.gates.iter() {
-        step(circuit, &mut rho, gate, angle_of(gate, angles).map_or(0.0, |(_, angle)| angle));
+        apply_with_noise(circuit, &mut rho, gate, angle_of(gate, angles).map_or(0.0, |(_, angle)| angle));
     }
     rho.probabilities()
 }
@@ -115,11 +115,11 @@ pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> 
     let mut before = Vec::with_capacity(angles.len());
     let mut rho = Density::diagonal(qubits, [1.0]);
     for &gate in circuit.gates.iter() {
-        let turned = angle_of(gate, angles);
-        if turned.is_some() {
+        let rotation = angle_of(gate, angles);
+        if rotation.is_some() {
             before.push(rho.clone());
         }
-        step(circuit, &mut rho, gate, turned.map_or(0.0, |(_, angle)| angle));
+        apply_with_noise(circuit, &mut rho, gate, rotation.map_or(0.0, |(_, angle)| angle));
     }
     let weight = |k: usize| {
         let signed = |(o, g): (usize, &f64)| if k >> (qubits - 1 - o) & 1 == 0 { *g } else { -g };
@@ -129,8 +129,8 @@ pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> 
     let mut gradient = vec![0.0; angles.len()];
     for &gate in circuit.gates.iter().rev() {
         observable.depolarise(gate, &circuit.spec.noise);
-        let turned = angle_of(gate, angles);
-        if let Some((index, angle)) = turned
+        let rotation = angle_of(gate, angles);
+        if let Some((index, angle)) = rotation
             && let Some(before) = before.pop()
         {
             let shifted = |by: f64| {
@@ -141,7 +141,7 @@ pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> 
             gradient[index] = 0.5 * (shifted(FRAC_PI_2) - shifted(-FRAC_PI_2));
         }
         // H and CX are their own inverses.
-        observable.apply(gate, turned.map_or(0.0, |(_, angle)| -angle));
+        observable.apply(gate, rotation.map_or(0.0, |(_, angle)| -angle));
     }
     gradient
 }

@@ -2,8 +2,8 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-/// Largest angle that is reduced here.
-const LARGEST: f64 = 1e5;
+/// Largest angle that [`reduced_sin_cos`] takes.
+const MAX_ANGLE: f64 = 1e5;
 /// pi/2 in three parts. Multiples up to 2^20 of the first two, of 33 and 20 bits, are exact.
 const HEAD: f64 = f64::from_bits(FRAC_PI_2.to_bits() & !((1 << 20) - 1));
 const MIDDLE: f64 = FRAC_PI_2 - HEAD;
@@ -34,10 +34,10 @@ const COSINE: [f64; 8] = {
 /// `(sin, cos)` of an angle of magnitude up to 1e5, within 3e-16; NaN for NaN. Multiplies and adds are never fused, so
 /// that every machine gives the same result.
 #[inline(always)]
-pub(super) fn small(angle: f64) -> (f64, f64) {
+pub(super) fn reduced_sin_cos(angle: f64) -> (f64, f64) {
     let rounded = angle * std::f64::consts::FRAC_2_PI + ROUND;
-    let turns = rounded - ROUND;
-    let y = ((angle - turns * HEAD) - turns * MIDDLE) - turns * TAIL;
+    let quarter_turns = rounded - ROUND;
+    let y = ((angle - quarter_turns * HEAD) - quarter_turns * MIDDLE) - quarter_turns * TAIL;
     let z = y * y;
     let polynomial = |c: &[f64]| c.iter().rev().fold(0.0, |sum, c| sum * z + c);
     let (sine, cosine) = (y + y * z * polynomial(&SINE), 1.0 + z * polynomial(&COSINE));
@@ -47,22 +47,22 @@ pub(super) fn small(angle: f64) -> (f64, f64) {
     (sign(s, (quadrant >> 1) & 1), sign(c, ((quadrant >> 1) ^ quadrant) & 1))
 }
 
-/// Returns whether [`small`] can be used: not for infinities, nor for NaN, which it would pass on.
+/// Returns whether [`reduced_sin_cos`] is accurate: false for infinities and NaN.
 #[inline(always)]
-pub(super) fn is_small(angle: f64) -> bool {
-    angle.abs() <= LARGEST
+pub(super) fn is_reducible(angle: f64) -> bool {
+    angle.abs() <= MAX_ANGLE
 }
 
-/// Writes `(sin, cos)` of each of `angles`; those that are too large go to the standard library.
+/// Writes `(sin, cos)` of each of `angles`. The standard library computes those beyond [`MAX_ANGLE`].
 #[inline(always)]
 pub(super) fn sin_cos(angles: &[f64], sines: &mut [f64], cosines: &mut [f64]) {
     let mut fits = true;
     for ((&angle, sine), cosine) in angles.iter().zip(sines.iter_mut()).zip(cosines.iter_mut()) {
-        (*sine, *cosine) = small(angle);
-        fits &= is_small(angle);
+        (*sine, *cosine) = reduced_sin_cos(angle);
+        fits &= is_reducible(angle);
     }
     if !fits {
-        for ((&angle, sine), cosine) in angles.iter().zip(sines).zip(cosines).filter(|((a, _), _)| !is_small(**a)) {
+        for ((&angle, sine), cosine) in angles.iter().zip(sines).zip(cosines).filter(|((a, _), _)| !is_reducible(**a)) {
             (*sine, *cosine) = angle.sin_cos();
         }
     }
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_angle_stays_visible() {
+    fn infinities_and_nan_become_nan() {
         let (mut s, mut c) = ([0.0; 3], [0.0; 3]);
         sin_cos(&[f64::NAN, f64::INFINITY, f64::NEG_INFINITY], &mut s, &mut c);
         assert!(s.iter().chain(&c).all(|v| v.is_nan()));

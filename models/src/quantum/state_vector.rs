@@ -20,7 +20,7 @@ impl State {
     }
 
     /// Replaces each pair of amplitudes that differ in this qubit, 0 first.
-    fn single(&mut self, qubit: usize, gate: impl Fn(Complex64, Complex64) -> (Complex64, Complex64)) {
+    fn apply_to_qubit(&mut self, qubit: usize, gate: impl Fn(Complex64, Complex64) -> (Complex64, Complex64)) {
         for pair in self.0.chunks_exact_mut(2 << qubit) {
             let (zeros, ones) = pair.split_at_mut(1 << qubit);
             zeros.iter_mut().zip(ones).for_each(|(a, b)| (*a, *b) = gate(*a, *b));
@@ -28,17 +28,17 @@ impl State {
     }
 
     pub(super) fn hadamard(&mut self, qubit: usize) {
-        self.single(qubit, |a, b| ((a + b) * FRAC_1_SQRT_2, (a - b) * FRAC_1_SQRT_2));
+        self.apply_to_qubit(qubit, |a, b| ((a + b) * FRAC_1_SQRT_2, (a - b) * FRAC_1_SQRT_2));
     }
 
     pub(super) fn phase(&mut self, qubit: usize, angle: f64) {
         let turn = Complex64::cis(angle);
-        self.single(qubit, |a, b| (a, turn * b));
+        self.apply_to_qubit(qubit, |a, b| (a, turn * b));
     }
 
     pub(super) fn rotation_y(&mut self, qubit: usize, angle: f64) {
         let (s, c) = (0.5 * angle).sin_cos();
-        self.single(qubit, |a, b| (a * c - b * s, a * s + b * c));
+        self.apply_to_qubit(qubit, |a, b| (a * c - b * s, a * s + b * c));
     }
 
     /// Flips the target where the control, the lower qubit, is 1.
@@ -76,11 +76,11 @@ impl State {
 /// `<Z>` of each qubit, the highest first, from the probabilities of all outcomes. After each qubit, the probabilities are summed
 /// over it.
 pub(super) fn z_expectations(probabilities: &[f64]) -> Vec<f64> {
-    let (mut left, mut expectations) = (probabilities.to_vec(), Vec::new());
-    while left.len() > 1 {
-        let (zeros, ones) = left.split_at(left.len() / 2);
+    let (mut remaining, mut expectations) = (probabilities.to_vec(), Vec::new());
+    while remaining.len() > 1 {
+        let (zeros, ones) = remaining.split_at(remaining.len() / 2);
         expectations.push(zeros.iter().sum::<f64>() - ones.iter().sum::<f64>());
-        left = zeros.iter().zip(ones).map(|(a, b)| a + b).collect();
+        remaining = zeros.iter().zip(ones).map(|(a, b)| a + b).collect();
     }
     expectations
 }
@@ -112,9 +112,9 @@ impl Circuit {
     /// # Errors
     /// [`CircuitError::Count`] if the number of angles is not the circuit's.
     pub fn trained_matrix(&self, theta: &[f64]) -> Result<Vec<f64>, CircuitError> {
-        let nowhere = vec![0.0; self.qubits()];
-        self.check_counts(&nowhere, theta)?;
-        let angles = self.gate_angles(&nowhere, theta);
+        let zero_inputs = vec![0.0; self.qubits()];
+        self.check_counts(&zero_inputs, theta)?;
+        let angles = self.gate_angles(&zero_inputs, theta);
         let entanglers = self.spec.depth * self.qubits() * (self.qubits() - 1) / 2;
         let encoding = self.gates.len() - entanglers - self.angle_count();
         let mut matrix = Vec::with_capacity(1 << (2 * self.qubits()));

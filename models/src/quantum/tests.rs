@@ -6,8 +6,8 @@ use super::state_vector::{parameter_shift, run_at, z_expectations};
 use super::*;
 use crate::random::stream;
 
-/// Nothing is drawn.
-const NONE: Draw = Draw { call: 0, row: 0 };
+/// Draw of all circuits, which only those with shots depend on.
+const FIRST_DRAW: Draw = Draw { call: 0, row: 0 };
 
 fn zz(qubits: usize, repetitions: usize, depth: usize) -> CircuitSpec {
     CircuitSpec { qubits, repetitions, depth, ..CircuitSpec::default() }
@@ -21,7 +21,7 @@ fn with_shots(count: u32, seed: u64, gradient: ShotGradient) -> Execution {
     Execution::Shots(Shots { count, seed, gradient })
 }
 
-fn ready(spec: &CircuitSpec) -> Circuit {
+fn build(spec: &CircuitSpec) -> Circuit {
     Circuit::new(spec).expect("a good spec")
 }
 
@@ -32,15 +32,15 @@ fn point(circuit: &Circuit, index: u64) -> (Vec<f64>, Vec<f64>) {
     (x, (0..circuit.angle_count()).map(|_| rng.random_range(-PI..PI)).collect())
 }
 
-fn close(what: &str, got: &[f64], want: &[f64], tolerance: f64) {
+fn assert_near(what: &str, got: &[f64], want: &[f64], tolerance: f64) {
     assert_eq!(got.len(), want.len(), "{what}");
     for (k, (got, want)) in got.iter().zip(want).enumerate() {
         assert!((got - want).abs() <= tolerance, "{what} [{k}]: {got} against {want}");
     }
 }
 
-/// The spread of circuits that every fast way is held to the slow one on.
-fn many() -> Vec<CircuitSpec> {
+/// Circuits of many sizes on which every method is compared with the reference.
+fn sample_specs() -> Vec<CircuitSpec> {
     let mut specs = vec![zz(2, 1, 1), zz(2, 2, 1), zz(1, 1, 0), zz(1, 2, 3), zz(12, 1, 1), zz(9, 2, 2)];
     specs.extend((1..=7).flat_map(|n| [zz(n, 1, n % 3), zz(n, 2, 2), by_angle(n, n % 4)]));
     specs
@@ -55,34 +55,34 @@ fn agrees_with_qiskit_at_every_recorded_point() {
         v.as_array().expect("array").iter().map(|n| n.as_f64().expect("number")).collect()
     };
     for repetitions in [1, 2] {
-        let circuit = ready(&zz(2, repetitions, 1));
+        let circuit = build(&zz(2, repetitions, 1));
         let points = json["reps"][repetitions.to_string()]["points"].as_array().expect("points");
         assert_eq!(points.len(), 25);
         for point in points {
             let (x, theta) = (list(&point["x"]), list(&point["theta"]));
-            let ours = circuit.jacobian(&x, &theta, NONE).expect("answer");
+            let ours = circuit.jacobian(&x, &theta, FIRST_DRAW).expect("answer");
             let slow = state_vector::run(&circuit, &x, &theta).expect("answer").expectations();
             for (o, name) in ["ZI", "IZ"].into_iter().enumerate() {
                 let want = point["exp"][name].as_f64().expect("number");
-                close(name, &[ours.expectations[o], slow[o]], &[want; 2], 1e-12);
-                close("by theta", &ours.by_theta[o], &list(&point["grad_theta"][name]), 1e-9);
-                close("by x", &ours.by_x[o], &list(&point["grad_x"][name]), 1e-9);
+                assert_near(name, &[ours.expectations[o], slow[o]], &[want; 2], 1e-12);
+                assert_near("by theta", &ours.by_theta[o], &list(&point["grad_theta"][name]), 1e-9);
+                assert_near("by x", &ours.by_x[o], &list(&point["grad_x"][name]), 1e-9);
             }
         }
     }
 }
 
 #[test]
-fn the_fast_ways_are_the_gate_by_gate_one_with_its_parameter_shift() {
-    for (index, spec) in many().iter().enumerate() {
-        let circuit = ready(spec);
+fn all_methods_agree_with_gate_by_gate_simulation_and_parameter_shift() {
+    for (index, spec) in sample_specs().iter().enumerate() {
+        let circuit = build(spec);
         let (x, theta) = point(&circuit, index as u64);
         let angles = circuit.gate_angles(&x, &theta);
         let slow = run_at(&circuit, &angles);
         assert!((slow.probabilities().iter().sum::<f64>() - 1.0).abs() < 1e-13);
         let cotangent: Vec<f64> = (0..spec.qubits).map(|k| (k as f64 + 0.3).sin()).collect();
-        let expectations = circuit.expectations(&x, &theta, NONE).expect("answer");
-        close("expectations", &expectations, &slow.expectations(), 1e-12);
+        let expectations = circuit.expectations(&x, &theta, FIRST_DRAW).expect("answer");
+        assert_near("expectations", &expectations, &slow.expectations(), 1e-12);
 
         let by_gate: Vec<f64> = if spec.qubits > 9 {
             continue; // Hundreds of slow runs; `twelve_qubits` tests some of them.
@@ -91,15 +91,15 @@ fn the_fast_ways_are_the_gate_by_gate_one_with_its_parameter_shift() {
             (0..angles.len()).map(|k| jacobian.iter().zip(&cotangent).map(|(row, g)| row[k] * g).sum()).collect()
         };
         let (want_x, want_theta) = circuit.pull_back(&x, &by_gate);
-        let (by_x, by_theta) = circuit.gradients(&x, &theta, &cotangent, NONE).expect("answer");
-        close("by x", &by_x, &want_x, 1e-11);
-        close("by theta", &by_theta, &want_theta, 1e-12);
+        let (by_x, by_theta) = circuit.gradients(&x, &theta, &cotangent, FIRST_DRAW).expect("answer");
+        assert_near("by x", &by_x, &want_x, 1e-11);
+        assert_near("by theta", &by_theta, &want_theta, 1e-12);
 
-        let jacobian = circuit.jacobian(&x, &theta, NONE).expect("answer");
+        let jacobian = circuit.jacobian(&x, &theta, FIRST_DRAW).expect("answer");
         let mixed = |rows: &[Vec<f64>], k: usize| rows.iter().zip(&cotangent).map(|(row, g)| row[k] * g).sum::<f64>();
-        close("rows by x", &(0..x.len()).map(|k| mixed(&jacobian.by_x, k)).collect::<Vec<_>>(), &want_x, 1e-11);
+        assert_near("rows by x", &(0..x.len()).map(|k| mixed(&jacobian.by_x, k)).collect::<Vec<_>>(), &want_x, 1e-11);
         let rows_by_theta: Vec<f64> = (0..theta.len()).map(|k| mixed(&jacobian.by_theta, k)).collect();
-        close("rows by theta", &rows_by_theta, &want_theta, 1e-12);
+        assert_near("rows by theta", &rows_by_theta, &want_theta, 1e-12);
     }
 }
 
@@ -107,9 +107,9 @@ fn the_fast_ways_are_the_gate_by_gate_one_with_its_parameter_shift() {
 #[test]
 fn gradients_by_inputs_are_those_of_finite_differences() {
     for spec in [zz(2, 1, 1), zz(2, 2, 1), zz(4, 1, 1), zz(3, 2, 2), by_angle(3, 1)] {
-        let circuit = ready(&spec);
+        let circuit = build(&spec);
         let (x, theta) = point(&circuit, 3);
-        let jacobian = circuit.jacobian(&x, &theta, NONE).expect("answer");
+        let jacobian = circuit.jacobian(&x, &theta, FIRST_DRAW).expect("answer");
         let h = 1e-5;
         for k in 0..x.len() {
             let at = |by: f64| {
@@ -126,12 +126,12 @@ fn gradients_by_inputs_are_those_of_finite_differences() {
     }
 }
 
-/// Parts of the circuit alone: RY(x) on |0> has <Z> = cos x, and rotations about one axis add up.
+/// RY(x) on |0> has <Z> = cos x, and rotations about one axis add up.
 #[test]
 fn angle_encoding_without_an_entangler_is_cosines() {
-    let circuit = ready(&by_angle(3, 0));
+    let circuit = build(&by_angle(3, 0));
     let (x, theta) = ([0.3, 1.1, 2.9], [0.5, -1.0, 2.0]);
-    let got = circuit.jacobian(&x, &theta, NONE).expect("answer");
+    let got = circuit.jacobian(&x, &theta, FIRST_DRAW).expect("answer");
     for o in 0..3 {
         let q = 2 - o;
         assert!((got.expectations[o] - (x[q] + theta[q]).cos()).abs() < 1e-15);
@@ -145,7 +145,7 @@ fn angle_encoding_without_an_entangler_is_cosines() {
 mod measured {
     use super::*;
 
-    /// Two-sided: a normal variable is further out than this once in a million.
+    /// Two-sided threshold that a normal variable exceeds once in a million.
     const Z_ONE_IN_A_MILLION: f64 = 4.892;
 
     /// Means of estimates are tested as normal variables, sums of their squares as chi-squared ones of `runs` degrees of
@@ -156,9 +156,9 @@ mod measured {
         let runs = 2000u64;
         for (qubits, count) in [(2, 1), (2, 4096), (3, 100), (5, 64)] {
             let spec = CircuitSpec { execution: with_shots(count, 3, ShotGradient::Shots), ..zz(qubits, 1, 1) };
-            let (circuit, exact) = (ready(&spec), ready(&zz(qubits, 1, 1)));
+            let (circuit, exact) = (build(&spec), build(&zz(qubits, 1, 1)));
             let (x, theta) = point(&circuit, 11);
-            let want = exact.expectations(&x, &theta, NONE).expect("answer");
+            let want = exact.expectations(&x, &theta, FIRST_DRAW).expect("answer");
             let estimates: Vec<Vec<f64>> =
                 (0..runs).map(|row| circuit.expectations(&x, &theta, Draw { call: 5, row }).expect("answer")).collect();
             for o in 0..qubits {
@@ -179,10 +179,10 @@ mod measured {
     /// 40.5 once in a million.
     #[test]
     fn outcomes_have_their_probabilities() {
-        let circuit = ready(&zz(3, 1, 1));
+        let circuit = build(&zz(3, 1, 1));
         let (x, theta) = point(&circuit, 2);
         let p = run_at(&circuit, &circuit.gate_angles(&x, &theta)).probabilities();
-        // The expectations of a single shot spell its outcome.
+        // The signs of a single shot's expectations are its outcome.
         let (shots, mut rng) = (1u32, stream(9, "outcomes", 0));
         let mut counts = [0u32; 8];
         let runs = 20_000;
@@ -206,11 +206,11 @@ mod measured {
     fn gradients_from_shots_are_unbiased_and_exact_ones_exact() {
         let (count, runs) = (200u32, 400u64);
         for spec in [zz(2, 1, 1), zz(2, 2, 0), by_angle(3, 1)] {
-            let (x, theta) = point(&ready(&spec), 4);
+            let (x, theta) = point(&build(&spec), 4);
             let cotangent: Vec<f64> = (0..spec.qubits).map(|k| 1.0 - 0.6 * k as f64).collect();
-            let want = ready(&spec).gradients(&x, &theta, &cotangent, NONE).expect("answer");
-            let of = |gradient| ready(&CircuitSpec { execution: with_shots(count, 1, gradient), ..spec.clone() });
-            let exact = of(ShotGradient::Exact).gradients(&x, &theta, &cotangent, NONE).expect("answer");
+            let want = build(&spec).gradients(&x, &theta, &cotangent, FIRST_DRAW).expect("answer");
+            let of = |gradient| build(&CircuitSpec { execution: with_shots(count, 1, gradient), ..spec.clone() });
+            let exact = of(ShotGradient::Exact).gradients(&x, &theta, &cotangent, FIRST_DRAW).expect("answer");
             // The paper's circuit has a closed form for expectations, gradients are the state vector's for both.
             assert_eq!(exact, want);
 
@@ -219,7 +219,7 @@ mod measured {
                 .map(|call| circuit.gradients(&x, &theta, &cotangent, Draw { call, row: 0 }).expect("answer"))
                 .collect();
             let norm: f64 = cotangent.iter().map(|g| g.abs()).sum();
-            // Of one gate; of an input, the chain rule's factors squared add up.
+            // Variance for one gate. For an input, the squares of the chain rule's factors add up.
             let gate_variance = norm * norm * 0.5 / f64::from(count);
             for (k, want) in want.1.iter().enumerate() {
                 let mean = draws.iter().map(|d| d.1[k]).sum::<f64>() / runs as f64;
@@ -238,9 +238,9 @@ mod measured {
     }
 
     #[test]
-    fn the_same_draw_is_the_same_and_another_is_not() {
-        let circuit = ready(&CircuitSpec { execution: with_shots(1000, 1, ShotGradient::Shots), ..zz(3, 1, 1) });
-        let other = ready(&CircuitSpec { execution: with_shots(1000, 2, ShotGradient::Shots), ..zz(3, 1, 1) });
+    fn outcomes_depend_on_seed_call_and_row_only() {
+        let circuit = build(&CircuitSpec { execution: with_shots(1000, 1, ShotGradient::Shots), ..zz(3, 1, 1) });
+        let other = build(&CircuitSpec { execution: with_shots(1000, 2, ShotGradient::Shots), ..zz(3, 1, 1) });
         let (x, theta) = point(&circuit, 4);
         let at = |c: &Circuit, call, row| c.expectations(&x, &theta, Draw { call, row }).expect("answer");
         let one = at(&circuit, 4, 7);
@@ -260,74 +260,80 @@ mod noisy {
         Noise { depolarising_one_qubit: one, depolarising_two_qubit: two, readout_flip: readout }
     }
 
-    /// Every gate on a lone qubit shrinks its Bloch vector by `1 - p`, reading it by `1 - 2q`.
+    /// Every gate on a single qubit shrinks its Bloch vector by `1 - p`, its readout by `1 - 2q`.
     #[test]
-    fn a_qubit_alone_shrinks_by_each_gate_and_by_reading() {
+    fn a_single_qubit_shrinks_by_each_gate_and_by_readout_errors() {
         let (p, q) = (0.03, 0.1);
         let quiet = zz(1, 2, 2);
         let gates = 2 * 2 + 3;
         let loud = CircuitSpec { noise: noise(p, 0.5, q), ..quiet.clone() };
-        let (x, theta) = point(&ready(&quiet), 1);
-        let want = ready(&quiet).jacobian(&x, &theta, NONE).expect("answer");
-        let got = ready(&loud).jacobian(&x, &theta, NONE).expect("answer");
+        let (x, theta) = point(&build(&quiet), 1);
+        let want = build(&quiet).jacobian(&x, &theta, FIRST_DRAW).expect("answer");
+        let got = build(&loud).jacobian(&x, &theta, FIRST_DRAW).expect("answer");
         let factor = (1.0f64 - p).powi(gates) * (1.0 - 2.0 * q);
-        close("<Z>", &got.expectations, &[want.expectations[0] * factor], 1e-14);
-        close("by theta", &got.by_theta[0], &want.by_theta[0].iter().map(|g| g * factor).collect::<Vec<_>>(), 1e-13);
-        close("by x", &got.by_x[0], &[want.by_x[0][0] * factor], 1e-13);
+        assert_near("<Z>", &got.expectations, &[want.expectations[0] * factor], 1e-14);
+        assert_near(
+            "by theta",
+            &got.by_theta[0],
+            &want.by_theta[0].iter().map(|g| g * factor).collect::<Vec<_>>(),
+            1e-13,
+        );
+        assert_near("by x", &got.by_x[0], &[want.by_x[0][0] * factor], 1e-13);
     }
 
     /// With depolarising one-qubit gates and no entangler the qubits are independent.
     #[test]
-    fn qubits_that_do_not_meet_shrink_by_themselves() {
+    fn qubits_without_entangler_are_depolarised_independently() {
         let spec = CircuitSpec { noise: noise(0.2, 0.9, 0.0), ..by_angle(3, 0) };
-        let (x, theta) = point(&ready(&spec), 5);
-        let got = ready(&spec).expectations(&x, &theta, NONE).expect("answer");
+        let (x, theta) = point(&build(&spec), 5);
+        let got = build(&spec).expectations(&x, &theta, FIRST_DRAW).expect("answer");
         for (o, got) in got.iter().enumerate() {
             assert!((got - 0.64 * (x[2 - o] + theta[2 - o]).cos()).abs() < 1e-14);
         }
     }
 
-    /// Reading errors alone take no density matrix, and any number of qubits.
+    /// Readout errors alone need no density matrix, so any number of qubits can have them.
     #[test]
-    fn reading_errors_shrink_every_expectation() {
+    fn readout_errors_shrink_every_expectation() {
         let spec = CircuitSpec { noise: noise(0.0, 0.0, 0.07), ..zz(8, 1, 1) };
-        let (x, theta) = point(&ready(&spec), 6);
-        let (got, want) = (ready(&spec).jacobian(&x, &theta, NONE), ready(&zz(8, 1, 1)).jacobian(&x, &theta, NONE));
+        let (x, theta) = point(&build(&spec), 6);
+        let (got, want) =
+            (build(&spec).jacobian(&x, &theta, FIRST_DRAW), build(&zz(8, 1, 1)).jacobian(&x, &theta, FIRST_DRAW));
         let (got, want) = (got.expect("answer"), want.expect("answer"));
         let shrunk = |v: &[f64]| v.iter().map(|v| 0.86 * v).collect::<Vec<_>>();
-        close("<Z>", &got.expectations, &shrunk(&want.expectations), 1e-13);
-        close("by x", &got.by_x[3], &shrunk(&want.by_x[3]), 1e-11);
+        assert_near("<Z>", &got.expectations, &shrunk(&want.expectations), 1e-13);
+        assert_near("by x", &got.by_x[3], &shrunk(&want.by_x[3]), 1e-11);
     }
 
-    /// The last entangler's CX depolarise both of their qubits fully: nothing is left of the input.
+    /// The last entangler's CX depolarise both of their qubits fully, so no output depends on the input.
     #[test]
     fn gates_that_depolarise_fully_leave_nothing() {
         let spec = CircuitSpec { noise: noise(0.0, 1.0, 0.0), ..zz(3, 1, 1) };
-        let (x, theta) = point(&ready(&spec), 7);
-        let got = ready(&spec).jacobian(&x, &theta, NONE).expect("answer");
-        close("<Z>", &got.expectations, &[0.0; 3], 1e-15);
-        close("by x", &got.by_x.concat(), &[0.0; 9], 1e-15);
+        let (x, theta) = point(&build(&spec), 7);
+        let got = build(&spec).jacobian(&x, &theta, FIRST_DRAW).expect("answer");
+        assert_near("<Z>", &got.expectations, &[0.0; 3], 1e-15);
+        assert_near("by x", &got.by_x.concat(), &[0.0; 9], 1e-15);
     }
 
     #[test]
     fn a_density_matrix_without_noise_is_the_state() {
-        // Noise too small to see, so that the density matrix is what answers.
+        // Noise below rounding selects the density matrix.
         for spec in [zz(2, 1, 1), zz(3, 2, 1), by_angle(4, 2)] {
             let faint = CircuitSpec { noise: noise(1e-300, 0.0, 0.0), ..spec.clone() };
-            let (x, theta) = point(&ready(&spec), 8);
-            let want = ready(&spec).jacobian(&x, &theta, NONE).expect("answer");
-            let got = ready(&faint).jacobian(&x, &theta, NONE).expect("answer");
-            close("expectations", &got.expectations, &want.expectations, 1e-13);
-            close("by x", &got.by_x.concat(), &want.by_x.concat(), 1e-11);
-            close("by theta", &got.by_theta.concat(), &want.by_theta.concat(), 1e-12);
+            let (x, theta) = point(&build(&spec), 8);
+            let want = build(&spec).jacobian(&x, &theta, FIRST_DRAW).expect("answer");
+            let got = build(&faint).jacobian(&x, &theta, FIRST_DRAW).expect("answer");
+            assert_near("expectations", &got.expectations, &want.expectations, 1e-13);
+            assert_near("by x", &got.by_x.concat(), &want.by_x.concat(), 1e-11);
+            assert_near("by theta", &got.by_theta.concat(), &want.by_theta.concat(), 1e-12);
         }
     }
 
-    /// The observable carried back against whole runs of the shifted circuit.
+    /// Propagation of the observable agrees with whole runs of the shifted circuit.
     #[test]
     fn gradients_are_those_of_parameter_shift() {
         let spec = CircuitSpec { noise: noise(0.02, 0.05, 0.03), ..zz(3, 2, 2) };
-        let circuit = ready(&spec);
+        let circuit = build(&spec);
         let (x, theta) = point(&circuit, 9);
         let run = |angles: &[f64]| {
             let mut p = super::super::noise::probabilities(&circuit, angles);
@@ -335,11 +341,11 @@ mod noisy {
             z_expectations(&p)
         };
         let rows = parameter_shift(&circuit.gate_angles(&x, &theta), run);
-        let got = circuit.jacobian(&x, &theta, NONE).expect("answer");
+        let got = circuit.jacobian(&x, &theta, FIRST_DRAW).expect("answer");
         for (o, row) in rows.iter().enumerate() {
             let (by_x, by_theta) = circuit.pull_back(&x, row);
-            close("by x", &got.by_x[o], &by_x, 1e-12);
-            close("by theta", &got.by_theta[o], &by_theta, 1e-13);
+            assert_near("by x", &got.by_x[o], &by_x, 1e-12);
+            assert_near("by theta", &got.by_theta[o], &by_theta, 1e-13);
         }
     }
 
@@ -349,7 +355,7 @@ mod noisy {
     fn density_matrices_are_the_mean_of_pauli_trajectories() {
         let (one, two) = (0.05, 0.15);
         let spec = CircuitSpec { noise: noise(one, two, 0.0), ..zz(3, 1, 1) };
-        let circuit = ready(&spec);
+        let circuit = build(&spec);
         let (x, theta) = point(&circuit, 10);
         let angles = circuit.gate_angles(&x, &theta);
         let (runs, mut rng) = (20_000, stream(2, "trajectories", 0));
@@ -383,8 +389,8 @@ mod noisy {
                 squares[o] += z * z;
             }
         }
-        let want = circuit.expectations(&x, &theta, NONE).expect("answer");
-        let quiet = ready(&zz(3, 1, 1)).expectations(&x, &theta, NONE).expect("answer");
+        let want = circuit.expectations(&x, &theta, FIRST_DRAW).expect("answer");
+        let quiet = build(&zz(3, 1, 1)).expectations(&x, &theta, FIRST_DRAW).expect("answer");
         for o in 0..3 {
             let mean = sums[o] / f64::from(runs);
             let error = ((squares[o] / f64::from(runs) - mean * mean) / f64::from(runs)).sqrt();
@@ -397,10 +403,10 @@ mod noisy {
     fn shots_of_noisy_circuits_are_biased_as_the_noise_is() {
         let exact = CircuitSpec { noise: noise(0.02, 0.05, 0.1), ..zz(2, 1, 1) };
         let spec = CircuitSpec { execution: with_shots(1_000_000, 4, ShotGradient::Shots), ..exact.clone() };
-        let (x, theta) = point(&ready(&spec), 12);
-        let got = ready(&spec).expectations(&x, &theta, NONE).expect("answer");
+        let (x, theta) = point(&build(&spec), 12);
+        let got = build(&spec).expectations(&x, &theta, FIRST_DRAW).expect("answer");
         // Standard error of at most 1e-3; five of them.
-        close("<Z>", &got, &ready(&exact).expectations(&x, &theta, NONE).expect("answer"), 5e-3);
+        assert_near("<Z>", &got, &build(&exact).expectations(&x, &theta, FIRST_DRAW).expect("answer"), 5e-3);
     }
 }
 
@@ -410,11 +416,11 @@ mod hard_cases {
     #[test]
     fn observables_are_in_qiskit_order() {
         assert_eq!(zz(3, 1, 1).observables(), ["ZII", "IZI", "IIZ"]);
-        // Only the last turn of a qubit acts on it after the entangler: no other observable depends on it.
+        // A qubit's last rotation follows the entangler, so only this qubit's observable depends on it.
         for n in [2, 3, 5] {
-            let circuit = ready(&zz(n, 1, 1));
+            let circuit = build(&zz(n, 1, 1));
             let (x, theta) = point(&circuit, 1);
-            let by_theta = circuit.jacobian(&x, &theta, NONE).expect("answer").by_theta;
+            let by_theta = circuit.jacobian(&x, &theta, FIRST_DRAW).expect("answer").by_theta;
             for (o, row) in by_theta.iter().enumerate() {
                 for q in (0..n).filter(|&q| q != n - 1 - o) {
                     assert!(row[n + q].abs() < 1e-15, "{n} qubits: observable {o} of qubit {q}: {}", row[n + q]);
@@ -424,22 +430,22 @@ mod hard_cases {
         }
     }
 
-    /// At 0 and pi a single phase is a full turn; what remains is known by hand.
+    /// At 0 and pi a single phase is a full turn, so expectations are derived by hand.
     #[test]
     fn angles_at_zero_and_pi() {
         for n in 1..=5 {
-            let circuit = ready(&zz(n, 1, 0));
+            let circuit = build(&zz(n, 1, 0));
             // Phases alone leave every qubit on the equator.
-            let level = circuit.expectations(&vec![0.4; n], &vec![0.0; n], NONE).expect("answer");
-            close("equator", &level, &vec![0.0; n], 1e-14);
+            let level = circuit.expectations(&vec![0.4; n], &vec![0.0; n], FIRST_DRAW).expect("answer");
+            assert_near("equator", &level, &vec![0.0; n], 1e-14);
             // At pi all phases vanish: |+>, which RY(pi / 2) takes to |1>, RY(-pi/2) to |0>.
-            let down = circuit.expectations(&vec![PI; n], &vec![PI / 2.0; n], NONE).expect("answer");
-            close("down", &down, &vec![-1.0; n], 1e-14);
-            let turned = ready(&by_angle(n, 0));
+            let down = circuit.expectations(&vec![PI; n], &vec![PI / 2.0; n], FIRST_DRAW).expect("answer");
+            assert_near("down", &down, &vec![-1.0; n], 1e-14);
+            let turned = build(&by_angle(n, 0));
             for (x, theta, want) in [(0.0, 0.0, 1.0), (PI, 0.0, -1.0), (PI, PI, 1.0), (0.0, PI, -1.0)] {
-                let got = turned.jacobian(&vec![x; n], &vec![theta; n], NONE).expect("answer");
-                close("poles", &got.expectations, &vec![want; n], 1e-14);
-                close("flat", &got.by_x.concat(), &vec![0.0; n * n], 1e-14);
+                let got = turned.jacobian(&vec![x; n], &vec![theta; n], FIRST_DRAW).expect("answer");
+                assert_near("poles", &got.expectations, &vec![want; n], 1e-14);
+                assert_near("flat", &got.by_x.concat(), &vec![0.0; n * n], 1e-14);
             }
         }
         let [zi, iz] = expectations([0.0, PI], [0.0; 4]);
@@ -447,7 +453,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn what_is_no_number_stays_visible() {
+    fn nan_and_infinite_inputs_give_nan() {
         let base = [zz(2, 1, 1), zz(3, 2, 1), zz(1, 1, 0), by_angle(3, 1)];
         let noise = Noise { depolarising_one_qubit: 0.1, depolarising_two_qubit: 0.1, readout_flip: 0.1 };
         let specs = base.iter().flat_map(|spec| {
@@ -458,18 +464,19 @@ mod hard_cases {
             })
         });
         for spec in specs {
-            let circuit = ready(&spec);
+            let circuit = build(&spec);
             let (x, theta) = point(&circuit, 1);
             for bad in [f64::NAN, f64::INFINITY] {
                 let (mut bad_x, mut bad_theta) = (x.clone(), theta.clone());
                 bad_x[0] = bad;
                 bad_theta[0] = bad;
                 for (x, theta) in [(&bad_x, &theta), (&x, &bad_theta)] {
-                    let z = circuit.expectations(x, theta, NONE).expect("answer");
-                    let (by_x, by_theta) = circuit.gradients(x, theta, &vec![1.0; x.len()], NONE).expect("answer");
+                    let z = circuit.expectations(x, theta, FIRST_DRAW).expect("answer");
+                    let (by_x, by_theta) =
+                        circuit.gradients(x, theta, &vec![1.0; x.len()], FIRST_DRAW).expect("answer");
                     assert!(z.iter().all(|v| v.is_nan()), "{spec:?} {z:?}");
                     assert!(by_x.iter().chain(&by_theta).all(|v| v.is_nan()), "{spec:?}");
-                    let all = circuit.jacobian(x, theta, NONE).expect("answer");
+                    let all = circuit.jacobian(x, theta, FIRST_DRAW).expect("answer");
                     assert!(all.by_x.concat().iter().chain(&all.by_theta.concat()).any(|v| v.is_nan()));
                     let state = state_vector::run(&circuit, x, theta).expect("answer");
                     assert!(state.expectations().iter().any(|v| v.is_nan()));
@@ -486,9 +493,9 @@ mod hard_cases {
     fn one_shot() {
         for qubits in [1, 2, 4, 12] {
             let circuit =
-                ready(&CircuitSpec { execution: with_shots(1, 5, ShotGradient::Shots), ..by_angle(qubits, 1) });
+                build(&CircuitSpec { execution: with_shots(1, 5, ShotGradient::Shots), ..by_angle(qubits, 1) });
             let (x, theta) = point(&circuit, 1);
-            let got = circuit.jacobian(&x, &theta, NONE).expect("answer");
+            let got = circuit.jacobian(&x, &theta, FIRST_DRAW).expect("answer");
             assert!(got.expectations.iter().all(|z| z.abs() == 1.0));
             assert!(got.by_theta.concat().iter().chain(&got.by_x.concat()).all(|g| [0.0, 1.0].contains(&g.abs())));
         }
@@ -497,24 +504,24 @@ mod hard_cases {
     /// A state that is one outcome for sure is measured as that, whatever rounding leaves elsewhere.
     #[test]
     fn certain_outcomes_are_certain() {
-        let circuit = ready(&CircuitSpec { execution: with_shots(100_000, 5, ShotGradient::Shots), ..by_angle(4, 0) });
-        let z = circuit.expectations(&[0.0, PI, 0.0, PI], &[0.0; 4], NONE).expect("answer");
+        let circuit = build(&CircuitSpec { execution: with_shots(100_000, 5, ShotGradient::Shots), ..by_angle(4, 0) });
+        let z = circuit.expectations(&[0.0, PI, 0.0, PI], &[0.0; 4], FIRST_DRAW).expect("answer");
         assert_eq!(z, [-1.0, 1.0, -1.0, 1.0]);
     }
 
     #[test]
     fn twelve_qubits() {
-        let circuit = ready(&zz(12, 2, 1));
+        let circuit = build(&zz(12, 2, 1));
         let (x, theta) = point(&circuit, 1);
         let angles = circuit.gate_angles(&x, &theta);
-        let fast = circuit.expectations(&x, &theta, NONE).expect("answer");
-        close("expectations", &fast, &run_at(&circuit, &angles).expectations(), 1e-12);
+        let fast = circuit.expectations(&x, &theta, FIRST_DRAW).expect("answer");
+        assert_near("expectations", &fast, &run_at(&circuit, &angles).expectations(), 1e-12);
         // Some gates of each kind by parameter shift.
         let cotangent: Vec<f64> = (0..12).map(|k| (f64::from(k) + 0.5).cos()).collect();
         let weighted = |angles: &[f64]| -> f64 {
             run_at(&circuit, angles).expectations().iter().zip(&cotangent).map(|(z, g)| z * g).sum()
         };
-        let (_, by_theta) = circuit.gradients(&x, &theta, &cotangent, NONE).expect("answer");
+        let (_, by_theta) = circuit.gradients(&x, &theta, &cotangent, FIRST_DRAW).expect("answer");
         for k in [0, 7, 11, 12, 23] {
             let at = |by: f64| {
                 let mut moved = angles.clone();
@@ -526,29 +533,29 @@ mod hard_cases {
     }
 
     #[test]
-    fn depth_nothing_and_depth_much() {
-        let flat = ready(&zz(3, 1, 0));
+    fn smallest_and_largest_depth() {
+        let flat = build(&zz(3, 1, 0));
         assert_eq!(flat.angle_count(), 3);
-        let deep = ready(&zz(2, 1, MOST_DEPTH));
+        let deep = build(&zz(2, 1, MOST_DEPTH));
         let (x, theta) = point(&deep, 1);
         let slow = state_vector::run(&deep, &x, &theta).expect("answer").expectations();
-        close("deep", &deep.expectations(&x, &theta, NONE).expect("answer"), &slow, 1e-11);
+        assert_near("deep", &deep.expectations(&x, &theta, FIRST_DRAW).expect("answer"), &slow, 1e-11);
     }
 
     #[test]
-    fn wrong_counts_are_said() {
-        let circuit = ready(&zz(3, 1, 1));
-        let said = |x: usize, theta: usize| {
-            circuit.expectations(&vec![0.0; x], &vec![0.0; theta], NONE).expect_err("wrong counts").to_string()
+    fn wrong_counts_are_errors() {
+        let circuit = build(&zz(3, 1, 1));
+        let error = |x: usize, theta: usize| {
+            circuit.expectations(&vec![0.0; x], &vec![0.0; theta], FIRST_DRAW).expect_err("wrong counts").to_string()
         };
-        assert_eq!(said(2, 6), "circuit: expected 3 inputs, one for each qubit, got 2");
-        assert_eq!(said(3, 4), "circuit: expected 6 angles, qubits x (depth + 1), got 4");
-        assert!(circuit.jacobian(&[], &[], NONE).is_err() && state_vector::run(&circuit, &[], &[]).is_err());
-        assert!(circuit.gradients(&[0.0; 3], &[0.0; 6], &[1.0; 2], NONE).is_err());
+        assert_eq!(error(2, 6), "circuit: expected 3 inputs, one for each qubit, got 2");
+        assert_eq!(error(3, 4), "circuit: expected 6 angles, qubits x (depth + 1), got 4");
+        assert!(circuit.jacobian(&[], &[], FIRST_DRAW).is_err() && state_vector::run(&circuit, &[], &[]).is_err());
+        assert!(circuit.gradients(&[0.0; 3], &[0.0; 6], &[1.0; 2], FIRST_DRAW).is_err());
     }
 
     #[test]
-    fn settings_that_no_circuit_has_are_refused() {
+    fn settings_out_of_range_are_errors() {
         let noise = |p: f64| Noise { depolarising_one_qubit: p, ..Noise::default() };
         let paper = CircuitSpec::default();
         for (spec, part) in [
@@ -565,14 +572,14 @@ mod hard_cases {
             (CircuitSpec { noise: Noise { readout_flip: 1.5, ..Noise::default() }, ..paper.clone() }, "readout_flip"),
             (CircuitSpec { noise: noise(0.1), ..zz(7, 1, 1) }, "qubits is 7, expected at most 6 with depolarising"),
         ] {
-            let said = Circuit::new(&spec).expect_err("refused").to_string();
-            assert!(said.contains(part), "{said}");
+            let error = Circuit::new(&spec).expect_err("refused").to_string();
+            assert!(error.contains(part), "{error}");
             let _ = (spec.angle_count(), spec.observables());
         }
     }
 
     #[test]
-    fn settings_are_read_as_they_are_written() {
+    fn settings_survive_serialisation() {
         let spec = CircuitSpec {
             execution: with_shots(4096, 3, ShotGradient::Exact),
             noise: Noise { readout_flip: 0.02, ..Noise::default() },

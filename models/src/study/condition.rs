@@ -94,15 +94,15 @@ pub(super) fn check(spec: &StudySpec, study: &Dataset, conditions: &[Condition])
         let expected = "names that differ in letters and digits, '-' and '+'";
         check_setting(is_new, "name of a condition", format!("'{}', like another", condition.name), expected)?;
         let (expected, got) = (study.header(), condition.dataset.header());
-        let other = |what: String| Err(StudyError::Maps { condition: condition.name.clone(), what });
+        let mismatch = |what: String| Err(StudyError::Maps { condition: condition.name.clone(), what });
         if got.shape != expected.shape {
-            return other(format!("its maps are {}, the study's are {}", got.shape, expected.shape));
+            return mismatch(format!("its maps are {}, the study's are {}", got.shape, expected.shape));
         }
         if got.rdm_spec != expected.rdm_spec {
-            return other("its maps were made by another map spec than the study's".to_owned());
+            return mismatch("its maps were made by another map spec than the study's".to_owned());
         }
-        if let Err(mismatch) = expected.rdm_spec.check_compatible(&got.waveform, &expected.waveform) {
-            return other(mismatch.to_string());
+        if let Err(error) = expected.rdm_spec.check_compatible(&got.waveform, &expected.waveform) {
+            return mismatch(error.to_string());
         }
     }
     Ok(())
@@ -110,7 +110,7 @@ pub(super) fn check(spec: &StudySpec, study: &Dataset, conditions: &[Condition])
 
 /// Scores of one trained model under one condition.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Judgement {
+pub struct ConditionScores {
     /// The training.
     pub job: Job,
     /// Name of the condition.
@@ -161,35 +161,35 @@ pub struct ConditionCell {
 
 impl ConditionReport {
     /// Makes the report of one condition. `jobs` are the trainings on all labels, of which each seed has `trainings`, and
-    /// `judgement` reads the scores of one, if they exist.
+    /// `scores_of` reads the scores of one, if they exist.
     pub(super) fn new(
         spec: &StudySpec,
         jobs: &[Job],
         trainings: usize,
         condition: &Condition,
-        judgement: &dyn Fn(&Job) -> Option<Judgement>,
+        scores_of: &dyn Fn(&Job) -> Option<ConditionScores>,
     ) -> Self {
         let mut maps = 0;
         let mut cells = Vec::new();
         for variant in &spec.variants {
             let of_variant = jobs.iter().filter(|job| job.variant == variant.name);
-            let judgements: Vec<Judgement> = of_variant.filter_map(judgement).collect();
-            let of_models = judgements.iter().map(|judgement| (judgement.job.seed, judgement.metrics.as_ref()));
-            let scores = seed_metrics(of_models, trainings);
+            let by_model: Vec<ConditionScores> = of_variant.filter_map(scores_of).collect();
+            let metrics = by_model.iter().map(|scores| (scores.job.seed, scores.metrics.as_ref()));
+            let by_seed = seed_metrics(metrics, trainings);
             let interval = |score: &dyn Fn(&Metrics) -> f64| {
-                let values = scores.iter().map(|of| of.metrics.as_ref().map_or(CHANCE, score));
+                let values = by_seed.iter().map(|seed| seed.metrics.as_ref().map_or(CHANCE, score));
                 t_interval(&values.collect::<Vec<f64>>())
             };
             let mut confusion = Confusion::default();
-            for metrics in judgements.iter().filter_map(|judgement| judgement.metrics.as_ref()) {
+            for metrics in by_model.iter().filter_map(|scores| scores.metrics.as_ref()) {
                 maps = maps.max(metrics.samples);
                 add_confusion(&mut confusion, &metrics.confusion);
             }
             cells.push(ConditionCell {
                 variant: variant.name.clone(),
-                done: judgements.len(),
+                done: by_model.len(),
                 balanced_accuracy: interval(&|metrics| metrics.balanced_accuracy),
-                scores: scores.iter().map(SeedMetrics::score).collect(),
+                scores: by_seed.iter().map(SeedMetrics::score).collect(),
                 accuracy: interval(&|metrics| metrics.accuracy),
                 confusion,
             });
@@ -222,7 +222,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn names_that_no_table_or_file_can_hold_are_refused() {
+        fn invalid_names_are_errors() {
             for name in ["", " ", "..", "a|b", "a\nb", &"a".repeat(101)] {
                 let error = condition_file_name(name).expect_err(name).to_string();
                 assert!(error.contains("name of a condition") && error.contains("100 characters"), "{error}");

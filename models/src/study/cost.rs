@@ -14,10 +14,10 @@ pub struct Cost {
 }
 
 impl Cost {
-    /// The cost of one of `count` equal pieces.
-    pub(super) fn each(self, count: usize) -> Self {
-        let each = |whole: f64| whole / count.max(1) as f64;
-        Cost { cpu_seconds: self.cpu_seconds.map(each), energy_joules: self.energy_joules.map(each) }
+    /// Mean cost of `count` equal pieces of work.
+    pub(super) fn mean_of(self, count: usize) -> Self {
+        let mean = |total: f64| total / count.max(1) as f64;
+        Cost { cpu_seconds: self.cpu_seconds.map(mean), energy_joules: self.energy_joules.map(mean) }
     }
 }
 
@@ -35,8 +35,8 @@ impl Meter {
     /// Cost since the start.
     pub fn read(&self) -> Cost {
         let cpu_seconds = cpu_seconds().zip(self.cpu_seconds).map(|(now, then)| now - then);
-        let used: Option<Vec<f64>> = self.energies.iter().map(EnergyCounter::used_joules).collect();
-        let energy_joules = used.filter(|used| !used.is_empty()).map(|used| used.iter().sum());
+        let joules: Option<Vec<f64>> = self.energies.iter().map(EnergyCounter::used_joules).collect();
+        let energy_joules = joules.filter(|joules| !joules.is_empty()).map(|joules| joules.iter().sum());
         Cost { cpu_seconds, energy_joules }
     }
 }
@@ -55,18 +55,18 @@ fn cpu_seconds() -> Option<f64> {
 /// Counter of a processor package's energy (RAPL; Linux, Documentation/power/powercap/powercap.rst), and its value at the start.
 struct EnergyCounter {
     file: PathBuf,
-    began_uj: u64,
+    start_uj: u64,
     /// Value after which the counter begins at 0 again.
     range_uj: u64,
 }
 
 impl EnergyCounter {
-    /// Energy since the start, J. It is too low for work that takes longer than one turn of the counter, minutes at
+    /// Energy since the start, J. It is too low for work during which the counter overflows more than once, minutes at
     /// full power.
     fn used_joules(&self) -> Option<f64> {
-        let now = read_number(&self.file)?;
-        let turned = if now < self.began_uj { self.range_uj } else { 0 };
-        Some(1e-6 * (now + turned).checked_sub(self.began_uj)? as f64)
+        let now_uj = read_number(&self.file)?;
+        let overflow_uj = if now_uj < self.start_uj { self.range_uj } else { 0 };
+        Some(1e-6 * (now_uj + overflow_uj).checked_sub(self.start_uj)? as f64)
     }
 }
 
@@ -76,8 +76,8 @@ fn energy_counters(folder: &Path) -> Vec<EnergyCounter> {
     let is_package = |name: &str| name.strip_prefix("intel-rapl:").is_some_and(|number| number.parse::<u32>().is_ok());
     let counter = |zone: PathBuf| {
         let file = zone.join("energy_uj");
-        let (began_uj, range_uj) = (read_number(&file)?, read_number(&zone.join("max_energy_range_uj"))?);
-        Some(EnergyCounter { file, began_uj, range_uj })
+        let (start_uj, range_uj) = (read_number(&file)?, read_number(&zone.join("max_energy_range_uj"))?);
+        Some(EnergyCounter { file, start_uj, range_uj })
     };
     let packages = entries.flatten().filter(|entry| is_package(&entry.file_name().to_string_lossy()));
     packages.filter_map(|entry| counter(entry.path())).collect()
@@ -91,7 +91,7 @@ fn read_number(path: &Path) -> Option<u64> {
 mod tests {
     use super::*;
 
-    /// Two packages count, one of them over the end of its range; a part of a package does not count again.
+    /// Two packages count, one of which overflows; a part of a package does not count again.
     #[test]
     fn energy_is_that_of_the_packages() {
         let folder = tempfile::tempdir().expect("folder");
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_machine_without_counters_tells_no_energy() {
+    fn a_machine_without_counters_has_no_energy() {
         let meter = Meter { cpu_seconds: None, energies: energy_counters(Path::new("/nowhere")) };
         assert_eq!(meter.read(), Cost::default());
     }

@@ -36,14 +36,15 @@ impl StudySpec {
         if rates.len() < 2 {
             return Vec::new();
         }
-        let of = |name: &str| rates.iter().map(|&rate| self.rate_job(name, rate, held_out)).collect::<Vec<_>>();
-        self.variants.iter().flat_map(|variant| of(&variant.name)).collect()
+        let variant_jobs =
+            |name: &str| rates.iter().map(|&rate| self.rate_job(name, rate, held_out)).collect::<Vec<_>>();
+        self.variants.iter().flat_map(|variant| variant_jobs(&variant.name)).collect()
     }
 
     /// Jobs that are compared. `rate` gives the learning rate of a variant.
     pub(super) fn compared_jobs(&self, held_out: &[Option<String>], rate: impl Fn(&str) -> f64) -> Vec<Job> {
         let mut jobs = Vec::new();
-        // Seed by seed, so that early results are the whole comparison with few seeds.
+        // Seed by seed, so that early results are a complete comparison over few seeds.
         for &seed in &self.seeds {
             for &label_fraction in &self.label_fractions {
                 for variant in &self.variants {
@@ -63,11 +64,11 @@ impl StudySpec {
 
 /// Jobs of shard `index` of `count`, in their order. Trainings of one network on one share of the maps are distributed
 /// one by one, so that all shards take about the same time.
-pub(super) fn of_shard(jobs: &[Job], (index, count): (usize, usize)) -> Vec<Job> {
-    let mut dealt: Vec<&Job> = jobs.iter().collect();
-    dealt.sort_by(|a, b| a.variant.cmp(&b.variant).then(b.label_fraction.total_cmp(&a.label_fraction)));
-    let own: BTreeSet<String> = dealt.into_iter().skip(index).step_by(count.max(1)).map(name).collect();
-    jobs.iter().filter(|job| own.contains(&name(job))).cloned().collect()
+pub(super) fn shard_jobs(jobs: &[Job], (index, count): (usize, usize)) -> Vec<Job> {
+    let mut sorted: Vec<&Job> = jobs.iter().collect();
+    sorted.sort_by(|a, b| a.variant.cmp(&b.variant).then(b.label_fraction.total_cmp(&a.label_fraction)));
+    let names: BTreeSet<String> = sorted.into_iter().skip(index).step_by(count.max(1)).map(name).collect();
+    jobs.iter().filter(|job| names.contains(&name(job))).cloned().collect()
 }
 
 /// A job's name in files.
@@ -92,14 +93,14 @@ mod tests {
         serde_json::from_value(spec).expect("a spec")
     }
 
-    /// Every job is of one shard, and every shard has as many of the large networks as the others, or one more.
+    /// Every job is in one shard, and the shards' numbers of jobs of a large network differ by one at most.
     #[test]
     fn shards_share_the_jobs_of_each_network() {
         let spec = study(&["hqnn", "resnet18", "doppler_net"], 5, &[1.0, 0.3]);
         let jobs = spec.compared_jobs(&[None], |_| 1e-3);
         assert_eq!(jobs.len(), 30);
         for count in [1, 2, 3, 4, 7, 40] {
-            let shards: Vec<Vec<Job>> = (0..count).map(|index| of_shard(&jobs, (index, count))).collect();
+            let shards: Vec<Vec<Job>> = (0..count).map(|index| shard_jobs(&jobs, (index, count))).collect();
             let mut all: Vec<String> = shards.iter().flatten().map(name).collect();
             all.sort();
             let mut expected: Vec<String> = jobs.iter().map(name).collect();

@@ -4,7 +4,7 @@
 //! # Shards
 //! Several processes may run the shards of a study in one folder. Each job is locked by the process that runs it. Its
 //! outcome, except for the times, is a function of job, dataset and kernel level. The report holds no times: it is the
-//! same, byte for byte, however the jobs were spread.
+//! same, byte for byte, for any distribution of the jobs.
 //!
 //! # Equal treatment
 //! Every variant is trained by the same recipe ([`mod@crate::train`]) with the same grid of learning rates. The best rate by balanced
@@ -33,7 +33,7 @@ mod score;
 mod spec;
 mod times;
 
-pub use condition::{Condition, ConditionCell, ConditionReport, Judgement, condition_file_name};
+pub use condition::{Condition, ConditionCell, ConditionReport, ConditionScores, condition_file_name};
 pub use cost::Cost;
 pub use error::StudyError;
 pub use outcome::{FAILED_BELOW, Job, Noisy, Outcome};

@@ -47,23 +47,23 @@ pub struct Plan {
 }
 
 impl Study<'_> {
-    /// Counts the trainings of all shards, and times a few steps of each network that has trainings left. `tell` gets
+    /// Counts the trainings of all shards, and times a few steps of each network with remaining trainings. `report` gets
     /// the name of each network before it is timed. `conditions` is the number of the study's conditions, including
     /// those whose datasets are not built yet.
     ///
-    /// Times are those of steps, of fitting the head and of the validation after each epoch. Reading the maps and the scores at the
-    /// end are not in them.
+    /// Times are those of steps, of fitting the head and of the validation after each epoch. They exclude reading maps and computing
+    /// the scores at the end.
     ///
     /// # Errors
     /// [`StudyError`] if the results cannot be read, or a network cannot be trained on the dataset.
-    pub fn plan(&self, conditions: usize, tell: &mut dyn FnMut(&str)) -> Result<Plan, StudyError> {
+    pub fn plan(&self, conditions: usize, report: &mut dyn FnMut(&str)) -> Result<Plan, StudyError> {
         let held_out = self.spec.held_out(self.dataset);
         let (rates, chosen) = (self.spec.rates(), self.chosen_rates()?);
-        // Whichever rate is chosen, one of the trainings that choose rates already uses it.
+        // For any chosen rate, one of the compared trainings is also a training that chooses rates.
         let rate = |name: &str| chosen.get(name).or(rates.first()).copied().unwrap_or_default();
         let compared = self.spec.compared_jobs(&held_out, rate);
         let models = compared.iter().filter(|job| job.label_fraction == 1.0).count();
-        let judgings_left = (conditions * models).saturating_sub(self.judged(&compared));
+        let judgings_left = (conditions * models).saturating_sub(self.completed_evaluations(&compared));
         let mut jobs = self.spec.rate_jobs(&held_out);
         jobs.extend(compared);
         let mut seen = BTreeSet::new();
@@ -73,29 +73,29 @@ impl Study<'_> {
         let mut networks = Vec::new();
         for variant in &self.spec.variants {
             let jobs: Vec<&Job> = jobs.iter().filter(|job| job.variant == variant.name).collect();
-            let left: Vec<&Job> = jobs.iter().copied().filter(|job| !self.has_result(job)).collect();
+            let remaining: Vec<&Job> = jobs.iter().copied().filter(|job| !self.has_result(job)).collect();
             let (mut steps, mut validation_maps) = (0, 0);
-            for job in &left {
+            for job in &remaining {
                 let (job_steps, job_maps) = self.size(job, &mut sizes)?;
                 steps += job_steps;
                 validation_maps += job_maps;
             }
-            // The largest of them shows what a full batch takes.
-            let largest = left.iter().max_by(|a, b| a.label_fraction.total_cmp(&b.label_fraction));
+            // The largest of them has a full batch to time.
+            let largest = remaining.iter().max_by(|a, b| a.label_fraction.total_cmp(&b.label_fraction));
             let times = match largest {
                 Some(job) => {
-                    tell(&variant.name);
+                    report(&variant.name);
                     Some(time_steps(&self.maps, &self.spec.train_spec(job)?)?)
                 }
                 None => None,
             };
             let seconds = times.map_or(0.0, |StepTimes { head_s, step_s, validation_map_s }| {
-                left.len() as f64 * head_s + steps as f64 * step_s + validation_maps as f64 * validation_map_s
+                remaining.len() as f64 * head_s + steps as f64 * step_s + validation_maps as f64 * validation_map_s
             });
             networks.push(PlannedNetwork {
                 variant: variant.name.clone(),
                 trainings: jobs.len(),
-                done: jobs.len() - left.len(),
+                done: jobs.len() - remaining.len(),
                 steps,
                 step_seconds: times.map(|times| times.step_s),
                 hours: seconds / 3600.0,
@@ -120,12 +120,12 @@ impl Study<'_> {
         let spec = self.spec.train_spec(job)?;
         let key = (job.held_out.clone(), job.label_fraction.to_bits());
         let [training, validation] = match sizes.get(&key) {
-            Some(&found) => found,
+            Some(&size) => size,
             None => {
                 let Indices { train, validation, .. } = Indices::choose(self.dataset, &spec)?;
-                let found = [train.len(), validation.len()];
-                sizes.insert(key, found);
-                found
+                let size = [train.len(), validation.len()];
+                sizes.insert(key, size);
+                size
             }
         };
         let epochs = spec.all_epochs();

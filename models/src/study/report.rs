@@ -153,7 +153,7 @@ pub(super) fn groups<'a>(
 pub fn report(spec: &StudySpec, dataset: &Dataset, chosen: &BTreeMap<String, f64>, outcomes: &[Outcome]) -> Report {
     let trainings = spec.held_out(dataset).len();
     let cells: Vec<Cell> = groups(spec, chosen, outcomes).iter().map(|group| cell(spec, group, trainings)).collect();
-    let pooling = spec.leave_one_recording_out.then(|| pooling(spec.train.split.by));
+    let pooling = spec.leave_one_recording_out.then(|| pooling_remark(spec.train.split.by));
     Report {
         title: spec.title.clone(),
         remarks: spec.remarks.iter().cloned().chain(pooling).collect(),
@@ -180,7 +180,7 @@ fn failure(outcome: &Outcome) -> Option<Failure> {
 }
 
 /// Remark on studies that hold out each recording, or each group of a split, in turn.
-fn pooling(by: SplitBy) -> String {
+fn pooling_remark(by: SplitBy) -> String {
     let each = match by {
         SplitBy::Sequence => "Each recording".to_owned(),
         by => format!("Each group of recordings of one {by}"),
@@ -197,41 +197,42 @@ fn test_scores<'a>(
     trainings: usize,
     metrics: impl Fn(&'a Outcome) -> Option<&'a Metrics>,
 ) -> Vec<SeedMetrics> {
-    let scored = outcomes.iter().map(|&outcome| (outcome, metrics(outcome)));
-    let counted = scored.filter(|(outcome, metrics)| outcome.error.is_some() || metrics.is_some());
+    let with_metrics = outcomes.iter().map(|&outcome| (outcome, metrics(outcome)));
+    let counted = with_metrics.filter(|(outcome, metrics)| outcome.error.is_some() || metrics.is_some());
     seed_metrics(counted.map(|(outcome, metrics)| (outcome.job.seed, metrics)), trainings)
 }
 
-/// Results of one group, each seed of which has so many trainings.
+/// Results of one group, with this number of trainings for each seed.
 fn cell(spec: &StudySpec, group: &Group, trainings: usize) -> Cell {
-    let Group { variant, label_fraction, learning_rate, outcomes: of } = group;
+    let Group { variant, label_fraction, learning_rate, outcomes } = group;
     let (label_fraction, learning_rate) = (*label_fraction, *learning_rate);
-    let interval = |f: &dyn Fn(&Outcome) -> Option<f64>| {
-        over_seeds(of.iter().filter_map(|outcome| Some((outcome.job.seed, f(outcome)?))))
+    let interval = |value: &dyn Fn(&Outcome) -> Option<f64>| {
+        over_seeds(outcomes.iter().filter_map(|outcome| Some((outcome.job.seed, value(outcome)?))))
     };
-    let scores = test_scores(of, trainings, |outcome| outcome.test.as_ref());
-    let test = |f: &dyn Fn(&Metrics) -> Option<f64>, broken: Option<f64>| {
-        let values = scores.iter().filter_map(|of| of.metrics.as_ref().map_or(broken, f));
+    let scores = test_scores(outcomes, trainings, |outcome| outcome.test.as_ref());
+    let test = |value: &dyn Fn(&Metrics) -> Option<f64>, if_broken_off: Option<f64>| {
+        let values = scores.iter().filter_map(|seed| seed.metrics.as_ref().map_or(if_broken_off, value));
         t_interval(&values.collect::<Vec<f64>>())
     };
     let mut confusion = Confusion::default();
-    for metrics in of.iter().filter_map(|outcome| outcome.test.as_ref()) {
+    for metrics in outcomes.iter().filter_map(|outcome| outcome.test.as_ref()) {
         add_confusion(&mut confusion, &metrics.confusion);
     }
-    let under = |snr_db: f64| {
-        let scores = test_scores(of, trainings, |outcome| {
+    let under_noise = |snr_db: f64| {
+        let scores = test_scores(outcomes, trainings, |outcome| {
             outcome.noisy.iter().find(|noisy| noisy.snr_db == snr_db).map(|noisy| &noisy.metrics)
         });
-        let values = scores.iter().map(|of| of.score().balanced_accuracy);
+        let values = scores.iter().map(|seed| seed.score().balanced_accuracy);
         t_interval(&values.collect::<Vec<f64>>())
     };
-    let noisy = if label_fraction == 1.0 { spec.snr_db.iter().map(|&snr| (snr, under(snr))).collect() } else { vec![] };
+    let noise_levels: &[f64] = if label_fraction == 1.0 { spec.snr_db.as_slice() } else { &[] };
+    let noisy = noise_levels.iter().map(|&snr_db| (snr_db, under_noise(snr_db))).collect();
     Cell {
         variant: (*variant).to_owned(),
         label_fraction,
         learning_rate,
-        done: of.len(),
-        failed: of.iter().filter(|outcome| outcome.failed()).count(),
+        done: outcomes.len(),
+        failed: outcomes.iter().filter(|outcome| outcome.failed()).count(),
         test: test(&|metrics| Some(metrics.balanced_accuracy), Some(CHANCE)),
         scores: scores.iter().map(SeedMetrics::score).collect(),
         accuracy: test(&|metrics| Some(metrics.accuracy), Some(CHANCE)),
@@ -241,11 +242,11 @@ fn cell(spec: &StudySpec, group: &Group, trainings: usize) -> Cell {
         validation: interval(&|outcome| Some(outcome.validation.as_ref()?.balanced_accuracy)),
         confusion,
         noisy,
-        curve: curve(of),
-        reached_target: of.iter().filter(|outcome| outcome.epochs_to_target.is_some()).count(),
-        epochs_to_target: median(of.iter().filter_map(|outcome| Some(outcome.epochs_to_target? as f64))),
-        parameters: of.first().map_or(0, |outcome| outcome.parameters),
-        multiply_adds: of.first().map_or(0, |outcome| outcome.multiply_adds),
+        curve: curve(outcomes),
+        reached_target: outcomes.iter().filter(|outcome| outcome.epochs_to_target.is_some()).count(),
+        epochs_to_target: median(outcomes.iter().filter_map(|outcome| Some(outcome.epochs_to_target? as f64))),
+        parameters: outcomes.first().map_or(0, |outcome| outcome.parameters),
+        multiply_adds: outcomes.first().map_or(0, |outcome| outcome.multiply_adds),
     }
 }
 
@@ -253,8 +254,8 @@ fn cell(spec: &StudySpec, group: &Group, trainings: usize) -> Cell {
 fn curve(outcomes: &[&Outcome]) -> Vec<CurvePoint> {
     let epochs = outcomes.iter().map(|outcome| outcome.curve.len()).max().unwrap_or_default();
     let point = |index: usize| {
-        let mean = |of: &dyn Fn(&EpochReport) -> f64| {
-            over_seeds(outcomes.iter().filter_map(|outcome| Some((outcome.job.seed, of(outcome.curve.get(index)?)))))
+        let mean = |value: &dyn Fn(&EpochReport) -> f64| {
+            over_seeds(outcomes.iter().filter_map(|outcome| Some((outcome.job.seed, value(outcome.curve.get(index)?)))))
         };
         CurvePoint {
             epoch: index + 1,
@@ -304,7 +305,8 @@ impl Report {
         text
     }
 
-    fn whole(&self) -> impl Iterator<Item = &Cell> {
+    /// Cells of trainings on all labels that are done.
+    fn cells_of_all_labels(&self) -> impl Iterator<Item = &Cell> {
         self.cells.iter().filter(|cell| cell.label_fraction == 1.0 && cell.done > 0)
     }
 
@@ -343,7 +345,7 @@ impl Report {
             "| network | rate | seeds | failed | test | training | accuracy % | macro-F1 | paper % test/training |"
         )?;
         writeln!(out, "|---|---|---|---|---|---|---|---|---|")?;
-        for cell in self.whole() {
+        for cell in self.cells_of_all_labels() {
             let paper = PAPER_CLEAN.iter().find(|(name, ..)| *name == cell.variant);
             writeln!(
                 out,
@@ -352,10 +354,10 @@ impl Report {
                 cell.learning_rate,
                 cell.seeds(),
                 cell.failed,
-                spread(cell.test),
-                short(cell.training),
+                interval_and_range(cell.test),
+                interval(cell.training),
                 cell.accuracy.map_or("-".to_owned(), |a| format!("{:.1}", 100.0 * a.mean)),
-                short(cell.macro_f1),
+                interval(cell.macro_f1),
                 paper.map_or("-".to_owned(), |(_, test, training)| format!("{test} / {training}"))
             )?;
         }
@@ -363,19 +365,21 @@ impl Report {
     }
 
     fn write_noise(&self, out: &mut String) -> std::fmt::Result {
-        let ratios: Vec<f64> = self.whole().next().map(|c| c.noisy.iter().map(|n| n.0).collect()).unwrap_or_default();
+        let first = self.cells_of_all_labels().next();
+        let ratios: Vec<f64> =
+            first.map(|cell| cell.noisy.iter().map(|(ratio, _)| *ratio).collect()).unwrap_or_default();
         if ratios.is_empty() {
             return Ok(());
         }
         writeln!(out, "## Gaussian noise on the test maps\n\nIn brackets the paper's.\n")?;
         write_row(out, "network", ratios.iter().map(|ratio| format!("{ratio:+} dB")))?;
         writeln!(out, "|---|{}", "---|".repeat(ratios.len()))?;
-        for cell in self.whole() {
-            let told = cell.noisy.iter().map(|&(ratio, interval)| {
-                let paper = of_paper(&PAPER_NOISE, &PAPER_SNR_DB, &cell.variant, ratio);
-                format!("{}{}", short(interval), paper.map_or(String::new(), |v| format!(" ({v:.3})")))
+        for cell in self.cells_of_all_labels() {
+            let columns = cell.noisy.iter().map(|&(ratio, score)| {
+                let paper = paper_value(&PAPER_NOISE, &PAPER_SNR_DB, &cell.variant, ratio);
+                format!("{}{}", interval(score), paper.map_or(String::new(), |v| format!(" ({v:.3})")))
             });
-            write_row(out, &cell.variant, told)?;
+            write_row(out, &cell.variant, columns)?;
         }
         writeln!(out)
     }
@@ -397,13 +401,13 @@ impl Report {
             }
         }
         for name in names {
-            let told = shares.iter().map(|&share| {
+            let columns = shares.iter().map(|&share| {
                 let cell = self.cells.iter().find(|c| c.variant == name && c.label_fraction == share);
-                let paper = of_paper(&PAPER_FRACTIONS, &PAPER_SHARES, name, share);
-                let ours = short(cell.and_then(|cell| cell.test));
+                let paper = paper_value(&PAPER_FRACTIONS, &PAPER_SHARES, name, share);
+                let ours = interval(cell.and_then(|cell| cell.test));
                 format!("{ours}{}", paper.map_or(String::new(), |v| format!(" ({v:.2})")))
             });
-            write_row(out, name, told)?;
+            write_row(out, name, columns)?;
         }
         writeln!(out)
     }
@@ -416,23 +420,23 @@ impl Report {
             }
         }
         for group in groups {
-            let of_group: Vec<&ConditionReport> =
+            let conditions: Vec<&ConditionReport> =
                 self.conditions.iter().filter(|condition| condition.group.as_deref() == group).collect();
             writeln!(out, "## {}\n", group.unwrap_or("Other sets"))?;
             writeln!(
                 out,
                 "Balanced accuracy of the models of all labels, on maps of sequences that they have not seen.\n"
             )?;
-            write_row(out, "network | test split", of_group.iter().map(|condition| condition.name.clone()))?;
-            writeln!(out, "|---|---|{}", "---|".repeat(of_group.len()))?;
-            for cell in self.whole() {
-                let told = of_group.iter().map(|condition| {
-                    let of_network = condition.cells.iter().find(|other| other.variant == cell.variant);
-                    short(of_network.and_then(|other| other.balanced_accuracy))
+            write_row(out, "network | test split", conditions.iter().map(|condition| condition.name.clone()))?;
+            writeln!(out, "|---|---|{}", "---|".repeat(conditions.len()))?;
+            for cell in self.cells_of_all_labels() {
+                let columns = conditions.iter().map(|condition| {
+                    let scores = condition.cells.iter().find(|other| other.variant == cell.variant);
+                    interval(scores.and_then(|scores| scores.balanced_accuracy))
                 });
-                write_row(out, &format!("{} | {}", cell.variant, short(cell.test)), told)?;
+                write_row(out, &format!("{} | {}", cell.variant, interval(cell.test)), columns)?;
             }
-            write_row(out, "maps |", of_group.iter().map(|condition| condition.maps.to_string()))?;
+            write_row(out, "maps |", conditions.iter().map(|condition| condition.maps.to_string()))?;
             writeln!(out)?;
         }
         Ok(())
@@ -442,7 +446,7 @@ impl Report {
         writeln!(out, "## Cost\n")?;
         writeln!(out, "| network | parameters | multiply-adds | reached {} | epochs to it |", self.target)?;
         writeln!(out, "|---|---|---|---|---|")?;
-        for cell in self.whole() {
+        for cell in self.cells_of_all_labels() {
             writeln!(
                 out,
                 "| {} | {} | {:.1} M | {} of {} | {} |",
@@ -460,7 +464,7 @@ impl Report {
     fn write_confusion(&self, out: &mut String) -> std::fmt::Result {
         writeln!(out, "## Confusion on the test split, all seeds\n")?;
         writeln!(out, "| network | truth | called empty | one | two |\n|---|---|---|---|---|")?;
-        for cell in self.whole() {
+        for cell in self.cells_of_all_labels() {
             for (truth, row) in Occupancy::ALL.iter().zip(cell.confusion) {
                 let [a, b, c] = row;
                 writeln!(out, "| {} | {truth} | {a} | {b} | {c} |", cell.variant)?;
@@ -490,8 +494,8 @@ fn write_row(out: &mut String, name: &str, cells: impl Iterator<Item = String>) 
     writeln!(out, "| {name} | {} |", cells.collect::<Vec<_>>().join(" | "))
 }
 
-/// Number of the paper for a network in the column of `key`, if it has one.
-fn of_paper<const N: usize>(table: &[(&str, [f64; N])], keys: &[f64; N], network: &str, key: f64) -> Option<f64> {
+/// The paper's value for a network in the column of `key`, if it has one.
+fn paper_value<const N: usize>(table: &[(&str, [f64; N])], keys: &[f64; N], network: &str, key: f64) -> Option<f64> {
     let (_, values) = table.iter().find(|(name, _)| *name == network)?;
     Some(values[keys.iter().position(|known| *known == key)?])
 }
@@ -501,7 +505,8 @@ pub(super) fn number(value: Option<f64>, digits: usize) -> String {
     value.map_or("-".to_owned(), |v| format!("{v:.digits$}"))
 }
 
-fn short(interval: Option<Interval>) -> String {
+/// Formats a mean with the half width of its interval.
+fn interval(interval: Option<Interval>) -> String {
     match interval {
         None => "-".to_owned(),
         Some(Interval { mean, half_width: Some(half), .. }) => format!("{mean:.3} ± {half:.3}"),
@@ -509,7 +514,8 @@ fn short(interval: Option<Interval>) -> String {
     }
 }
 
-fn spread(interval: Option<Interval>) -> String {
-    let range = interval.filter(|i| i.count > 1).map(|i| format!(" [{:.3}, {:.3}]", i.least, i.most));
-    format!("{}{}", short(interval), range.unwrap_or_default())
+/// Formats a mean with the half width of its interval and the range of its values.
+fn interval_and_range(value: Option<Interval>) -> String {
+    let range = value.filter(|i| i.count > 1).map(|i| format!(" [{:.3}, {:.3}]", i.least, i.most));
+    format!("{}{}", interval(value), range.unwrap_or_default())
 }

@@ -9,21 +9,21 @@ use std::time::{Duration, Instant};
 use radome_files::{TEXT_LIMIT_BYTES, read_text};
 use serde::Serialize;
 
-use super::condition::{self, Condition, ConditionReport, Judgement};
+use super::condition::{self, Condition, ConditionReport, ConditionScores};
 use super::cost::{Cost, Meter};
 use super::error::StudyError;
-use super::jobs::{name, of_shard};
+use super::jobs::{name, shard_jobs};
 use super::noise::add_noise;
 use super::outcome::{Job, Noisy, Outcome};
 use super::report::{Report, report};
 use super::spec::StudySpec;
 use super::times::{Times, times};
+use crate::atomic_file;
 use crate::dataset::{Dataset, DatasetError, lock_file, lock_folder, share_folder};
 use crate::evaluate::{evaluate, evaluate_changed};
 use crate::interval::median;
 use crate::model::{Classifier, Model, input_shape};
 use crate::train::{EpochReport, Indices, Maps, TrainError, TrainOutcome, TrainSpec, check_memory, train_on};
-use crate::whole_file;
 
 /// Longest `study.json` that is read: a spec as JSON is longer than as TOML.
 const IDENTITY_LIMIT_BYTES: u64 = 16 << 20;
@@ -31,11 +31,12 @@ const IDENTITY_LIMIT_BYTES: u64 = 16 << 20;
 const RESULT_LIMIT_BYTES: u64 = 64 << 20;
 /// Interval between two checks of jobs that other processes run.
 const OTHERS_WAIT: Duration = Duration::from_millis(200);
-/// Number of maps to warm up, least number of timed maps, and least timed duration: energy counters step every
-/// millisecond.
-const WARM_UP_LABELS: usize = 3;
-const LEAST_LABELS: usize = 30;
-const LABELS_LAST: Duration = Duration::from_millis(300);
+/// Number of maps that are classified before the timed ones.
+const WARM_UP_MAPS: usize = 3;
+/// Least number of timed maps.
+const LEAST_TIMED_MAPS: usize = 30;
+/// Least timed duration: energy counters advance every millisecond.
+const LEAST_TIMED_DURATION: Duration = Duration::from_millis(300);
 
 /// Progress of a study.
 pub enum Progress<'a> {
@@ -47,12 +48,12 @@ pub enum Progress<'a> {
     Done(&'a Outcome),
     /// Start of an evaluation of the job's model under a condition: name of the condition, number of this evaluation,
     /// and of all evaluations that are done in turn.
-    Judging(&'a Job, &'a str, usize, usize),
+    Evaluation(&'a Job, &'a str, usize, usize),
     /// End of such an evaluation.
-    Judged(&'a Judgement),
+    Evaluated(&'a ConditionScores),
 }
 
-/// Work whose outcome is one file: a training, or the evaluation of its model under a condition.
+/// Task with one result file: a training, or the evaluation of its model under a condition.
 #[derive(Clone, Copy)]
 struct Task<'j> {
     job: &'j Job,
@@ -108,7 +109,7 @@ impl<'a> Study<'a> {
         match read_text(&path, IDENTITY_LIMIT_BYTES) {
             Ok(found) if found == identity => {}
             Ok(_) => return Err(StudyError::Foreign { path: folder.to_owned() }),
-            Err(error) if error.kind() == ErrorKind::NotFound => write_whole(&path, identity.as_bytes())?,
+            Err(error) if error.kind() == ErrorKind::NotFound => write_file(&path, identity.as_bytes())?,
             Err(error) => return Err(file(&path, error)),
         }
         let maps = Maps::new(dataset, spec.train.reference);
@@ -125,7 +126,7 @@ impl<'a> Study<'a> {
         Ok(Study { conditions, ..self })
     }
 
-    /// Runs the remaining jobs of this shard until `go_on` returns `false`, and evaluates the model of each under the
+    /// Runs the remaining jobs of this shard until `should_continue` returns `false`, and evaluates the model of each under the
     /// conditions as soon as it is trained. Returns all outcomes that exist.
     ///
     /// Shards may run at once, in any order and in any number of processes: a job is run by the process that locks it
@@ -135,7 +136,11 @@ impl<'a> Study<'a> {
     /// [`DatasetError::Busy`] if another process works on the study as a whole, or on a shard where this is no shard, and otherwise
     /// [`StudyError`] for the first training that cannot be done, model that cannot be evaluated, or file that cannot be written or
     /// read. A training that ends in a number that is not finite is an outcome and no error.
-    pub fn run(&self, go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<Vec<Outcome>, StudyError> {
+    pub fn run(
+        &self,
+        should_continue: &dyn Fn() -> bool,
+        report: &mut dyn FnMut(Progress),
+    ) -> Result<Vec<Outcome>, StudyError> {
         let _lock = if self.shard.1 > 1 { share_folder(&self.folder) } else { lock_folder(&self.folder) }?;
         let held_out = self.spec.held_out(self.dataset);
         for variant in &self.spec.variants {
@@ -143,18 +148,18 @@ impl<'a> Study<'a> {
             check_memory(self.dataset, &self.spec.train_spec(&self.spec.rate_job(&variant.name, rate, &held_out))?)?;
         }
         let rate_jobs = self.spec.rate_jobs(&held_out);
-        self.work(&trainings(&of_shard(&rate_jobs, self.shard)), go_on, tell)?;
-        self.work(&trainings(&rate_jobs), go_on, tell)?;
+        self.run_tasks(&trainings(&shard_jobs(&rate_jobs, self.shard)), should_continue, report)?;
+        self.run_tasks(&trainings(&rate_jobs), should_continue, report)?;
         let chosen = self.chosen_rates()?;
-        // A rate is missing only if the work was stopped.
+        // A rate is missing only if the study was stopped.
         if chosen.len() == self.spec.variants.len() {
             let rate = |name: &str| chosen.get(name).copied().unwrap_or(f64::NAN);
-            let jobs = of_shard(&self.spec.compared_jobs(&held_out, rate), self.shard);
-            // Scores that an earlier run left undone come first.
+            let jobs = shard_jobs(&self.spec.compared_jobs(&held_out, rate), self.shard);
+            // Evaluations that an earlier run did not complete come first.
             let trained: Vec<Job> = jobs.iter().filter(|job| self.has_result(job)).cloned().collect();
-            self.work(&self.judgings(&trained), go_on, tell)?;
-            self.work(&trainings(&jobs), go_on, tell)?;
-            self.work(&self.judgings(&jobs), go_on, tell)?;
+            self.run_tasks(&self.evaluations(&trained), should_continue, report)?;
+            self.run_tasks(&trainings(&jobs), should_continue, report)?;
+            self.run_tasks(&self.evaluations(&jobs), should_continue, report)?;
         }
         self.outcomes()
     }
@@ -174,11 +179,11 @@ impl<'a> Study<'a> {
         for variant in &self.spec.variants {
             let score = |rate: f64| {
                 let job = self.spec.rate_job(&variant.name, rate, &held_out);
-                let tried = outcomes.iter().find(|outcome| outcome.job == job)?;
-                Some(tried.validation.as_ref().map_or(0.0, |metrics| metrics.balanced_accuracy))
+                let outcome = outcomes.iter().find(|outcome| outcome.job == job)?;
+                Some(outcome.validation.as_ref().map_or(0.0, |metrics| metrics.balanced_accuracy))
             };
             let scores: Option<Vec<f64>> = rates.iter().map(|&rate| score(rate)).collect();
-            // The first of equals wins.
+            // The first of the best rates is chosen.
             let better = |a: (f64, f64), b: (f64, f64)| if b.1 > a.1 { b } else { a };
             let best = scores.and_then(|scores| rates.iter().copied().zip(scores).reduce(better));
             if let Some((rate, _)) = best {
@@ -188,12 +193,12 @@ impl<'a> Study<'a> {
         Ok(chosen)
     }
 
-    /// All outcomes that exist, in the order of their file names. Earlier versions held out every sequence of a group in turn: outcomes
-    /// of the further sequences do not count.
+    /// All outcomes that exist, in the order of their file names. Earlier versions held out every sequence of a group in turn; outcomes
+    /// of sequences other than the first do not count.
     ///
     /// # Errors
-    /// [`StudyError::File`] if the folder or a file of it cannot be read, and [`StudyError::DamagedResult`] if a file is no result, or
-    /// that of another training than its name says.
+    /// [`StudyError::File`] if the folder or a file of it cannot be read, and [`StudyError::DamagedResult`] if a file is not a result, or
+    /// is the result of another training than its name says.
     pub fn outcomes(&self) -> Result<Vec<Outcome>, StudyError> {
         let folder = self.folder.join("results");
         let mut paths: Vec<PathBuf> = std::fs::read_dir(&folder)
@@ -220,11 +225,11 @@ impl<'a> Study<'a> {
         let held_out = self.spec.held_out(self.dataset);
         let mut jobs = self.spec.compared_jobs(&held_out, rate);
         jobs.retain(|job| job.label_fraction == 1.0);
-        let of = |condition: &Condition| {
-            let judgement = |job: &Job| self.judgement(job, condition);
-            ConditionReport::new(self.spec, &jobs, held_out.len(), condition, &judgement)
+        let condition_report = |condition: &Condition| {
+            let scores = |job: &Job| self.condition_scores(job, condition);
+            ConditionReport::new(self.spec, &jobs, held_out.len(), condition, &scores)
         };
-        report.conditions = self.conditions.iter().map(of).collect();
+        report.conditions = self.conditions.iter().map(condition_report).collect();
         Ok(report)
     }
 
@@ -236,40 +241,45 @@ impl<'a> Study<'a> {
         Ok(times(self.spec, &self.chosen_rates()?, &self.outcomes()?))
     }
 
-    /// Conditions and the trainings among `jobs` that keep models, which are those on all labels.
-    fn judgings<'j>(&'j self, jobs: &'j [Job]) -> Vec<Task<'j>> {
-        let whole = jobs.iter().filter(|job| job.label_fraction == 1.0);
+    /// Evaluations under each condition of the models of `jobs`; only trainings on all labels keep models.
+    fn evaluations<'j>(&'j self, jobs: &'j [Job]) -> Vec<Task<'j>> {
+        let with_models = jobs.iter().filter(|job| job.label_fraction == 1.0);
         let of_job = |job| self.conditions.iter().map(move |condition| Task { job, condition: Some(condition) });
-        whole.flat_map(of_job).collect()
+        with_models.flat_map(of_job).collect()
     }
 
     /// Number of existing scores of the models among `jobs` under the conditions.
-    pub(super) fn judged(&self, jobs: &[Job]) -> usize {
-        self.judgings(jobs).into_iter().filter(|task| self.is_done(*task)).count()
+    pub(super) fn completed_evaluations(&self, jobs: &[Job]) -> usize {
+        self.evaluations(jobs).into_iter().filter(|task| self.is_done(*task)).count()
     }
 
     /// Runs the tasks that have no result: first those that no other process works on, then those whose process ended
     /// without a result.
-    fn work(&self, tasks: &[Task], go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<(), StudyError> {
-        let mut left: Vec<(usize, Task)> = tasks.iter().copied().enumerate().collect();
+    fn run_tasks(
+        &self,
+        tasks: &[Task],
+        should_continue: &dyn Fn() -> bool,
+        report: &mut dyn FnMut(Progress),
+    ) -> Result<(), StudyError> {
+        let mut remaining: Vec<(usize, Task)> = tasks.iter().copied().enumerate().collect();
         loop {
-            let mut elsewhere = Vec::new();
-            for (index, task) in left {
+            let mut locked_by_others = Vec::new();
+            for (index, task) in remaining {
                 if self.is_done(task) {
                     continue;
                 }
-                if !go_on() {
+                if !should_continue() {
                     return Ok(());
                 }
-                match self.claim(task)? {
-                    Some(_claim) => self.finish(task, (index + 1, tasks.len()), tell)?,
-                    None => elsewhere.push((index, task)),
+                match self.lock(task)? {
+                    Some(_lock) => self.run_locked(task, (index + 1, tasks.len()), report)?,
+                    None => locked_by_others.push((index, task)),
                 }
             }
-            if elsewhere.is_empty() {
+            if locked_by_others.is_empty() {
                 return Ok(());
             }
-            left = elsewhere;
+            remaining = locked_by_others;
             std::thread::sleep(OTHERS_WAIT);
         }
     }
@@ -277,7 +287,7 @@ impl<'a> Study<'a> {
     fn is_done(&self, Task { job, condition }: Task) -> bool {
         match condition {
             None => self.has_result(job),
-            Some(condition) => self.judgement(job, condition).is_some(),
+            Some(condition) => self.condition_scores(job, condition).is_some(),
         }
     }
 
@@ -298,80 +308,80 @@ impl<'a> Study<'a> {
         self.folder.join("checkpoints").join(format!("{}.safetensors", name(job)))
     }
 
-    fn judgement_path(&self, task: Task) -> PathBuf {
+    fn condition_scores_path(&self, task: Task) -> PathBuf {
         self.folder.join("judged").join(format!("{}.json", task.name()))
     }
 
     /// Scores of a job's model under a condition; `None` if there are none for the present content of its dataset.
-    fn judgement(&self, job: &Job, condition: &Condition) -> Option<Judgement> {
-        let path = self.judgement_path(Task { job, condition: Some(condition) });
-        let found: Judgement = serde_json::from_str(&read_text(&path, TEXT_LIMIT_BYTES).ok()?).ok()?;
-        (found.dataset_hash == condition.hash && found.job == *job).then_some(found)
+    fn condition_scores(&self, job: &Job, condition: &Condition) -> Option<ConditionScores> {
+        let path = self.condition_scores_path(Task { job, condition: Some(condition) });
+        let scores: ConditionScores = serde_json::from_str(&read_text(&path, TEXT_LIMIT_BYTES).ok()?).ok()?;
+        (scores.dataset_hash == condition.hash && scores.job == *job).then_some(scores)
     }
 
-    fn claim_path(&self, task: Task) -> PathBuf {
+    fn lock_path(&self, task: Task) -> PathBuf {
         self.folder.join("checkpoints").join(format!("{}.lock", task.name()))
     }
 
     /// Locks a task until the returned file is dropped; `None` if another process works on it.
-    fn claim(&self, task: Task) -> Result<Option<File>, StudyError> {
-        match lock_file(&self.claim_path(task)) {
+    fn lock(&self, task: Task) -> Result<Option<File>, StudyError> {
+        match lock_file(&self.lock_path(task)) {
             Ok(file) => Ok(Some(file)),
             Err(DatasetError::Busy { .. }) => Ok(None),
             Err(error) => Err(error.into()),
         }
     }
 
-    /// Runs a claimed task, unless its result has come meanwhile, and writes the result.
-    fn finish(
+    /// Runs a locked task, unless another process has completed it meanwhile, and writes the result.
+    fn run_locked(
         &self,
         task: Task,
         (number, count): (usize, usize),
-        tell: &mut dyn FnMut(Progress),
+        report: &mut dyn FnMut(Progress),
     ) -> Result<(), StudyError> {
         let job = task.job;
         if !self.is_done(task) {
             match task.condition {
                 None => {
-                    tell(Progress::Job(job, number, count));
-                    let outcome = self.train(job, tell)?;
+                    report(Progress::Job(job, number, count));
+                    let outcome = self.train(job, report)?;
                     write_json(&self.result_path(job), &outcome)?;
-                    // The checkpoint stays until the result is written: a kill before that must not lose the training.
+                    // The checkpoint is removed only now: a kill before the result is written must not lose the training.
                     let _ = std::fs::remove_file(self.checkpoint_path(job));
-                    tell(Progress::Done(&outcome));
-                    self.judge_at_once(job, tell)?;
+                    report(Progress::Done(&outcome));
+                    self.evaluate_new_model(job, report)?;
                 }
                 Some(condition) => {
-                    tell(Progress::Judging(job, &condition.name, number, count));
-                    let judgement = self.judge(job, condition)?;
-                    write_json(&self.judgement_path(task), &judgement)?;
-                    tell(Progress::Judged(&judgement));
+                    report(Progress::Evaluation(job, &condition.name, number, count));
+                    let scores = self.evaluate_under(job, condition)?;
+                    write_json(&self.condition_scores_path(task), &scores)?;
+                    report(Progress::Evaluated(&scores));
                 }
             }
         }
-        // A process that opened the file before it was removed finds the result. A file that stays does no harm.
-        let _ = std::fs::remove_file(self.claim_path(task));
+        // A process that opened the file before it was removed finds the result. A file that remains does no harm.
+        let _ = std::fs::remove_file(self.lock_path(task));
         Ok(())
     }
 
-    /// Puts the conditions to the model of a job that has just been trained, so that a study that is stopped has all scores of
-    /// the trainings that it has.
-    fn judge_at_once(&self, job: &Job, tell: &mut dyn FnMut(Progress)) -> Result<(), StudyError> {
-        let tasks = self.judgings(std::slice::from_ref(job));
-        // A rate that only is tried is not compared.
+    /// Evaluates the model of a job that has just been trained under all conditions, so that a stopped study has all scores of its
+    /// trainings.
+    fn evaluate_new_model(&self, job: &Job, report: &mut dyn FnMut(Progress)) -> Result<(), StudyError> {
+        let tasks = self.evaluations(std::slice::from_ref(job));
+        // Trainings that only choose a learning rate are not compared.
         if tasks.is_empty() || self.chosen_rates()?.get(&job.variant) != Some(&job.learning_rate) {
             return Ok(());
         }
         for (index, task) in tasks.iter().enumerate() {
-            if let Some(_claim) = self.claim(*task)? {
-                self.finish(*task, (index + 1, tasks.len()), tell)?;
+            if let Some(_lock) = self.lock(*task)? {
+                self.run_locked(*task, (index + 1, tasks.len()), report)?;
             }
         }
         Ok(())
     }
 
-    /// Evaluates the model of a job on the maps of a condition, with the instructions that it was trained with.
-    fn judge(&self, job: &Job, condition: &Condition) -> Result<Judgement, StudyError> {
+    /// Evaluates the model of a job on the maps of a condition, with the instruction set that it was trained with.
+    fn evaluate_under(&self, job: &Job, condition: &Condition) -> Result<ConditionScores, StudyError> {
         let (path, result) = (self.model_path(job), self.result_path(job));
         let metrics = if path.exists() {
             let splits = self.dataset.splits(&self.spec.train_spec(job)?.split)?;
@@ -387,7 +397,7 @@ impl<'a> Study<'a> {
         } else {
             return Err(StudyError::NoModel { path, result });
         };
-        Ok(Judgement {
+        Ok(ConditionScores {
             job: job.clone(),
             condition: condition.name.clone(),
             dataset_hash: condition.hash.clone(),
@@ -395,7 +405,7 @@ impl<'a> Study<'a> {
         })
     }
 
-    fn train(&self, job: &Job, tell: &mut dyn FnMut(Progress)) -> Result<Outcome, StudyError> {
+    fn train(&self, job: &Job, report: &mut dyn FnMut(Progress)) -> Result<Outcome, StudyError> {
         let spec = self.spec.train_spec(job)?;
         let shape = self.dataset.header().shape;
         let [_, rows, columns] = input_shape(shape.range, shape.doppler, spec.transposed);
@@ -407,7 +417,7 @@ impl<'a> Study<'a> {
             ..Outcome::default()
         };
         let meter = Meter::start();
-        let trained = match self.train_or_restart(job, &spec, tell) {
+        let trained = match self.train_or_restart(job, &spec, report) {
             Ok(trained) => trained,
             // A training that diverges is a result; one that cannot be run is an error.
             Err(error @ TrainError::NonFinite { .. }) => {
@@ -440,7 +450,7 @@ impl<'a> Study<'a> {
                 outcome.noisy.push(Noisy { snr_db, metrics });
             }
         }
-        (outcome.latency_ms, outcome.label_cost) = self.time_labels(&mut classifier, &test)?;
+        (outcome.latency_ms, outcome.label_cost) = self.time_classification(&mut classifier, &test)?;
         Ok(outcome)
     }
 
@@ -449,10 +459,10 @@ impl<'a> Study<'a> {
         &self,
         job: &Job,
         spec: &TrainSpec,
-        tell: &mut dyn FnMut(Progress),
+        report: &mut dyn FnMut(Progress),
     ) -> Result<TrainOutcome, TrainError> {
         let checkpoint = self.checkpoint_path(job);
-        let mut train = || train_on(&self.maps, spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
+        let mut train = || train_on(&self.maps, spec, Some(&checkpoint), &mut |epoch| report(Progress::Epoch(&epoch)));
         let trained = train();
         let is_unusable = matches!(trained, Err(TrainError::Checkpoint { .. } | TrainError::OtherTraining { .. }));
         if is_unusable && std::fs::remove_file(&checkpoint).is_ok() {
@@ -463,28 +473,28 @@ impl<'a> Study<'a> {
         trained
     }
 
-    /// Median time of one map, ms, and its mean cost. A few maps warm up first, then as many are timed as energy
-    /// counters need.
-    fn time_labels(&self, classifier: &mut Classifier, test: &[usize]) -> Result<(f64, Cost), StudyError> {
+    /// Median time of classifying one map, ms, and its mean cost. A few maps warm up first, then enough are timed for energy
+    /// counters.
+    fn time_classification(&self, classifier: &mut Classifier, test: &[usize]) -> Result<(f64, Cost), StudyError> {
         let (shape, rows) = (self.dataset.header().shape, self.dataset.rows());
-        // Read beforehand, for only the classifier is timed.
+        // Read beforehand, because only the classifier is timed.
         let read = |&index: &usize| Ok::<_, DatasetError>((self.dataset.map(index)?, rows.get(index)));
-        let maps = test.iter().take(LEAST_LABELS).map(read).collect::<Result<Vec<_>, _>>()?;
+        let maps = test.iter().take(LEAST_TIMED_MAPS).map(read).collect::<Result<Vec<_>, _>>()?;
         let mut maps = maps.iter().filter_map(|(map, row)| Some((map, (*row)?))).cycle();
-        for (map, row) in maps.by_ref().take(WARM_UP_LABELS) {
+        for (map, row) in maps.by_ref().take(WARM_UP_MAPS) {
             classifier.classify_row(map, shape, row)?;
         }
         let (meter, start) = (Meter::start(), Instant::now());
         let mut times = Vec::new();
         for (map, row) in maps {
-            let began = Instant::now();
+            let map_start = Instant::now();
             classifier.classify_row(map, shape, row)?;
-            times.push(1e3 * began.elapsed().as_secs_f64());
-            if times.len() >= LEAST_LABELS && start.elapsed() >= LABELS_LAST {
+            times.push(1e3 * map_start.elapsed().as_secs_f64());
+            if times.len() >= LEAST_TIMED_MAPS && start.elapsed() >= LEAST_TIMED_DURATION {
                 break;
             }
         }
-        let cost = meter.read().each(times.len());
+        let cost = meter.read().mean_of(times.len());
         Ok((median(times.into_iter()).unwrap_or_default(), cost))
     }
 }
@@ -494,20 +504,20 @@ fn read_outcome(path: &Path) -> Result<Outcome, StudyError> {
     let text = read_text(path, RESULT_LIMIT_BYTES).map_err(|e| file(path, e))?;
     let damaged = |reason: String| StudyError::DamagedResult { path: path.to_owned(), reason };
     let outcome: Outcome = serde_json::from_str(&text).map_err(|e| damaged(format!("it is no result: {e}")))?;
-    let own = name(&outcome.job);
-    if path.file_stem().is_none_or(|stem| stem != own.as_str()) {
-        return Err(damaged(format!("it holds the result of another training, {own}")));
+    let job_name = name(&outcome.job);
+    if path.file_stem().is_none_or(|stem| stem != job_name.as_str()) {
+        return Err(damaged(format!("it holds the result of another training, {job_name}")));
     }
     Ok(outcome)
 }
 
 fn write_json(path: &Path, value: &impl Serialize) -> Result<(), StudyError> {
     let text = serde_json::to_string_pretty(value).map_err(|e| file(path, e))?;
-    write_whole(path, text.as_bytes())
+    write_file(path, text.as_bytes())
 }
 
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), StudyError> {
-    whole_file::write(path, bytes).map_err(|e| file(path, e))
+fn write_file(path: &Path, bytes: &[u8]) -> Result<(), StudyError> {
+    atomic_file::write(path, bytes).map_err(|e| file(path, e))
 }
 
 fn file(path: &Path, reason: impl std::fmt::Display) -> StudyError {

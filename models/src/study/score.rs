@@ -31,31 +31,32 @@ impl SeedMetrics {
     }
 }
 
-/// Scores of each seed, from those of its trainings, of which there are `trainings` if each recording is held out in turn, and
-/// otherwise one. Their confusions are added before scores are computed: a recording of one class has no balanced accuracy. Seeds
-/// whose trainings are not all done are left out.
+/// Scores of each seed with `trainings` trainings: one for each recording that is held out in turn, otherwise one. Their confusions
+/// are added before scores are computed, because a recording of one class has no balanced accuracy. Seeds with unfinished trainings
+/// are left out.
 pub(super) fn seed_metrics<'a>(
     scores: impl IntoIterator<Item = (u64, Option<&'a Metrics>)>,
     trainings: usize,
 ) -> Vec<SeedMetrics> {
-    let whole = by_seed(scores).into_iter().filter(|(_, of)| of.len() == trainings);
-    whole.map(|(seed, of)| SeedMetrics { seed, metrics: pooled(&of) }).collect()
+    let complete = by_seed(scores).into_iter().filter(|(_, metrics)| metrics.len() == trainings);
+    complete.map(|(seed, metrics)| SeedMetrics { seed, metrics: pooled(&metrics) }).collect()
 }
 
-fn pooled(of: &[Option<&Metrics>]) -> Option<Metrics> {
-    if let [one] = of {
+/// Metrics of the summed confusions; `None` if one is missing.
+fn pooled(trainings: &[Option<&Metrics>]) -> Option<Metrics> {
+    if let [one] = trainings {
         return one.cloned();
     }
     let mut confusion = Confusion::default();
-    for metrics in of {
+    for metrics in trainings {
         add_confusion(&mut confusion, &(*metrics)?.confusion);
     }
     Some(Metrics::from_confusion(confusion))
 }
 
-/// Mean over seeds and its interval, of the mean of each seed's trainings.
+/// Mean over seeds, with its interval, of the mean over each seed's trainings.
 pub(super) fn over_seeds(values: impl IntoIterator<Item = (u64, f64)>) -> Option<Interval> {
-    let means = by_seed(values).into_iter().map(|(_, of)| of.iter().sum::<f64>() / of.len() as f64);
+    let means = by_seed(values).into_iter().map(|(_, values)| values.iter().sum::<f64>() / values.len() as f64);
     t_interval(&means.collect::<Vec<f64>>())
 }
 
@@ -63,7 +64,7 @@ pub(super) fn over_seeds(values: impl IntoIterator<Item = (u64, f64)>) -> Option
 fn by_seed<T>(values: impl IntoIterator<Item = (u64, T)>) -> Vec<(u64, Vec<T>)> {
     let mut groups: Vec<(u64, Vec<T>)> = Vec::new();
     for (seed, value) in values {
-        match groups.iter_mut().find(|(of, _)| *of == seed) {
+        match groups.iter_mut().find(|(known, _)| *known == seed) {
             Some((_, group)) => group.push(value),
             None => groups.push((seed, vec![value])),
         }
@@ -73,7 +74,7 @@ fn by_seed<T>(values: impl IntoIterator<Item = (u64, T)>) -> Vec<(u64, Vec<T>)> 
 
 impl Score {
     /// Score in `others` of the training with the same seed and the same recording held out.
-    fn partner<'a>(&self, others: &'a [Score]) -> Option<&'a Score> {
+    fn paired_with<'a>(&self, others: &'a [Score]) -> Option<&'a Score> {
         others.iter().find(|other| other.seed == self.seed && other.held_out == self.held_out)
     }
 }
@@ -93,7 +94,7 @@ impl Score {
 /// assert_eq!((difference.count, difference.mean, difference.half_width), (3, 0.25, Some(0.0)));
 /// ```
 pub fn paired_difference(a: &[Score], b: &[Score]) -> Option<Interval> {
-    let difference = |a: &Score| Some(a.balanced_accuracy - a.partner(b)?.balanced_accuracy);
+    let difference = |a: &Score| Some(a.balanced_accuracy - a.paired_with(b)?.balanced_accuracy);
     let differences: Vec<f64> = a.iter().filter_map(difference).collect();
     t_interval(&differences)
 }
@@ -102,7 +103,7 @@ pub fn paired_difference(a: &[Score], b: &[Score]) -> Option<Interval> {
 pub fn mean_scores(sets: &[&[Score]]) -> Vec<Score> {
     let Some((first, _)) = sets.split_first() else { return Vec::new() };
     let mean = |score: &Score| {
-        let values: Option<Vec<f64>> = sets.iter().map(|set| Some(score.partner(set)?.balanced_accuracy)).collect();
+        let values: Option<Vec<f64>> = sets.iter().map(|set| Some(score.paired_with(set)?.balanced_accuracy)).collect();
         let balanced_accuracy = values?.iter().sum::<f64>() / sets.len() as f64;
         Some(Score { balanced_accuracy, ..score.clone() })
     };
@@ -117,9 +118,9 @@ mod tests {
         Score { seed, held_out: held_out.map(str::to_owned), balanced_accuracy }
     }
 
-    /// What all networks find hard under one seed is no difference between them.
+    /// Differences between seeds that both networks share do not widen the interval of their difference.
     #[test]
-    fn what_pairs_share_does_not_widen_the_interval() {
+    fn common_differences_between_seeds_do_not_widen_the_interval() {
         let a = [score(1, None, 0.50), score(2, None, 0.70), score(3, None, 0.90)];
         let b = [score(3, None, 0.88), score(1, None, 0.48), score(2, None, 0.68)];
         let found = paired_difference(&a, &b).expect("pairs");
@@ -130,7 +131,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn trainings_without_a_partner_are_no_pair() {
+        fn only_trainings_with_a_counterpart_are_pairs() {
             let a = [score(1, Some("x"), 0.5), score(1, Some("y"), 0.7), score(2, None, 0.9)];
             let b = [score(1, Some("y"), 0.6), score(3, None, 0.1)];
             assert_eq!(paired_difference(&a, &b).map(|found| (found.count, found.half_width)), Some((1, None)));

@@ -31,7 +31,7 @@ pub struct StudySpec {
     /// Seeds of initialisation and order.
     pub seeds: Vec<u64>,
     /// Shares of the training maps; all of them if absent.
-    #[serde(default = "whole")]
+    #[serde(default = "all_labels")]
     pub label_fractions: Vec<f64>,
     /// Learning rates to choose from; the one of `train` if absent.
     #[serde(default)]
@@ -51,14 +51,14 @@ pub struct StudySpec {
     pub train: TrainSpec,
 }
 
-/// Checks that no value of a list stands in it twice.
-fn check_once<T: Copy + Display, K: Ord>(what: &str, values: &[T], key: impl Fn(T) -> K) -> Result<(), StudyError> {
+/// Checks that the values of a list differ.
+fn check_distinct<T: Copy + Display, K: Ord>(what: &str, values: &[T], key: impl Fn(T) -> K) -> Result<(), StudyError> {
     let mut seen = BTreeSet::new();
     let twice = values.iter().find(|value| !seen.insert(key(**value)));
     twice.map_or(Ok(()), |value| check_setting(false, what, format!("{value} twice"), "each value once"))
 }
 
-fn whole() -> Vec<f64> {
+fn all_labels() -> Vec<f64> {
     vec![1.0]
 }
 
@@ -97,8 +97,8 @@ impl StudySpec {
         let jobs = counts.into_iter().fold(variants, usize::saturating_mul);
         let what = "variants, seeds, label_fractions and learning_rates";
         check_setting(jobs <= MOST_JOBS, what, jobs, "1000000 trainings at most")?;
-        check_once("seeds", &self.seeds, |seed| seed)?;
-        check_once("label_fractions", &self.label_fractions, f64::to_bits)?;
+        check_distinct("seeds", &self.seeds, |seed| seed)?;
+        check_distinct("label_fractions", &self.label_fractions, f64::to_bits)?;
         check_setting((0.0..=1.0).contains(&self.target), "target", self.target, "0 to 1, as balanced accuracy is")?;
         let expected = "1, for label_fractions of the study say which shares are trained on";
         check_setting(self.train.label_fraction == 1.0, "train.label_fraction", self.train.label_fraction, expected)?;

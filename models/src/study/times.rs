@@ -51,17 +51,17 @@ pub struct Times {
 pub(super) fn times(spec: &StudySpec, chosen: &BTreeMap<String, f64>, outcomes: &[Outcome]) -> Times {
     let mut cells = Vec::new();
     for group in groups(spec, chosen, outcomes) {
-        let whole = || group.outcomes.iter().filter(|outcome| outcome.error.is_none());
-        let seconds: Vec<f64> = whole().map(|outcome| outcome.training_seconds).collect();
+        let completed = || group.outcomes.iter().filter(|outcome| outcome.error.is_none());
+        let seconds: Vec<f64> = completed().map(|outcome| outcome.training_seconds).collect();
         cells.push(CellTimes {
             variant: group.variant.to_owned(),
             label_fraction: group.label_fraction,
             training_seconds: t_interval(&seconds),
-            seconds_to_target: median(whole().filter_map(|outcome| outcome.seconds_to_target)),
-            latency_ms: median(whole().map(|outcome| outcome.latency_ms)),
-            training_cpu_seconds: median(whole().filter_map(|outcome| outcome.training_cost.cpu_seconds)),
-            label_cpu_ms: median(whole().filter_map(|outcome| Some(1e3 * outcome.label_cost.cpu_seconds?))),
-            label_energy_mj: median(whole().filter_map(|outcome| Some(1e3 * outcome.label_cost.energy_joules?))),
+            seconds_to_target: median(completed().filter_map(|outcome| outcome.seconds_to_target)),
+            latency_ms: median(completed().map(|outcome| outcome.latency_ms)),
+            training_cpu_seconds: median(completed().filter_map(|outcome| outcome.training_cost.cpu_seconds)),
+            label_cpu_ms: median(completed().filter_map(|outcome| Some(1e3 * outcome.label_cost.cpu_seconds?))),
+            label_energy_mj: median(completed().filter_map(|outcome| Some(1e3 * outcome.label_cost.energy_joules?))),
         });
     }
     Times {

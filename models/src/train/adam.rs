@@ -89,7 +89,7 @@ impl Adam {
         for (((variable, moments), &rate), decay) in variables.zip(&self.moments).zip(rates).zip(decays) {
             // An array without a gradient stays unchanged: its moments are zero.
             let Some(gradient) = gradients.get(variable) else { continue };
-            variable.inplace_op2(&gradient.contiguous()?, &Step { moments, rate, kept: 1.0 - decay, c1, c2 })?;
+            variable.inplace_op2(&gradient.contiguous()?, &Step { moments, rate, retention: 1.0 - decay, c1, c2 })?;
         }
         Ok(None)
     }
@@ -98,8 +98,11 @@ impl Adam {
 struct Step<'a> {
     moments: &'a Mutex<Moments>,
     rate: f32,
-    kept: f32,
+    /// Factor of the values that weight decay leaves.
+    retention: f32,
+    /// Bias correction of the first moment.
     c1: f32,
+    /// Bias correction of the second moment.
     c2: f32,
 }
 
@@ -126,7 +129,7 @@ impl InplaceOp2 for Step<'_> {
             for (((value, &g), m), v) in values.iter_mut().zip(gradient).zip(first).zip(second) {
                 *m = BETA1 * *m + (1.0 - BETA1) * g;
                 *v = BETA2 * *v + (1.0 - BETA2) * g * g;
-                *value = self.kept * *value - self.rate * (*m / self.c1) / ((*v / self.c2).sqrt() + EPSILON);
+                *value = self.retention * *value - self.rate * (*m / self.c1) / ((*v / self.c2).sqrt() + EPSILON);
             }
         });
         Ok(())
@@ -138,7 +141,7 @@ mod tests {
     use super::*;
     use candle_core::Device;
 
-    /// The first step of Adam has the size of the rate whatever the gradient's, and a quadratic is minimised.
+    /// The first step of Adam has the size of the rate for any gradient, and a quadratic is minimised.
     #[test]
     fn a_quadratic_is_minimised() {
         let x = Var::new(&[3.0f32, -2.0], &Device::Cpu).expect("var");
@@ -154,6 +157,7 @@ mod tests {
         let last = (0..300).map(|_| step(&mut adam)).last().expect("steps");
         assert!(last.iter().all(|v| v.abs() < 0.02), "{last:?}");
     }
+
     /// Decay does not depend on the gradient: at a step size of 0 it is the only change.
     #[test]
     fn decay_is_decoupled() {
@@ -163,7 +167,7 @@ mod tests {
             let gradients = x.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("gradient");
             adam.step([x.clone()].iter(), &gradients, &[0.0], &[0.05]).expect("step");
         }
-        let left = x.to_vec1::<f32>().expect("values")[0];
-        assert!((left - 3.0 * 0.95f32.powi(10)).abs() < 1e-5, "{left}");
+        let decayed = x.to_vec1::<f32>().expect("values")[0];
+        assert!((decayed - 3.0 * 0.95f32.powi(10)).abs() < 1e-5, "{decayed}");
     }
 }

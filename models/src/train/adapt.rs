@@ -15,14 +15,14 @@
 //! The strength is chosen by cross-validation over recordings. With less labelled time fewer weak strengths are tried: all
 //! recordings of a minute show the same people, so held-out recordings do not show the loss on other people.
 //!
-//! A class that neither a recording nor a simulated map shows is in the group of its neighbour, and only the groups are told apart:
-//! within a group, the fit aims at the ratios of the probabilities before. Where that class is one person or two, the logits are shifted
-//! only, because weights that are fitted without these frames move them: a network of two qubits that told the empty room from two people
-//! better called one person two. Then one shift of the logits of the classes that are shown is fitted, to frames weighted by the probability of the others: a model
-//! that is right about the empty room stays as it is by recordings of the empty room alone. One or two people who are labelled
-//! for a few seconds only count as a class that is not shown.
+//! A class without recordings and simulated maps is grouped with its neighbour, and the fit distinguishes groups only: within a
+//! group, it keeps the ratios of the probabilities before. If that class is one person or two, only the logits are shifted, because
+//! weights that are fitted without its frames change its predictions. (A network of two qubits that distinguished the empty room
+//! from two people better called one person two.) Then one common shift of the logits of the shown classes is fitted, to frames
+//! weighted by the probability of the other classes. So recordings of the empty room alone do not change a model that is right
+//! about them. One or two people who are labelled for a few seconds only count as a class that is not shown.
 //!
-//! [`tail`] has the adapted layers and the samples.
+//! [`adapted_layers`] has the adapted layers and the samples.
 
 use std::collections::BTreeSet;
 
@@ -33,12 +33,12 @@ use crate::dataset::{Dataset, Split, sequence_hash};
 use crate::metrics::CLASSES;
 use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
 use crate::network::{Layer, Mode, Network, Value, names};
-use recording::{MOST_FRAMES, shown};
-use tail::{BIAS_STRENGTH, Confusions, Tail, last_node, shift_strength};
+use adapted_layers::{AdaptedLayers, BIAS_STRENGTH, Confusions, last_node, shift_strength};
+use recording::{MOST_FRAMES, learnable_classes};
 
+mod adapted_layers;
 mod error;
 mod recording;
-mod tail;
 
 pub use error::AdaptError;
 pub use recording::{AdaptFrame, AdaptRecording};
@@ -88,9 +88,9 @@ pub struct Fit {
 pub struct Adapter {
     classifier: Classifier,
     /// Input of the adapted layers.
-    given: Value,
+    input: Value,
     /// Parameters of the model before the adaptation.
-    before: Vec<f64>,
+    prior: Vec<f64>,
     /// Features and classes of simulated maps.
     simulated: Vec<(Vec<f32>, usize)>,
     /// Sequences of the simulated maps and of the recordings, by the short hashes of their names.
@@ -105,43 +105,43 @@ impl Adapter {
     /// not standardise them.
     pub fn new(model: Model) -> Result<Self, AdaptError> {
         let kind = model.card.network;
-        let given = if kind.reads_descriptors() {
+        let input = if kind.reads_descriptors() {
             Some(model.network.value_of(names::FEATURES)?)
         } else {
             last_node(&model.network).and_then(|node| node.inputs.first().copied())
         };
         let is_linear = last_node(&model.network).is_some_and(|node| matches!(node.layer, Layer::Linear { .. }));
-        let given = given.filter(|_| is_linear).ok_or(AdaptError::Network { network: kind })?;
+        let input = input.filter(|_| is_linear).ok_or(AdaptError::Network { network: kind })?;
         let mut adapter = Adapter {
             classifier: Classifier::new(model),
-            given,
-            before: Vec::new(),
+            input,
+            prior: Vec::new(),
             simulated: Vec::new(),
             sequences: BTreeSet::new(),
         };
-        adapter.before = adapter.tail()?.numbers()?;
+        adapter.prior = adapter.adapted_layers()?.numbers()?;
         Ok(adapter)
     }
 
-    fn tail(&self) -> Result<Tail<'_>, AdaptError> {
+    fn adapted_layers(&self) -> Result<AdaptedLayers<'_>, AdaptError> {
         let card = self.classifier.card();
-        let tail = Tail::new(self.network()?, self.given, card.temperature);
-        tail.ok_or(AdaptError::Network { network: card.network })
+        let layers = AdaptedLayers::new(self.network()?, self.input, card.temperature);
+        layers.ok_or(AdaptError::Network { network: card.network })
     }
 
     /// Inputs of the adapted layers for a map.
     ///
     /// # Errors
-    /// The map is not one of the model's, or a cell of it is not finite.
+    /// The map has another shape than the model's, or a cell of it is not finite.
     pub fn features(&self, map: &Rdm) -> Result<Vec<f32>, AdaptError> {
-        self.features_of(&map.db, map.shape, map.sequence)
+        self.features_of_cells(&map.db, map.shape, map.sequence)
     }
 
-    fn features_of(&self, db: &[f32], shape: RdmShape, sequence: u64) -> Result<Vec<f32>, AdaptError> {
+    fn features_of_cells(&self, db: &[f32], shape: RdmShape, sequence: u64) -> Result<Vec<f32>, AdaptError> {
         let input = self.classifier.unlabelled_input(db, shape, sequence)?;
         let [_, rows, columns] = self.classifier.card().input_shape;
         let input = Tensor::from_vec(input, (1, rows, columns), &Device::Cpu)?;
-        let features = self.network()?.run(&input, self.given, Mode::Evaluation)?.take(self.given)?;
+        let features = self.network()?.run(&input, self.input, Mode::Evaluation)?.take(self.input)?;
         Ok(features.flatten_all()?.to_vec1()?)
     }
 
@@ -166,15 +166,16 @@ impl Adapter {
         })?;
         let splits = dataset.splits(&self.classifier.card().split_rule(dataset))?;
         let rows = dataset.rows().iter().zip(&splits).enumerate();
-        let wanted: Vec<usize> = rows
+        let training: Vec<usize> = rows
             .filter(|(_, (row, split))| **split == Split::Train && !row.transition)
             .map(|(index, _)| index)
             .collect();
-        let step = wanted.len().div_ceil(MOST_FRAMES).max(1);
+        let step = training.len().div_ceil(MOST_FRAMES).max(1);
         let mut simulated = Vec::new();
-        for &index in wanted.iter().step_by(step) {
+        for &index in training.iter().step_by(step) {
             let Some(row) = dataset.rows().get(index) else { continue };
-            simulated.push((self.features_of(&dataset.map(index)?, header.shape, row.frame)?, row.label.index()));
+            let features = self.features_of_cells(&dataset.map(index)?, header.shape, row.frame)?;
+            simulated.push((features, row.label.index()));
             self.sequences.insert(sequence_hash(&row.sequence));
         }
         self.simulated = simulated;
@@ -196,12 +197,12 @@ impl Adapter {
         let Fit { numbers, adapted, held_out, recordings_by_class, is_measured, is_too_short } =
             self.fit(recordings)?;
         let is_simulated = self.is_simulated();
-        self.tail()?.set(&numbers)?;
+        self.adapted_layers()?.set(&numbers)?;
         let network = self.classifier.card().network;
         let Some(mut model) = self.classifier.into_model() else { return Err(AdaptError::Network { network }) };
         model.card.adapted = Some(adapted.clone());
         let seen = &mut model.card.training.seen_sequences;
-        // A list that lacks the sequences of the training would pass for a whole one.
+        // An empty list stays empty: without the sequences of the training it would be incomplete.
         if !seen.is_empty() {
             seen.extend(self.sequences);
         }
@@ -218,7 +219,7 @@ impl Adapter {
     /// do not show for long enough is not held out, because the scores would be those of a model that never saw the class.
     ///
     /// # Errors
-    /// [`AdaptError::NoLabels`] if no frame has a label, [`AdaptError::NonFinite`] if the loss of the model is no number,
+    /// [`AdaptError::NoLabels`] if no frame has a label, [`AdaptError::NonFinite`] if the loss of the model is not finite,
     /// [`AdaptError::Operation`] if features are not those of this model.
     pub fn fit(&self, recordings: &[AdaptRecording]) -> Result<Fit, AdaptError> {
         let by_recording: Vec<[f64; CLASSES]> = recordings.iter().map(AdaptRecording::seconds).collect();
@@ -229,28 +230,28 @@ impl Adapter {
         }
         let recordings_by_class: [usize; CLASSES] =
             std::array::from_fn(|class| by_recording.iter().filter(|s| s[class] > 0.0).count());
-        let tail = self.tail()?;
-        let is_labelled = shown(seconds);
+        let layers = self.adapted_layers()?;
+        let is_labelled = learnable_classes(seconds);
         let is_simulated = self.is_simulated();
         let is_shown: [bool; CLASSES] = std::array::from_fn(|class| is_labelled[class] || is_simulated[class]);
         let is_too_short = std::array::from_fn(|class| seconds[class] > 0.0 && !is_labelled[class]);
-        let by_time = WEAKEST_BY_TIME / total_s.powi(2);
-        let from = |weakest: f64| STRENGTHS.into_iter().filter(|strength| *strength >= weakest).collect();
+        let weakest = WEAKEST_BY_TIME / total_s.powi(2);
+        let at_least = |weakest: f64| STRENGTHS.into_iter().filter(|strength| *strength >= weakest).collect();
         let strengths: Vec<f64> = match is_shown {
-            [true, true, true] => from(by_time.min(SAFE_STRENGTH)),
+            [true, true, true] => at_least(weakest.min(SAFE_STRENGTH)),
             // The empty room loses most to weak strengths, and held-out recordings do not show it.
-            [false, true, true] => from(SAFE_STRENGTH),
+            [false, true, true] => at_least(SAFE_STRENGTH),
             [_, _, _] => vec![BIAS_STRENGTH],
         };
 
-        let (folds, is_measured) = self.hold_out(&tail, recordings, &by_recording, is_labelled, &strengths)?;
-        // The strongest of equals wins.
+        let (folds, is_measured) = self.hold_out(&layers, recordings, &by_recording, is_labelled, &strengths)?;
+        // Of equal scores, the strongest penalty is chosen.
         let measured: Vec<&Fold> = folds.iter().flatten().collect();
         let mut chosen: Option<(usize, BeforeAfter)> = None;
         for index in (0..strengths.len()).filter(|_| !measured.is_empty()) {
-            let found = compared(&measured, index);
-            if chosen.is_none_or(|(_, best)| found.after.sum() > best.after.sum()) {
-                chosen = Some((index, found));
+            let scores = Fold::scores(&measured, index);
+            if chosen.is_none_or(|(_, best)| scores.after.sum() > best.after.sum()) {
+                chosen = Some((index, scores));
             }
         }
         let all: Vec<&AdaptRecording> = recordings.iter().collect();
@@ -260,17 +261,17 @@ impl Adapter {
             None if is_shown[1..].contains(&false) => BIAS_STRENGTH,
             None => SAFE_STRENGTH,
         };
-        let numbers = tail.fit(&all, &self.simulated, &[strength], &self.before)?.into_iter().next();
-        let of_fold = |fold: Option<&Fold>| Some(compared(&[fold?], chosen?.0));
-        let held_out = folds.iter().map(|fold| of_fold(fold.as_ref())).collect();
+        let numbers = layers.fit(&all, &self.simulated, &[strength], &self.prior)?.into_iter().next();
+        let fold_scores = |fold: Option<&Fold>| Some(Fold::scores(&[fold?], chosen?.0));
+        let held_out = folds.iter().map(|fold| fold_scores(fold.as_ref())).collect();
         let adapted = Adapted {
             seconds: seconds.map(|seconds| (10.0 * seconds).round() / 10.0),
             recordings: by_recording.iter().filter(|seconds| seconds.iter().sum::<f64>() > 0.0).count(),
             strength,
             simulated_maps: self.simulated.len(),
-            held_out: chosen.map(|(_, compared)| compared),
+            held_out: chosen.map(|(_, scores)| scores),
         };
-        let numbers = numbers.unwrap_or_else(|| self.before.clone());
+        let numbers = numbers.unwrap_or_else(|| self.prior.clone());
         Ok(Fit { numbers, adapted, held_out, recordings_by_class, is_measured, is_too_short })
     }
 
@@ -279,7 +280,7 @@ impl Adapter {
     /// recordings show.
     fn hold_out(
         &self,
-        tail: &Tail,
+        layers: &AdaptedLayers,
         recordings: &[AdaptRecording],
         by_recording: &[[f64; CLASSES]],
         is_labelled: [bool; CLASSES],
@@ -295,7 +296,7 @@ impl Adapter {
                 let all = by_recording.iter().enumerate().filter(|(index, _)| is_held_out(*index) == held_out);
                 all.map(|(_, seconds)| seconds[class]).sum()
             };
-            let is_known = shown(std::array::from_fn(|class| seconds_of(class, false)));
+            let is_known = learnable_classes(std::array::from_fn(|class| seconds_of(class, false)));
             let is_in_part = |class: &usize| is_labelled[*class] && seconds_of(*class, true) > 0.0;
             let in_part: Vec<usize> = (0..CLASSES).filter(is_in_part).collect();
             if in_part.is_empty() || !in_part.iter().all(|class| is_known[*class]) {
@@ -304,13 +305,13 @@ impl Adapter {
             in_part.iter().for_each(|class| is_measured[*class] = true);
             let others = recordings.iter().enumerate().filter(|(index, _)| !is_held_out(*index));
             let others: Vec<&AdaptRecording> = others.map(|(_, recording)| recording).collect();
-            let fits = tail.fit(&others, &self.simulated, strengths, &self.before)?;
+            let fits = layers.fit(&others, &self.simulated, strengths, &self.prior)?;
             for (index, recording) in recordings.iter().enumerate().filter(|(index, _)| is_held_out(*index)) {
                 // A recording without labels has no scores.
                 if by_recording[index].iter().sum::<f64>() > 0.0 {
-                    let evaluate = |numbers: &Vec<f64>| tail.confusions(numbers, recording, card);
+                    let evaluate = |numbers: &Vec<f64>| layers.confusions(numbers, recording, card);
                     let after = fits.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;
-                    folds[index] = Some(Fold { before: evaluate(&self.before)?, after });
+                    folds[index] = Some(Fold { before: evaluate(&self.prior)?, after });
                 }
             }
         }
@@ -322,9 +323,9 @@ impl Adapter {
     /// # Errors
     /// [`AdaptError::Operation`] if features or parameters are not those of this model.
     pub fn scores(&self, fit: Option<&Fit>, recordings: &[AdaptRecording]) -> Result<Scores, AdaptError> {
-        let (tail, card) = (self.tail()?, self.classifier.card());
-        let numbers = fit.map_or(&self.before, |fit| &fit.numbers);
-        let evaluate = |recording: &AdaptRecording| tail.confusions(numbers, recording, card);
+        let (layers, card) = (self.adapted_layers()?, self.classifier.card());
+        let numbers = fit.map_or(&self.prior, |fit| &fit.numbers);
+        let evaluate = |recording: &AdaptRecording| layers.confusions(numbers, recording, card);
         let confusions = recordings.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;
         Ok(Confusions::scores(confusions.iter()))
     }
@@ -336,9 +337,12 @@ struct Fold {
     after: Vec<Confusions>,
 }
 
-fn compared(folds: &[&Fold], strength: usize) -> BeforeAfter {
-    let after = Confusions::scores(folds.iter().filter_map(|fold| fold.after.get(strength)));
-    BeforeAfter { before: Confusions::scores(folds.iter().map(|fold| &fold.before)), after }
+impl Fold {
+    /// Scores over several folds before and after the adaptation with the strength of this index.
+    fn scores(folds: &[&Fold], strength: usize) -> BeforeAfter {
+        let after = Confusions::scores(folds.iter().filter_map(|fold| fold.after.get(strength)));
+        BeforeAfter { before: Confusions::scores(folds.iter().map(|fold| &fold.before)), after }
+    }
 }
 
 #[cfg(test)]
@@ -374,8 +378,8 @@ mod tests {
         Model { card, network }
     }
 
-    /// A minute and a half of each class, of which every third frame has no label: features of order one about a centre of the
-    /// class.
+    /// A recording of a minute and a half of each class, with features of order one about a centre of the class. Every third frame
+    /// has no label.
     pub fn recording(seed: u64, classes: &[Occupancy]) -> AdaptRecording {
         let mut rng = crate::random::stream(seed, "features", 0);
         let normal = Normal::new(0.0f32, 0.6).expect("normal");
@@ -399,7 +403,7 @@ mod tests {
     fn held_out_recordings_have_better_scores() {
         let recordings: Vec<AdaptRecording> = (0..3).map(|seed| recording(seed, &Occupancy::ALL)).collect();
         for network in descriptor_networks() {
-            // A narrow latent by random weights tells less.
+            // A narrow latent with random weights carries less information.
             let (name, least) = (network.to_string(), if network.has_latent() { 0.6 } else { 0.9 });
             let first = adapt(&name, &recordings);
             let BeforeAfter { before, after } = first.adapted.held_out.expect("measured");
@@ -415,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn of_an_empty_room_alone_only_the_logit_of_empty_changes() {
+    fn recordings_of_an_empty_room_change_only_the_logit_of_empty() {
         for name in descriptor_networks().map(|network| network.to_string()) {
             let before = model(&name).network.values().expect("values");
             let adaptation = adapt(&name, &[recording(1, &[Occupancy::Empty])]);
@@ -436,8 +440,8 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Another dataset was divided by the default rule, and the card did not list what was mixed in, so that the adapted model was
-        /// scored on maps that it was adapted to.
+        /// Regression test: another dataset was divided by the default rule, and the card did not list the mixed-in sequences, so the
+        /// adapted model was scored on maps that it was adapted to.
         #[test]
         fn mixed_maps_are_of_the_models_training_split_and_listed() {
             let mut model = model("descriptor_linear");
@@ -456,23 +460,23 @@ mod tests {
             let dataset = Dataset::from_maps(header, maps).expect("a dataset");
             let rule = SplitSpec { seed: 3, test: 0.5, ..SplitSpec::default() };
             let splits = dataset.splits(&rule).expect("splits");
-            let of = |wanted: Split| -> BTreeSet<&str> {
+            let sequences_of = |wanted: Split| -> BTreeSet<&str> {
                 let rows = dataset.rows().iter().zip(&splits).filter(|(_, split)| **split == wanted);
                 rows.map(|(row, _)| row.sequence.as_str()).collect()
             };
-            let (mut train, test) = (of(Split::Train), of(Split::Test));
+            let (mut train, test) = (sequences_of(Split::Train), sequences_of(Split::Test));
 
-            let listed = |card: ModelCard| {
+            let adapted_card = |card: ModelCard| {
                 let network = self::model("descriptor_linear").network;
                 let mut adapter = Adapter::new(Model { card, network }).expect("adaptable");
-                assert_eq!(adapter.mix(&dataset).expect("mixed"), of(Split::Train).len());
+                assert_eq!(adapter.mix(&dataset).expect("mixed"), sequences_of(Split::Train).len());
                 adapter.add_sequence(test.first().expect("a test map"));
                 adapter.adapt(&[recording(1, &Occupancy::ALL)]).expect("adapts").model.card
             };
-            let card = listed(model.card.clone());
+            let card = adapted_card(model.card.clone());
             train.extend(test.first());
             assert_eq!(card.seen_in(&dataset), Some(train));
-            // Recordings that a dataset takes from a folder have its name before their own.
+            // In a dataset, the names of recordings from a folder begin with the folder's name.
             let row = ManifestRow::new(Domain::Real, "room", "run", "captures/room 1", 0, Occupancy::One);
             let db = vec![-80.0; dataset.header().shape.cells()];
             let rdm = dataset.header().rdm(db, 0);
@@ -483,7 +487,7 @@ mod tests {
             assert_eq!(card.seen_in(&other), Some(BTreeSet::from(["captures/room 1"])));
             // A file of an older program lists nothing.
             model.card.training.seen_sequences.clear();
-            assert_eq!(listed(model.card).seen_in(&dataset), None);
+            assert_eq!(adapted_card(model.card).seen_in(&dataset), None);
         }
 
         /// Regression test: recordings of one person alone made a model call the empty room one person.
@@ -494,13 +498,13 @@ mod tests {
             {
                 let name = name.to_string();
                 let all = [0, 1].map(|seed| recording(draw + seed, &Occupancy::ALL));
-                let taught = Adapter::new(adapt(&name, &all).model).expect("adaptable");
+                let adapter = Adapter::new(adapt(&name, &all).model).expect("adaptable");
                 for shown in [&[One][..], &[Empty, One], &[Empty, Two], &[Two]] {
-                    let fit = taught.fit(&[3, 4].map(|seed| recording(draw + seed, shown))).expect("fits");
+                    let fit = adapter.fit(&[3, 4].map(|seed| recording(draw + seed, shown))).expect("fits");
                     for class in Occupancy::ALL {
                         let others = [recording(draw + 9, &[class])];
                         let [before, after] =
-                            [None, Some(&fit)].map(|fit| taught.scores(fit, &others).expect("scores").by_frame);
+                            [None, Some(&fit)].map(|fit| adapter.scores(fit, &others).expect("scores").by_frame);
                         assert!(after > before - 0.15, "{name}, {draw}, {shown:?}: {class:?} {before}, then {after}");
                     }
                 }
@@ -521,7 +525,7 @@ mod tests {
             assert!(matches!(error, AdaptError::Operation(_)), "{error}");
         }
 
-        /// Nothing can be held out where each class is in one recording; the model is adapted all the same.
+        /// If each class is in one recording only, none can be held out, and the model is adapted without scores.
         #[test]
         fn one_recording_of_each_class_is_adapted_to_and_not_measured() {
             let each = Occupancy::ALL.map(|class| recording(class.index() as u64, &[class]));
@@ -531,8 +535,7 @@ mod tests {
             assert_eq!(adaptation.adapted.strength, SAFE_STRENGTH);
         }
 
-        /// The only recording of two people cannot be held out, nor its other classes: the scores would be those of a model that
-        /// has never seen two people.
+        /// The only recording of two people cannot be held out: the scores would be those of a model that has never seen two people.
         #[test]
         fn a_recording_with_the_only_example_of_a_class_is_not_held_out() {
             let recordings = [
@@ -576,7 +579,7 @@ mod tests {
         }
 
         #[test]
-        fn a_clock_that_stands_still_counts_the_frame_interval() {
+        fn frames_without_a_valid_time_count_for_the_frame_interval() {
             let mut still = recording(1, &[Occupancy::Two]);
             still.frames.iter_mut().for_each(|frame| frame.time_s = f64::NAN);
             let [_, _, two_s] = still.seconds();

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use super::error::{TrainError, check_setting};
 use crate::metrics::CLASSES;
 use crate::random::stream;
-use crate::standardise::{MapReference, echo_share, gain_of_echo, levels_over_noise, noise_power, powers_over_noise};
+use crate::standardise::{MapReference, apply_echo_gain, echo_share, levels_to_powers, noise_power, powers_to_levels};
 
 /// Largest gain on echoes, dB. Up to it, stronger cells stay stronger.
 const MOST_GAIN_DB: f32 = 15.0;
@@ -26,8 +26,8 @@ const MOST_STRETCH: f32 = 0.5;
 const MOST_BINS: usize = 256;
 /// Strongest sway, dB over noise.
 const MOST_SWAY_DB: f32 = 60.0;
-/// Largest number of draws of a map of another sequence.
-const TRIES: usize = 16;
+/// Largest number of draws of a map until one is of another sequence.
+const MOST_DRAWS: usize = 16;
 
 /// Settings of the changes made to a training map each time it is used; none by default.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -106,7 +106,7 @@ impl MapUse {
 
 impl Augmentation {
     /// Name of the first setting that changes powers over noise; `None` if there is none.
-    pub(super) fn of_powers(&self) -> Option<&'static str> {
+    pub(super) fn first_power_setting(&self) -> Option<&'static str> {
         [
             ("superpose", self.superpose.is_some()),
             ("echo_gain_db", self.echo_gain_db.is_some()),
@@ -155,13 +155,13 @@ impl Augmentation {
                 check_setting(is_count(count), name, format!("{count:?}"), expected)?;
             }
         }
-        match self.of_powers() {
+        match self.first_power_setting() {
             Some(setting) if reference == MapReference::Absolute => Err(TrainError::NeedsOverNoise { setting }),
             _ => Ok(()),
         }
     }
 
-    /// Changes the cells `[range][doppler]` dB over noise of a map but for its first `skip` range bins. `other` is a map whose
+    /// Changes the cells `[range][doppler]`, dB over noise, of a map except its first `skip` range bins. `other` is a map whose
     /// echoes are added.
     pub(super) fn change_powers(
         &self,
@@ -174,15 +174,15 @@ impl Augmentation {
         let doppler = doppler.max(1);
         let first = skip.saturating_mul(doppler).min(cells.len());
         let (_, powers) = cells.split_at_mut(first);
-        powers_over_noise(powers);
+        levels_to_powers(powers);
         if let Some(other) = other {
             let mut other = other.get(first..).unwrap_or_default().to_vec();
-            powers_over_noise(&mut other);
+            levels_to_powers(&mut other);
             add_echoes(powers, &other);
         }
         if let Some([low, high]) = self.echo_gain_db {
             let gain_db = map_use.stream("echo gain").random_range(low..=high);
-            powers.iter_mut().for_each(|power| *power = gain_of_echo(*power, gain_db));
+            powers.iter_mut().for_each(|power| *power = apply_echo_gain(*power, gain_db));
         }
         let factor = |rng: &mut Xoshiro256PlusPlus, most: f32| 1.0 + f64::from(rng.random_range(-most..=most));
         if self.range_stretch > 0.0 {
@@ -207,7 +207,7 @@ impl Augmentation {
                 add_sway(powers, doppler, &sway, &mut rng);
             }
         }
-        levels_over_noise(powers);
+        powers_to_levels(powers);
     }
 
     /// Flips a standardised map `[range][doppler]` and adds noise to it; `sigma_db` is the deviation that maps were divided by.
@@ -231,7 +231,7 @@ pub(super) struct Partners {
     /// Number of the sequence of each map.
     sequences: Vec<usize>,
     /// Positions of the maps of each class.
-    of_class: [Vec<usize>; CLASSES],
+    by_class: [Vec<usize>; CLASSES],
 }
 
 impl Partners {
@@ -247,24 +247,24 @@ impl Partners {
             *numbers.entry(sequence).or_insert(next)
         };
         let sequences: Vec<usize> = sequences.map(number).collect();
-        let of_class = std::array::from_fn(|class| (0..labels.len()).filter(|&p| labels[p] == class).collect());
-        Partners { probability: superpose.probability, sequences, of_class }
+        let by_class = std::array::from_fn(|class| (0..labels.len()).filter(|&p| labels[p] == class).collect());
+        Partners { probability: superpose.probability, sequences, by_class }
     }
 
     /// Classes with maps that can be added to a map of this class.
-    fn beside(&self, label: usize) -> Vec<usize> {
-        (0..CLASSES.saturating_sub(label)).filter(|&class| !self.of_class[class].is_empty()).collect()
+    fn addable_classes(&self, label: usize) -> Vec<usize> {
+        (0..CLASSES.saturating_sub(label)).filter(|&class| !self.by_class[class].is_empty()).collect()
     }
 
     /// Expected number of maps of each class in an epoch.
     pub(super) fn expected(&self) -> [f64; CLASSES] {
         let mut expected = [0.0; CLASSES];
-        for (label, maps) in self.of_class.iter().enumerate() {
-            let beside = self.beside(label);
-            let added = if beside.is_empty() { 0.0 } else { self.probability };
-            expected[label] += (1.0 - added) * maps.len() as f64;
-            for class in &beside {
-                expected[label + class] += added * maps.len() as f64 / beside.len() as f64;
+        for (label, maps) in self.by_class.iter().enumerate() {
+            let addable = self.addable_classes(label);
+            let probability = if addable.is_empty() { 0.0 } else { self.probability };
+            expected[label] += (1.0 - probability) * maps.len() as f64;
+            for class in &addable {
+                expected[label + class] += probability * maps.len() as f64 / addable.len() as f64;
             }
         }
         expected
@@ -276,15 +276,15 @@ impl Partners {
         if rng.random::<f64>() >= self.probability {
             return None;
         }
-        let beside = self.beside(label);
-        if beside.is_empty() {
+        let addable = self.addable_classes(label);
+        if addable.is_empty() {
             return None;
         }
-        let maps = self.of_class.get(*beside.get(rng.random_range(0..beside.len()))?)?;
-        let own = self.sequences.get(position)?;
-        (0..TRIES)
+        let maps = self.by_class.get(*addable.get(rng.random_range(0..addable.len()))?)?;
+        let own_sequence = self.sequences.get(position)?;
+        (0..MOST_DRAWS)
             .filter_map(|_| maps.get(rng.random_range(0..maps.len())).copied())
-            .find(|&other| self.sequences.get(other).is_some_and(|sequence| sequence != own))
+            .find(|&other| self.sequences.get(other).is_some_and(|sequence| sequence != own_sequence))
     }
 }
 
@@ -313,8 +313,8 @@ fn stretch_range(powers: &mut [f32], doppler: usize, first_bin: usize, factor: f
     let source = powers.to_vec();
     let bins = source.len() / doppler;
     for (bin, row) in powers.chunks_exact_mut(doppler).enumerate() {
-        let place = (first_bin + bin) as f64 / factor - first_bin as f64;
-        match neighbours(place, bins) {
+        let position = (first_bin + bin) as f64 / factor - first_bin as f64;
+        match neighbours(position, bins) {
             Some((low, high, part)) => {
                 let (low, high) = (source.iter().skip(low * doppler), source.iter().skip(high * doppler));
                 for (cell, (low, high)) in row.iter_mut().zip(low.zip(high)) {
@@ -332,8 +332,8 @@ fn stretch_velocity(powers: &mut [f32], doppler: usize, factor: f64, rng: &mut i
     for row in powers.chunks_exact_mut(doppler) {
         let source = row.to_vec();
         for (bin, cell) in row.iter_mut().enumerate() {
-            let place = zero + (bin as f64 - zero) / factor;
-            *cell = match neighbours(place, doppler) {
+            let position = zero + (bin as f64 - zero) / factor;
+            *cell = match neighbours(position, doppler) {
                 Some((low, high, part)) => source[low] + part * (source[high] - source[low]),
                 None => noise_power(rng),
             };
@@ -343,13 +343,13 @@ fn stretch_velocity(powers: &mut [f32], doppler: usize, factor: f64, rng: &mut i
 
 /// Bins on both sides of a position on an axis of `length` bins, and the fraction of the way from the first to the second; `None`
 /// off the axis.
-fn neighbours(place: f64, length: usize) -> Option<(usize, usize, f32)> {
+fn neighbours(position: f64, length: usize) -> Option<(usize, usize, f32)> {
     let last = length.checked_sub(1)?;
-    if !(0.0..=last as f64).contains(&place) {
+    if !(0.0..=last as f64).contains(&position) {
         return None;
     }
-    let low = place.floor();
-    Some((low as usize, (low as usize + 1).min(last), (place - low) as f32))
+    let low = position.floor();
+    Some((low as usize, (low as usize + 1).min(last), (position - low) as f32))
 }
 
 /// Adds slow energy about zero Doppler.
@@ -370,8 +370,8 @@ fn add_sway(powers: &mut [f32], doppler: usize, sway: &Sway, rng: &mut impl Rng)
     }
 }
 
-/// Exchanges velocity `v` and `-v` in `[range][doppler]`. Zero is at `n / 2`; for an even n, bin 0 (the most negative
-/// velocity) has no partner and stays.
+/// Exchanges velocities `v` and `-v` in `[range][doppler]`. Zero is at `n / 2`; for an even n, bin 0 (the most negative
+/// velocity) has no counterpart and stays.
 fn flip_doppler(map: &mut [f32], doppler: usize) {
     for row in map.chunks_exact_mut(doppler) {
         if doppler.is_multiple_of(2) { row[1..].reverse() } else { row.reverse() }
@@ -386,8 +386,8 @@ mod tests {
     const RANGE: usize = 48;
     const OVER_NOISE: MapReference = MapReference::OverNoise { skip_range_bins: 3, most_db: Some(50.0) };
 
-    /// All changes of powers at once.
-    fn everything() -> Augmentation {
+    /// All augmentations at once.
+    fn all_augmentations() -> Augmentation {
         Augmentation {
             noise_db: 1.0,
             doppler_flip: true,
@@ -414,7 +414,7 @@ mod tests {
     }
 
     #[test]
-    fn flipping_keeps_zero_doppler_and_twice_is_nothing() {
+    fn flipping_keeps_zero_doppler_and_is_its_own_inverse() {
         let mut even = vec![-3.0, -2.0, -1.0, 0.0, 1.0, 2.0];
         flip_doppler(&mut even, 6);
         assert_eq!(even, [-3.0, 2.0, 1.0, 0.0, -1.0, -2.0]);
@@ -432,7 +432,7 @@ mod tests {
 
     /// Shifted cells keep their power, and vacated bins have the level of noise.
     #[test]
-    fn a_shift_keeps_what_stays_inside() {
+    fn a_shift_keeps_cells_inside_the_map() {
         for bins in [-7isize, -1, 0, 4, 8, 200] {
             let given: Vec<f32> = (0..RANGE * DOPPLER).map(|i| 100.0 + i as f32).collect();
             let mut shifted = given.clone();
@@ -454,9 +454,9 @@ mod tests {
         }
     }
 
-    /// Reference of the stretches: each cell by its definition, in f64.
+    /// Stretches agree with their definition, cell by cell, in f64.
     #[test]
-    fn stretches_are_their_definition() {
+    fn stretches_agree_with_their_definition() {
         let given = noise(RANGE, 2);
         let at = |bin: f64, column: f64, first: f64| {
             let value = |bin: f64, column: f64| {
@@ -479,7 +479,7 @@ mod tests {
             if factor == 1.0 {
                 assert_eq!((&far, &fast), (&given, &given));
             }
-            let mut left = 0;
+            let mut vacated = 0;
             for (i, (far, fast)) in far.iter().zip(&fast).enumerate() {
                 let (bin, column) = ((i / DOPPLER) as f64, (i % DOPPLER) as f64);
                 let by_range = at((first + bin) / factor, column, first);
@@ -490,11 +490,11 @@ mod tests {
                             let error = (f64::from(got) - expected).abs();
                             assert!(error < 1e-4 * (1.0 + expected), "{got} for {expected}");
                         }
-                        None => left += 1,
+                        None => vacated += 1,
                     }
                 }
             }
-            assert_eq!(left > 0, factor != 1.0, "{factor}: {left}");
+            assert_eq!(vacated > 0, factor != 1.0, "{factor}: {vacated}");
         }
     }
 
@@ -503,7 +503,7 @@ mod tests {
         let skip = 3;
         let mut levels = noise(RANGE, 5);
         levels[20 * DOPPLER + 9] = 1e3;
-        levels_over_noise(&mut levels);
+        powers_to_levels(&mut levels);
         for gain_db in [-7.0f32, 7.0] {
             let augmentation = Augmentation { echo_gain_db: Some([gain_db; 2]), ..Augmentation::default() };
             let mut changed = levels.clone();
@@ -541,14 +541,14 @@ mod tests {
         assert!((below - 0.632).abs() < 0.05, "{below}");
     }
 
-    /// One and one are two, empty adds nothing, and there are never more than two; partners are of another sequence.
+    /// The class of superposed maps is the sum of both, at most two, and their sequences differ.
     #[test]
     fn people_of_two_maps_add_up() {
         let labels: Vec<usize> = (0..90).map(|i| i % 3).collect();
         let names: Vec<String> = (0..90).map(|i| format!("s{}", i / 9)).collect();
         let superpose = Superpose { probability: 0.5 };
         let partners = Partners::new(superpose, &labels, names.iter().map(String::as_str));
-        let mut shown = [0.0f64; 3];
+        let mut counts = [0.0f64; 3];
         let epochs = 200;
         for epoch in 0..epochs {
             for (position, &label) in labels.iter().enumerate() {
@@ -558,15 +558,15 @@ mod tests {
                 }
                 let together = label + other.map_or(0, |other| labels[other]);
                 assert!(together <= 2);
-                shown[together] += 1.0 / epochs as f64;
+                counts[together] += 1.0 / epochs as f64;
             }
         }
-        // Of 30 maps of each class half are added to: a third of the empty ones to each class, half of those of one to two.
+        // Half of the 30 maps of each class get another map: a third of the empty ones go to each class, half of those of one to two.
         let expected = partners.expected();
         assert!((expected[0] - 20.0).abs() < 1e-9 && (expected[1] - 27.5).abs() < 1e-9, "{expected:?}");
         assert!((expected.iter().sum::<f64>() - 90.0).abs() < 1e-9);
-        assert!(shown.iter().zip(expected).all(|(shown, expected)| (shown - expected).abs() < 1.0), "{shown:?}");
-        // Echoes add in power, the noise below them does not double.
+        assert!(counts.iter().zip(expected).all(|(count, expected)| (count - expected).abs() < 1.0), "{counts:?}");
+        // Powers of echoes add, and the noise below them does not double.
         let (mut a, mut b) = (noise(RANGE, 6), noise(RANGE, 7));
         (a[5], b[5], a[6], b[7]) = (1e4, 1e4, 1e4, 1e4);
         let before = a.clone();
@@ -580,13 +580,13 @@ mod tests {
 
     /// Changes depend on the use of a map only.
     #[test]
-    fn changes_are_a_function_of_the_showing() {
+    fn changes_are_a_function_of_the_use() {
         let mut levels = noise(RANGE, 8);
-        levels_over_noise(&mut levels);
+        powers_to_levels(&mut levels);
         let change = |index| {
             let mut changed = levels.clone();
-            everything().change_powers(&mut changed, None, DOPPLER, 3, MapUse { seed: 5, index });
-            everything().flip_and_add_noise(&mut changed, DOPPLER, 3.0, MapUse { seed: 5, index });
+            all_augmentations().change_powers(&mut changed, None, DOPPLER, 3, MapUse { seed: 5, index });
+            all_augmentations().flip_and_add_noise(&mut changed, DOPPLER, 3.0, MapUse { seed: 5, index });
             changed
         };
         assert_eq!(change(1), change(1));
@@ -598,8 +598,8 @@ mod tests {
     fn settings_are_read_by_name() {
         let old = Augmentation { noise_db: 1.0, doppler_flip: true, ..Augmentation::default() };
         assert_eq!(serde_json::to_string(&old).expect("JSON"), r#"{"noise_db":1.0,"doppler_flip":true}"#);
-        let text = serde_json::to_string(&everything()).expect("JSON");
-        assert_eq!(serde_json::from_str::<Augmentation>(&text).expect("settings"), everything());
+        let text = serde_json::to_string(&all_augmentations()).expect("JSON");
+        assert_eq!(serde_json::from_str::<Augmentation>(&text).expect("settings"), all_augmentations());
         let sway: Augmentation = serde_json::from_str(r#"{"sway":{"probability":0.7}}"#).expect("settings");
         assert_eq!(sway.sway, Some(Sway::default()));
         assert!(serde_json::from_str::<Augmentation>(r#"{"echo_gain":[0,1]}"#).is_err());
@@ -608,7 +608,7 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Finite maps stay finite: at silence, far above anything, of odd shapes, with more bins to skip than there are.
+        /// Finite maps stay finite: at zero, at enormous levels, of odd shapes, and with more bins to skip than they have.
         #[test]
         fn finite_maps_stay_finite() {
             for (cells, doppler, skip) in [
@@ -621,9 +621,9 @@ mod tests {
             ] {
                 for index in 0..20 {
                     let (mut changed, map_use) = (cells.clone(), MapUse { seed: 2, index });
-                    everything().change_powers(&mut changed, Some(&cells), doppler, skip, map_use);
+                    all_augmentations().change_powers(&mut changed, Some(&cells), doppler, skip, map_use);
                     assert!(changed.iter().all(|v| v.is_finite() && *v >= 0.0), "{changed:?}");
-                    everything().flip_and_add_noise(&mut changed, doppler, 3.0, map_use);
+                    all_augmentations().flip_and_add_noise(&mut changed, doppler, 3.0, map_use);
                     assert!(changed.iter().all(|v| v.is_finite()), "{changed:?}");
                 }
             }
@@ -651,13 +651,13 @@ mod tests {
                 let error = bad.check(OVER_NOISE).expect_err("out of range").to_string();
                 assert!(error.contains(name), "{name}: {error}");
             }
-            assert!(everything().check(OVER_NOISE).is_ok());
+            assert!(all_augmentations().check(OVER_NOISE).is_ok());
         }
 
-        /// Powers over noise are not there in maps with a 0 dB of their own; noise and flip need none.
+        /// Maps of an absolute reference have no powers over noise. Noise and flip do not need them.
         #[test]
         fn absolute_maps_are_refused_where_noise_must_be_known() {
-            let error = everything().check(MapReference::Absolute).expect_err("no noise").to_string();
+            let error = all_augmentations().check(MapReference::Absolute).expect_err("no noise").to_string();
             assert!(error.contains("superpose") && error.contains("hint:") && error.contains("over_noise"), "{error}");
             let simple = Augmentation { noise_db: 2.0, doppler_flip: true, ..Augmentation::default() };
             assert!(simple.check(MapReference::Absolute).is_ok());

@@ -1,5 +1,4 @@
-//! Checkpoints: the state of a training after each epoch, so that a stopped training ends with the same weights as one that was
-//! not.
+//! Checkpoints: the state of a training after each epoch, so that a stopped and continued training gives the same weights.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
@@ -12,21 +11,21 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::error::TrainError;
 use super::outcome::EpochReport;
 use crate::array_hash;
+use crate::atomic_file;
 use crate::dataset::{DatasetError, lock_file};
 use crate::network::Normalisation;
-use crate::whole_file;
 
 /// Largest checkpoint that is read: two starts with moments and best weights, seven times the largest model.
 const LIMIT_BYTES: u64 = 4 << 30;
-/// Key in the metadata of the numbers that are no arrays.
+/// Key in the metadata of all that is not an array.
 const KEY: &str = "radome-training";
 
-/// Lock on a checkpoint, so that two trainings do not take over each other's. It is the file `CHECKPOINT.lock`, which is removed when
-/// the lock is dropped: after the model is saved and the checkpoint removed.
+/// Lock on a checkpoint, so that two trainings do not use the same one. It is the file `CHECKPOINT.lock`, which is removed when the
+/// lock is dropped: after the model is saved and the checkpoint removed.
 #[derive(Debug)]
 pub struct CheckpointLock {
     path: PathBuf,
-    _held: File,
+    _file: File,
 }
 
 impl CheckpointLock {
@@ -36,8 +35,8 @@ impl CheckpointLock {
     /// [`DatasetError::Busy`] if another training holds it, and [`DatasetError::Io`] if the file of the lock cannot be made.
     pub fn new(checkpoint: &Path) -> Result<Self, DatasetError> {
         let path = Self::path_of(checkpoint);
-        let held = lock_file(&path)?;
-        Ok(CheckpointLock { path, _held: held })
+        let file = lock_file(&path)?;
+        Ok(CheckpointLock { path, _file: file })
     }
 
     /// Path of the lock's file, which is removed at the end.
@@ -48,7 +47,7 @@ impl CheckpointLock {
 
 impl Drop for CheckpointLock {
     fn drop(&mut self) {
-        // While it is held: another training that has opened it notices that it has no name any more.
+        // Removed while locked: another training that has opened the file notices that it is deleted.
         let _ = std::fs::remove_file(&self.path);
     }
 }
@@ -106,29 +105,29 @@ fn infinity_if_null<'de, D: Deserializer<'de>>(number: D) -> Result<f64, D::Erro
 }
 
 impl Checkpoint {
-    /// Writes under a temporary name and renames, so that a file of this name is whole.
+    /// Writes under a temporary name and renames, so that the file is always complete.
     pub(super) fn save(&self, path: &Path) -> Result<(), TrainError> {
         let mut arrays: Vec<(String, Vec<u8>)> = Vec::new();
         for (role, state) in [("leader", &self.leader), ("trial", &self.trial)] {
             let Some(state) = state else { continue };
             let best = state.best.as_ref().map(|best| ("best", &best.values));
-            for (kind, named) in [("value", &state.values), ("moment", &state.moments)].into_iter().chain(best) {
-                for (name, values) in named {
+            for (kind, by_name) in [("value", &state.values), ("moment", &state.moments)].into_iter().chain(best) {
+                for (name, values) in by_name {
                     let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
                     arrays.push((format!("{role}/{kind}/{name}"), bytes));
                 }
             }
         }
-        let hashed = arrays.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice()));
-        let text = array_hash::to_json(self, hashed).map_err(|e| unwritten(path, e))?;
+        let named_bytes = arrays.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice()));
+        let text = array_hash::to_json(self, named_bytes).map_err(|e| write_error(path, e))?;
         let views = arrays
             .iter()
             .map(|(name, bytes)| Ok((name, TensorView::new(Dtype::F32, vec![bytes.len() / 4], bytes)?)))
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
-            .map_err(|e| unwritten(path, e))?;
+            .map_err(|e| write_error(path, e))?;
         let metadata = HashMap::from([(KEY.to_owned(), text)]);
-        let data = safetensors::serialize(views, Some(metadata)).map_err(|e| unwritten(path, e))?;
-        whole_file::write(path, &data).map_err(|e| unwritten(path, e))
+        let data = safetensors::serialize(views, Some(metadata)).map_err(|e| write_error(path, e))?;
+        atomic_file::write(path, &data).map_err(|e| write_error(path, e))
     }
 
     /// Reads a checkpoint; `None` if there is no file.
@@ -146,15 +145,15 @@ impl Checkpoint {
         if array_hash::check(&text, arrays).map_err(|e| unusable(path, e))?.is_some() {
             return Err(unusable(path, "its numbers are not those that were written; the file was changed or damaged"));
         }
-        let mut found: Checkpoint = serde_json::from_str(&text).map_err(|e| unusable(path, e))?;
+        let mut checkpoint: Checkpoint = serde_json::from_str(&text).map_err(|e| unusable(path, e))?;
         for name in tensors.names() {
             let mut parts = name.splitn(3, '/');
             let state = match parts.next() {
-                Some("leader") => &mut found.leader,
-                Some("trial") => &mut found.trial,
+                Some("leader") => &mut checkpoint.leader,
+                Some("trial") => &mut checkpoint.trial,
                 _ => continue,
             };
-            let named = match (parts.next(), state) {
+            let by_name = match (parts.next(), state) {
                 (Some("value"), Some(state)) => &mut state.values,
                 (Some("moment"), Some(state)) => &mut state.moments,
                 (Some("best"), Some(RunState { best: Some(best), .. })) => &mut best.values,
@@ -163,14 +162,14 @@ impl Checkpoint {
             let Some(array) = parts.next() else { continue };
             let bytes = tensors.tensor(name).map_err(|e| unusable(path, e))?.data();
             let values = bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
-            named.insert(array.to_owned(), values);
+            by_name.insert(array.to_owned(), values);
         }
-        Ok(Some(found))
+        Ok(Some(checkpoint))
     }
 }
 
-fn unwritten(path: &Path, reason: impl std::fmt::Display) -> TrainError {
-    TrainError::Unwritten { path: path.to_owned(), reason: reason.to_string() }
+fn write_error(path: &Path, reason: impl std::fmt::Display) -> TrainError {
+    TrainError::CheckpointWrite { path: path.to_owned(), reason: reason.to_string() }
 }
 
 fn unusable(path: &Path, reason: impl std::fmt::Display) -> TrainError {
@@ -182,12 +181,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_checkpoint_is_of_one_training_at_a_time() {
+    fn one_training_at_a_time_locks_a_checkpoint() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("half.checkpoint");
-        let held = CheckpointLock::new(&path).expect("free");
+        let lock = CheckpointLock::new(&path).expect("free");
         assert!(matches!(CheckpointLock::new(&path), Err(DatasetError::Busy { .. })));
-        drop(held);
+        drop(lock);
         assert!(!folder.path().join("half.checkpoint.lock").exists());
         CheckpointLock::new(&path).expect("free");
     }

@@ -67,10 +67,10 @@ impl Indices {
     pub(crate) fn choose(dataset: &Dataset, spec: &TrainSpec) -> Result<Self, DatasetError> {
         let splits = dataset.splits(&spec.split)?;
         let rows = dataset.rows();
-        let of = |split: Split| -> Vec<usize> {
+        let indices_of = |split: Split| -> Vec<usize> {
             splits.iter().enumerate().filter(|&(_, &s)| s == split).map(|(index, _)| index).collect()
         };
-        let mut train = of(Split::Train);
+        let mut train = indices_of(Split::Train);
         train.retain(|&index| spec.transitions || rows.get(index).is_none_or(|row| !row.transition));
         let most = spec.most_training_maps.map_or(1.0, |most| most as f64 / train.len().max(1) as f64);
         let fraction = spec.label_fraction * most.min(1.0);
@@ -78,7 +78,7 @@ impl Indices {
             let most = spec.most_training_maps.unwrap_or(usize::MAX);
             train = fraction_by_class(&train, |i| rows.get(i).map(|r| r.label.index()), fraction, most, spec.seed);
         }
-        Ok(Indices { train, validation: of(Split::Validation), test: of(Split::Test) })
+        Ok(Indices { train, validation: indices_of(Split::Validation), test: indices_of(Split::Test) })
     }
 }
 
@@ -113,7 +113,7 @@ impl Data {
                 return Err(TrainError::EmptySplit { split, maps: rows.len(), sequences });
             }
         }
-        // Read here because a damaged map would otherwise be found when the training has ended.
+        // Test maps are read now, so that a damaged one is not found only after the training.
         test.iter().try_for_each(|&index| dataset.map(index).map(drop))?;
         let counts = train.counts();
         let present: Vec<Occupancy> = Occupancy::ALL.into_iter().filter(|o| counts[o.index()] > 0).collect();
@@ -127,7 +127,8 @@ impl Data {
         let class_weights = class_weights(spec, &train, partners.as_ref());
         let standardisation = standardisation(spec, rows, &train)?;
         for part in [&mut train, &mut validation] {
-            part.scales = part.indices.iter().map(|index| standardisation.scale(cell(rows, *index))).collect();
+            part.scales =
+                part.indices.iter().map(|index| standardisation.scale(scene_and_class(rows, *index))).collect();
         }
         Ok(Data {
             train,
@@ -156,7 +157,7 @@ impl Data {
 
     /// Bounds and scales a map for the network; `None` if the part has no such map.
     fn standardise(&self, part: &Part, position: usize, cells: &mut [f32]) -> Option<()> {
-        self.standardisation.reference.bound(cells);
+        self.standardisation.reference.clip(cells);
         part.scales.get(position)?.apply(cells);
         Some(())
     }
@@ -175,20 +176,25 @@ impl Data {
         seed: u64,
         epoch: usize,
     ) -> CandleResult<(Tensor, Vec<usize>)> {
-        let shown = |&position: &usize| {
+        let augmented_map = |&position: &usize| {
             let index = (epoch * self.train.maps.len() + position) as u64;
-            self.shown(position, augmentation, MapUse { seed, index })
+            self.augmented_map(position, augmentation, MapUse { seed, index })
         };
-        let shown: Vec<(Vec<f32>, usize)> = positions.par_iter().filter_map(shown).collect();
-        let (maps, labels) = shown.into_iter().unzip();
+        let augmented: Vec<(Vec<f32>, usize)> = positions.par_iter().filter_map(augmented_map).collect();
+        let (maps, labels) = augmented.into_iter().unzip();
         Ok((self.tensor(maps)?, labels))
     }
 
     /// Cells of one use of a training map, and its class.
-    fn shown(&self, position: usize, augmentation: &Augmentation, map_use: MapUse) -> Option<(Vec<f32>, usize)> {
+    fn augmented_map(
+        &self,
+        position: usize,
+        augmentation: &Augmentation,
+        map_use: MapUse,
+    ) -> Option<(Vec<f32>, usize)> {
         let part = &self.train;
         let (mut cells, mut label) = (part.maps.get(position)?.to_vec(), *part.labels.get(position)?);
-        if augmentation.of_powers().is_some() {
+        if augmentation.first_power_setting().is_some() {
             let other = self.partners.as_ref().and_then(|partners| partners.partner(position, label, map_use));
             label += other.and_then(|other| part.labels.get(other)).copied().unwrap_or(0);
             let other = other.and_then(|other| part.maps.get(other)).map(|map| &**map);
@@ -202,8 +208,7 @@ impl Data {
     }
 }
 
-/// Warnings about the maps of a training. They are known before it begins, from the rows of the dataset alone, and its outcome
-/// repeats them.
+/// Warnings about the maps of a training, from the rows of the dataset alone. The outcome of the training repeats them.
 ///
 /// # Errors
 /// Those of [`Dataset::splits`].
@@ -237,15 +242,15 @@ fn split_warnings(indices: &Indices, rows: &[ManifestRow]) -> Vec<String> {
     warnings
 }
 
-/// Warnings about sequences that the rule of the splits cannot group, about those that it holds out beside the named one, and about
-/// splits of rows that it overrides.
+/// Warnings about sequences that the rule of the splits cannot group, about those that it holds out together with the named one, and
+/// about splits of rows that it overrides.
 fn rule_warnings(rule: &SplitSpec, rows: &[ManifestRow]) -> Vec<String> {
     // Rows with a split of their own do not depend on the rule, unless it holds a sequence out.
     let ungrouped = rule.by.warning(rows.iter().filter(|row| row.split.is_none() || rule.held_out.is_some()));
-    let divided = rows.iter().filter(|row| row.split.is_some()).count();
-    let overridden = rule.held_out.as_ref().filter(|_| divided > 0).map(|held_out| {
+    let with_split = rows.iter().filter(|row| row.split.is_some()).count();
+    let overridden = rule.held_out.as_ref().filter(|_| with_split > 0).map(|held_out| {
         format!(
-            "sequence '{held_out}' is held out, so the splits that {divided} of {} maps have in the dataset do not count: the other \
+            "sequence '{held_out}' is held out, so the splits that {with_split} of {} maps have in the dataset do not count: the other \
              sequences are divided into training and validation by the rule",
             rows.len()
         )
@@ -253,38 +258,39 @@ fn rule_warnings(rule: &SplitSpec, rows: &[ManifestRow]) -> Vec<String> {
     ungrouped.into_iter().chain(rule.group_warning(rows)).chain(overridden).collect()
 }
 
-/// Weight of each class in the loss: `n / (k n_c)` over the k classes shown, so that the mean weight of a map is one, times the
+/// Weight of each class in the loss: `n / (k n_c)` for the k classes with maps, so that the mean weight of a map is one, times the
 /// weight of its label.
 fn class_weights(spec: &TrainSpec, train: &Part, partners: Option<&Partners>) -> Vec<f32> {
-    let shown = partners.map_or(train.counts().map(|c| c as f64), Partners::expected);
-    let classes = shown.iter().filter(|n| **n > 0.0).count();
-    let of_class = |n| match n {
+    let counts = partners.map_or(train.counts().map(|c| c as f64), Partners::expected);
+    let classes = counts.iter().filter(|n| **n > 0.0).count();
+    let balance = |n| match n {
         n if n <= 0.0 => 0.0,
         _ if !spec.class_weights => 1.0,
         n => train.labels.len() as f32 / (classes as f64 * n) as f32,
     };
-    shown.iter().zip(spec.label_weights).map(|(&n, by)| of_class(n) * by as f32).collect()
+    counts.iter().zip(spec.label_weights).map(|(&n, label_weight)| balance(n) * label_weight as f32).collect()
 }
 
 fn standardisation(spec: &TrainSpec, rows: &[ManifestRow], train: &Part) -> Result<Standardisation, TrainError> {
-    let bounded = train.maps.iter().map(|map| spec.reference.bounded(map));
-    let mut standardisation = Standardisation::measure(spec.reference, bounded)?;
+    let clipped = train.maps.iter().map(|map| spec.reference.clipped(map));
+    let mut standardisation = Standardisation::measure(spec.reference, clipped)?;
     if spec.network.reads_descriptors() {
         // Descriptors are computed from levels in dB, which must not be standardised.
         (standardisation.mean_db, standardisation.sigma_db) = (0.0, 1.0);
     }
     if spec.label_leaking_cells {
-        let cells: BTreeSet<_> = train.indices.iter().filter_map(|&index| cell(rows, index)).collect();
-        for of in cells {
-            let maps = train.indices.iter().zip(&train.maps).filter(|(index, _)| cell(rows, **index) == Some(of));
-            standardisation.add_cell(of.0, of.1, maps.map(|(_, map)| spec.reference.bounded(map)))?;
+        let groups: BTreeSet<_> = train.indices.iter().filter_map(|&index| scene_and_class(rows, index)).collect();
+        for (scene, class) in groups {
+            let is_in_group = |index: usize| scene_and_class(rows, index) == Some((scene, class));
+            let maps = train.indices.iter().zip(&train.maps).filter(|(index, _)| is_in_group(**index));
+            standardisation.add_scene_and_class(scene, class, maps.map(|(_, map)| spec.reference.clipped(map)))?;
         }
     }
     Ok(standardisation)
 }
 
 /// Scene and class of a map.
-fn cell(rows: &[ManifestRow], index: usize) -> Option<(&str, Occupancy)> {
+fn scene_and_class(rows: &[ManifestRow], index: usize) -> Option<(&str, Occupancy)> {
     rows.get(index).map(|row| (row.scene.as_str(), row.label))
 }
 
@@ -296,23 +302,23 @@ fn fraction_by_class(
     most: usize,
     seed: u64,
 ) -> Vec<usize> {
-    let of_class = |label: Occupancy| -> Vec<usize> {
+    let indices_of = |label: Occupancy| -> Vec<usize> {
         indices.iter().copied().filter(|&i| class(i) == Some(label.index())).collect()
     };
-    let mut by_class = Occupancy::ALL.map(of_class);
-    let counts = kept_by_class(by_class.each_ref().map(Vec::len), fraction, most);
+    let mut by_class = Occupancy::ALL.map(indices_of);
+    let counts = counts_to_keep(by_class.each_ref().map(Vec::len), fraction, most);
     for ((label, maps), count) in by_class.iter_mut().enumerate().zip(counts) {
         maps.shuffle(&mut stream(seed, "label fraction", label as u64));
         maps.truncate(count);
     }
-    let mut kept = by_class.concat();
-    kept.sort_unstable();
-    kept
+    let mut selected = by_class.concat();
+    selected.sort_unstable();
+    selected
 }
 
-/// Share of `counts`, each to the nearest whole number and at least one where there is one. Where they are more than `most`
-/// together, the largest gives way.
-fn kept_by_class(counts: [usize; Occupancy::ALL.len()], fraction: f64, most: usize) -> [usize; Occupancy::ALL.len()] {
+/// This fraction of `counts`, each rounded and at least one if the count is not zero. While their sum exceeds `most`, the largest is
+/// reduced.
+fn counts_to_keep(counts: [usize; Occupancy::ALL.len()], fraction: f64, most: usize) -> [usize; Occupancy::ALL.len()] {
     let mut kept = counts.map(|count| ((fraction * count as f64).round() as usize).max(1).min(count));
     while kept.iter().sum::<usize>() > most
         && let Some(largest) = kept.iter_mut().max()
@@ -335,8 +341,8 @@ pub(super) mod tests {
 
     const SIZE: usize = 16;
 
-    /// Maps `size x size` of all classes, of which the first `train` are trained on.
-    pub fn made_up(size: usize, count: usize, train: usize, mut cell: impl FnMut() -> f32) -> Dataset {
+    /// Dataset of `count` maps `size x size` of all classes in turn; the first `train` are in the training split. `cell` gives the cells.
+    pub fn dataset_of(size: usize, count: usize, train: usize, mut cell: impl FnMut() -> f32) -> Dataset {
         let request =
             WaveformRequest { samples_per_chirp: 2 * size, chirps_per_frame: size, ..WaveformRequest::paper() };
         let waveform = Waveform::realise(request).expect("waveform");
@@ -354,7 +360,7 @@ pub(super) mod tests {
 
     fn noise() -> Dataset {
         let mut rng = stream(2, "cells", 0);
-        made_up(SIZE, 36, 24, || -80.0 + 10.0 * rng.random_range(1e-3f32..1.0).log10())
+        dataset_of(SIZE, 36, 24, || -80.0 + 10.0 * rng.random_range(1e-3f32..1.0).log10())
     }
 
     fn load(dataset: &Dataset, augmentation: Augmentation, most_db: Option<f32>) -> Data {
@@ -367,28 +373,28 @@ pub(super) mod tests {
         tensor.flatten_all().and_then(|t| t.to_vec1()).expect("cells")
     }
 
-    /// Rounded class by class, shares of 26, 11 and 11 maps that make 20 were 21.
+    /// Regression test: fractions of 26, 11 and 11 maps that should make 20 were 21, because each was rounded.
     #[test]
     fn limited_maps_are_no_more_than_the_limit() {
-        assert_eq!(kept_by_class([26, 11, 11], 20.0 / 48.0, 20), [10, 5, 5]);
-        assert_eq!(kept_by_class([46, 1, 1], 3.0 / 48.0, 3), [1, 1, 1]);
-        assert_eq!(kept_by_class([30, 0, 3], 0.1, usize::MAX), [3, 0, 1]);
+        assert_eq!(counts_to_keep([26, 11, 11], 20.0 / 48.0, 20), [10, 5, 5]);
+        assert_eq!(counts_to_keep([46, 1, 1], 3.0 / 48.0, 3), [1, 1, 1]);
+        assert_eq!(counts_to_keep([30, 0, 3], 0.1, usize::MAX), [3, 0, 1]);
         for most in 3..=48 {
-            let kept = kept_by_class([22, 15, 11], most as f64 / 48.0, most);
+            let kept = counts_to_keep([22, 15, 11], most as f64 / 48.0, most);
             assert!(kept.iter().all(|count| *count > 0) && kept.iter().sum::<usize>() <= most, "{most}: {kept:?}");
         }
     }
 
-    /// Settings of old training files: maps are standardised, flipped and get noise by the same random numbers, so that their
-    /// trainings give the same bytes.
+    /// Settings of old training files standardise, flip and add noise with the same random numbers as ever, so that their trainings
+    /// give the same bytes.
     #[test]
-    fn flip_and_noise_are_what_they_were() {
+    fn flip_and_noise_of_old_settings_are_unchanged() {
         let dataset = noise();
         let augmentation = Augmentation { noise_db: 1.5, doppler_flip: true, ..Augmentation::default() };
         let data = load(&dataset, augmentation, None);
         let positions: Vec<usize> = (0..data.train.maps.len()).collect();
         let (seed, epoch) = (7, 3);
-        let (shown, labels) = data.augmented(&positions, &augmentation, seed, epoch).expect("maps");
+        let (augmented, labels) = data.augmented(&positions, &augmentation, seed, epoch).expect("maps");
         assert_eq!(labels, data.train.labels);
         let mut expected = Vec::new();
         for (position, &index) in data.train.indices.iter().enumerate() {
@@ -403,7 +409,7 @@ pub(super) mod tests {
             map.iter_mut().for_each(|v| *v += normal.sample(&mut rng));
             expected.extend(map);
         }
-        assert_eq!(cells(&shown), expected);
+        assert_eq!(cells(&augmented), expected);
         // Without augmentation, a map is the classifier's input.
         let none = data.augmented(&[5], &Augmentation::default(), seed, epoch).expect("maps").0;
         let mut map = dataset.input(data.train.indices[5], 0).expect("a map");
@@ -421,14 +427,14 @@ pub(super) mod tests {
         let positions: Vec<usize> = (0..24).collect();
         for most_db in [6.0f32, 20.0] {
             let data = load(&dataset, augmentation, Some(most_db));
-            let shown = cells(&data.augmented(&positions, &augmentation, 1, 1).expect("maps").0);
-            let most = shown.iter().copied().fold(f32::MIN, f32::max);
+            let augmented = cells(&data.augmented(&positions, &augmentation, 1, 1).expect("maps").0);
+            let most = augmented.iter().copied().fold(f32::MIN, f32::max);
             let expected = (f64::from(most_db) - data.standardisation.mean_db) / data.standardisation.sigma_db;
             assert!((f64::from(most) - expected).abs() < 1e-6, "{most} {expected}");
         }
     }
 
-    /// Classes change with what is superposed, weights with how many of each are shown then.
+    /// Superposed maps change classes, and class weights follow the expected number of maps of each class.
     #[test]
     fn superposed_maps_have_the_class_of_both() {
         let dataset = noise();
@@ -436,9 +442,9 @@ pub(super) mod tests {
         let data = load(&dataset, augmentation, None);
         let positions: Vec<usize> = (0..24).collect();
         let (_, labels) = data.augmented(&positions, &augmentation, 1, 1).expect("maps");
-        let grown = labels.iter().zip(&data.train.labels).filter(|(shown, own)| shown > own).count();
-        assert!(grown > 1, "{labels:?}");
-        assert!(labels.iter().zip(&data.train.labels).all(|(shown, own)| shown >= own && *shown <= 2));
+        let increased = labels.iter().zip(&data.train.labels).filter(|(label, own)| label > own).count();
+        assert!(increased > 1, "{labels:?}");
+        assert!(labels.iter().zip(&data.train.labels).all(|(label, own)| label >= own && *label <= 2));
         // Of eight maps of each class: 8/3 empty, 8/3 + 4 of one, the others of two.
         for (weight, n) in data.class_weights.iter().zip([8.0 / 3.0, 8.0 / 3.0 + 4.0, 8.0 / 3.0 + 4.0 + 8.0]) {
             assert!((f64::from(*weight) - 24.0 / (3.0 * n)).abs() < 1e-5, "{:?}", data.class_weights);

@@ -81,7 +81,7 @@ pub enum TrainError {
     OtherTraining { path: PathBuf },
     /// A checkpoint cannot be written.
     #[error("checkpoint: {path} cannot be written: {reason}")]
-    Unwritten { path: PathBuf, reason: String },
+    CheckpointWrite { path: PathBuf, reason: String },
     /// The dataset cannot be read or split.
     #[error(transparent)]
     Dataset(#[from] DatasetError),

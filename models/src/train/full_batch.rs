@@ -1,9 +1,8 @@
 //! Minimisation of the loss over all training maps at once, after the epochs.
 //!
 //! A network of descriptors has about a hundred parameters. With steps over batches, the result depends on the order of
-//! the maps. Of five seeds of room-hqnn, the best was right in 50 % more frames of a real person than the worst. The
-//! descriptors are computed once, so that a step over all maps takes milliseconds, and the minimum hardly depends on
-//! the seed.
+//! the maps: of five seeds of room-hqnn, the best was right in 50 % more frames of a real person than the worst. The
+//! minimum over all maps hardly depends on the seed. Descriptors are computed once, so that a step takes milliseconds.
 
 use candle_core::{Device, Tensor};
 
@@ -13,7 +12,7 @@ use super::head_start::is_trained;
 use super::minimise::minimise;
 use super::parameter_vector::ParameterVector;
 use super::spec::FullBatch;
-use super::start::collect;
+use super::start::rows_of;
 use crate::layer::{backward, softmax};
 use crate::metrics::CLASSES;
 use crate::network::{Mode, Network, Parameter, names};
@@ -38,14 +37,14 @@ pub(super) fn fit(
     latent_penalty: f64,
 ) -> Result<bool, TrainError> {
     let graph = network.graph();
-    let given = network.value_of(names::DESCRIPTORS)?;
+    let input = network.value_of(names::DESCRIPTORS)?;
     let positions: Vec<usize> = (0..data.train.maps.len()).collect();
-    let rows = collect(network, data, &data.train, &positions, given)?;
+    let rows = rows_of(network, data, &data.train, &positions, input)?;
     let width = rows.first().map_or(0, Vec::len);
     let descriptors = Tensor::from_vec(rows.concat(), (rows.len(), width), &Device::Cpu)?;
     let weight = |&label: &usize| data.class_weights.get(label).copied().map_or(0.0, f64::from);
     let total: f64 = data.train.labels.iter().map(weight).sum();
-    let samples: Vec<_> = data.train.labels.iter().map(|label| (certain(*label), weight(label) / total)).collect();
+    let samples: Vec<_> = data.train.labels.iter().map(|label| (one_hot(*label), weight(label) / total)).collect();
 
     let is_fitted = |p: &&Parameter| is_trained(network, p) && names::layer_of(&p.name) != names::WARM_UP;
     let parameters = ParameterVector::new(network.trained().iter().filter(is_fitted).collect());
@@ -53,9 +52,9 @@ pub(super) fn fit(
     let latent = (latent_penalty > 0.0).then(|| network.value_of(names::LATENT)).transpose()?;
     let wanted: Vec<_> = [graph.output].into_iter().chain(latent).collect();
     let mode = Mode::Training { seed: 0, step: 0, penalty: latent_penalty as f32 };
-    let found = minimise(parameters.numbers()?, settings.steps, LEAST_GAIN, |numbers| {
+    let minimum = minimise(parameters.numbers()?, settings.steps, LEAST_GAIN, |numbers| {
         parameters.set(numbers)?;
-        let mut values = network.run_from(given, &descriptors, &wanted, mode)?;
+        let mut values = network.run_from(input, &descriptors, &wanted, mode)?;
         let square = match latent {
             Some(latent) => f64::from(values.get(latent)?.sqr()?.mean_all()?.to_scalar::<f32>()?),
             None => 0.0,
@@ -72,15 +71,15 @@ pub(super) fn fit(
         }
         Ok::<_, TrainError>((loss, gradient))
     })?;
-    let is_finite = found.is_some();
-    if let Some(numbers) = found {
+    let is_finite = minimum.is_some();
+    if let Some(numbers) = minimum {
         parameters.set(&numbers)?;
     }
     Ok(is_finite)
 }
 
-/// Weighted sum of the cross-entropies of samples, each with probabilities of the classes to reach and a weight, at a temperature,
-/// and its derivative by each logit, row by row.
+/// Weighted sum of the cross-entropies of samples at a temperature, and its derivative by each logit, row by row. A sample is its
+/// target probabilities and its weight.
 pub(super) fn cross_entropy(
     logits: &[Vec<f32>],
     samples: &[([f64; CLASSES], f64)],
@@ -96,7 +95,7 @@ pub(super) fn cross_entropy(
     (loss, by_logit)
 }
 
-/// Probabilities that are one for a class.
-pub(super) fn certain(class: usize) -> [f64; CLASSES] {
+/// Probabilities that are 1 for one class and 0 for the others.
+pub(super) fn one_hot(class: usize) -> [f64; CLASSES] {
     std::array::from_fn(|other| f64::from(u8::from(other == class)))
 }

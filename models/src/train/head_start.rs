@@ -1,9 +1,9 @@
 //! Initialisation of a head: its parameters and an affine map of the latent, fitted to latents that a linear head has already
 //! separated.
 //!
-//! The backbone is first trained with the linear head, which never failed. Its latent shows the classes as clusters. The rest is a
-//! fit of a few numbers to a few hundred points, which is repeated from random angles and rotations; the best solution is taken.
-//! Every head is initialised in this way.
+//! The backbone is first trained with the linear head, which never failed. Its latent shows the classes as clusters. Then a few
+//! numbers are fitted to a few hundred points, from several random angles and rotations, and the best fit is taken. Every head is
+//! initialised in this way.
 
 use candle_core::{Device, Tensor, Var};
 use rand::Rng;
@@ -17,11 +17,12 @@ use crate::random::stream;
 
 /// Random starts of the search.
 const SEARCHES: u64 = 24;
-/// Adam steps of each.
+/// Adam steps of each start.
 const STEPS: usize = 200;
+/// Adam's step size.
 const RATE: f32 = 0.05;
 
-/// Points of the search.
+/// Points that the head is fitted to.
 pub(super) struct Points<'a> {
     /// Standardised latents, `[map][component]`.
     pub latents: &'a [Vec<f32>],
@@ -30,7 +31,7 @@ pub(super) struct Points<'a> {
     /// Weight of the mean square of the mapped latent; 0 for heads without `pi * sigmoid`.
     pub penalty: f64,
     /// Whether an affine map of the latent is fitted too.
-    pub move_latent: bool,
+    pub fit_latent_map: bool,
     /// Standard deviation of the latent at the start.
     pub sigma: f32,
 }
@@ -68,25 +69,25 @@ pub(super) fn search(
             };
             variable.set(&Tensor::from_vec(values, variable.shape(), &Device::Cpu)?)?;
         }
-        let matrix = if points.move_latent { rotation(width, points.sigma, &mut rng) } else { identity(width) };
+        let matrix = if points.fit_latent_map { rotation(width, points.sigma, &mut rng) } else { identity(width) };
         let matrix = Var::from_tensor(&Tensor::from_vec(matrix, (width, width), &Device::Cpu)?)?;
         let offset = Var::zeros(width, candle_core::DType::F32, &Device::Cpu)?;
         let loss = fit(network, latent, points, &latents, &head, &matrix, &offset)?;
-        // The first of equals; any loss is better than a NaN.
+        // The first of equal losses is kept; any loss is better than a NaN.
         if best.as_ref().is_none_or(|(b, _)| loss < b.loss || (b.loss.is_nan() && !loss.is_nan())) {
-            let placing =
+            let latent_map =
                 AffineMap { matrix: matrix.flatten_all()?.to_vec1()?, offset: offset.flatten_all()?.to_vec1()?, loss };
             let values = head.iter().map(|p| p.variable.flatten_all()?.to_vec1()).collect::<Result<_, _>>()?;
-            best = Some((placing, values));
+            best = Some((latent_map, values));
         }
     }
-    let Some((placing, values)) = best else {
+    let Some((latent_map, values)) = best else {
         return Ok(AffineMap { matrix: identity(width), offset: vec![0.0; width], loss: f64::NAN });
     };
     for (Parameter { variable, .. }, values) in head.iter().zip(values) {
         variable.set(&Tensor::from_vec(values, variable.shape(), &Device::Cpu)?)?;
     }
-    Ok(placing)
+    Ok(latent_map)
 }
 
 /// Fits once from the present parameters. Returns the loss at the end.
@@ -100,26 +101,26 @@ fn fit(
     offset: &Var,
 ) -> Result<f64, TrainError> {
     let output = network.graph().output;
-    let placed = || latents.matmul(&matrix.t()?)?.broadcast_add(offset);
+    let map_latents = || latents.matmul(&matrix.t()?)?.broadcast_add(offset);
     let penalty = points.penalty as f32;
     let mode = Mode::Training { seed: 0, step: 0, penalty };
-    let loss = |placed: &Tensor| {
-        let logits = network.run_from(latent, placed, &[output], mode)?.take(output)?;
+    let loss = |mapped: &Tensor| {
+        let logits = network.run_from(latent, mapped, &[output], mode)?.take(output)?;
         cross_entropy(&logits, points.labels, points.class_weights)
     };
     let variables: Vec<Var> = head.iter().map(|p| p.variable.clone()).chain([matrix.clone(), offset.clone()]).collect();
     let mut rates: Vec<f32> = head.iter().map(|p| if is_trained(network, p) { RATE } else { 0.0 }).collect();
-    rates.extend([if points.move_latent { RATE } else { 0.0 }; 2]);
+    rates.extend([if points.fit_latent_map { RATE } else { 0.0 }; 2]);
     let mut adam = Adam::new(variables.iter());
     for _ in 0..STEPS {
         // A fit that diverges is not the best one.
-        if adam.step(variables.iter(), &backward(&loss(&placed()?)?)?, &rates, &[])?.is_some() {
+        if adam.step(variables.iter(), &backward(&loss(&map_latents()?)?)?, &rates, &[])?.is_some() {
             return Ok(f64::NAN);
         }
     }
-    let placed = placed()?;
-    let square = f64::from(placed.sqr()?.mean_all()?.to_scalar::<f32>()?);
-    Ok(f64::from(loss(&placed)?.to_scalar::<f32>()?) + points.penalty * square)
+    let mapped = map_latents()?;
+    let square = f64::from(mapped.sqr()?.mean_all()?.to_scalar::<f32>()?);
+    Ok(f64::from(loss(&mapped)?.to_scalar::<f32>()?) + points.penalty * square)
 }
 
 /// Parameters of the layers between the latent and the logits.
@@ -127,11 +128,12 @@ pub(super) fn parameters_behind(network: &Network, latent: Value) -> Vec<&Parame
     let graph = network.graph();
     let needed = graph.needed(&[graph.output], &[latent]);
     let nodes = graph.nodes.iter().zip(needed).filter(|(_, needed)| *needed);
-    let names: Vec<String> = nodes.flat_map(|(node, _)| node.declarations()).map(|declared| declared.name).collect();
+    let declarations = nodes.flat_map(|(node, _)| node.declarations());
+    let names: Vec<String> = declarations.map(|declaration| declaration.name).collect();
     network.trained().iter().filter(|parameter| names.contains(&parameter.name)).collect()
 }
 
-/// Returns whether an array is trained at all: angles may be frozen.
+/// Returns whether an array is trained; angles may be frozen.
 pub(super) fn is_trained(network: &Network, parameter: &Parameter) -> bool {
     let is_frozen = |node: &Node| matches!(node.layer, Layer::Circuit { frozen: true, .. });
     let layer = names::layer_of(&parameter.name);
@@ -182,9 +184,9 @@ mod tests {
         }
     }
 
-    /// Three clusters in general position are separated by every head that can, from any random start.
+    /// Every head that can separate three clusters in general position does so from any random start.
     #[test]
-    fn three_clusters_are_told_apart() {
+    fn three_clusters_are_separated() {
         let (latents, labels) = clusters();
         for (name, seed) in [("hqnn", 0), ("hqnn", 1), ("estimator_matched", 0), ("trigonometric", 0)] {
             let spec = NetworkSpec::named(name).expect("known");
@@ -194,7 +196,7 @@ mod tests {
                 labels: &labels,
                 class_weights: &[1.0; 3],
                 penalty: if spec.head.uses_scaled_sigmoid() { 0.02 } else { 0.0 },
-                move_latent: true,
+                fit_latent_map: true,
                 sigma: 0.7,
             };
             let latent = network.graph().value("latent").expect("latent");

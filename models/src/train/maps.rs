@@ -9,13 +9,13 @@ use crate::standardise::MapReference;
 pub(crate) struct Maps<'a> {
     dataset: &'a Dataset,
     reference: MapReference,
-    measured: Vec<OnceLock<Arc<[f32]>>>,
+    loaded: Vec<OnceLock<Arc<[f32]>>>,
 }
 
 impl<'a> Maps<'a> {
-    /// Maps for trainings whose settings have this reference. None is read yet.
+    /// Maps for trainings with this reference. None is read yet.
     pub(crate) fn new(dataset: &'a Dataset, reference: MapReference) -> Self {
-        Maps { dataset, reference, measured: vec![OnceLock::new(); dataset.len()] }
+        Maps { dataset, reference, loaded: vec![OnceLock::new(); dataset.len()] }
     }
 
     /// The dataset that the maps are of.
@@ -28,16 +28,16 @@ impl<'a> Maps<'a> {
     /// # Errors
     /// Those of [`Dataset::input`].
     pub(crate) fn get(&self, index: usize) -> Result<Arc<[f32]>, DatasetError> {
-        let place = self.measured.get(index);
-        if let Some(map) = place.and_then(OnceLock::get) {
+        let slot = self.loaded.get(index);
+        if let Some(map) = slot.and_then(OnceLock::get) {
             return Ok(Arc::clone(map));
         }
         let mut cells = self.dataset.input(index, 0)?;
-        self.reference.measure(&mut cells, self.dataset.header().shape.doppler);
+        self.reference.apply_unclipped(&mut cells, self.dataset.header().shape.doppler);
         let map: Arc<[f32]> = cells.into();
-        if let Some(place) = place {
+        if let Some(slot) = slot {
             // Another thread may have read the same cells meanwhile.
-            let _ = place.set(Arc::clone(&map));
+            let _ = slot.set(Arc::clone(&map));
         }
         Ok(map)
     }

@@ -10,11 +10,10 @@ use super::spec::TrainSpec;
 use crate::dataset::Dataset;
 use crate::model::input_shape;
 
-/// Refuses a training that cannot fit into memory, before it has begun. Where the system does not tell how much there is, none is
-/// refused.
+/// Checks before a training that it fits into memory. If the amount of memory is unknown, every training passes.
 ///
 /// # Errors
-/// [`TrainError::Memory`], and [`TrainError::Dataset`] if the dataset cannot be split.
+/// [`TrainError::Memory`] if it does not fit, and [`TrainError::Dataset`] if the dataset cannot be split.
 pub(crate) fn check_memory(dataset: &Dataset, spec: &TrainSpec) -> Result<(), TrainError> {
     memory_bytes().map_or(Ok(()), |available_bytes| check_within(dataset, spec, available_bytes))
 }
@@ -32,7 +31,7 @@ fn check_within(dataset: &Dataset, spec: &TrainSpec, available_bytes: u64) -> Re
     Ok(())
 }
 
-/// Memory that this process may use, bytes: the machine's, or less where a control group that it is in has a limit.
+/// Memory that this process may use, bytes: the machine's, or the least limit of its control groups.
 fn memory_bytes() -> Option<u64> {
     let read = |path: &Path| read_text(path, TEXT_LIMIT_BYTES).ok();
     let information = read(Path::new("/proc/meminfo"))?;
@@ -49,14 +48,14 @@ fn memory_bytes() -> Option<u64> {
 
 #[cfg(test)]
 mod hard_cases {
-    use super::super::data::tests::made_up;
+    use super::super::data::tests::dataset_of;
     use super::*;
     use crate::network::NetworkKind;
 
     const SIZE: usize = 64;
 
     fn dataset() -> Dataset {
-        made_up(SIZE, 40, 32, || 0.0)
+        dataset_of(SIZE, 40, 32, || 0.0)
     }
 
     /// ResNet-18 has 11 million parameters, of which training keeps four arrays, and its first layer alone has 64 channels of a
@@ -78,9 +77,9 @@ mod hard_cases {
         assert!(check_within(&dataset, &spec, needed_bytes - 1).is_ok());
     }
 
-    /// A batch is no larger than the training split, whatever the settings say.
+    /// The estimate uses at most as many maps for a batch as the training split has.
     #[test]
-    fn batches_are_counted_as_long_as_they_can_be() {
+    fn batches_are_at_most_the_training_split() {
         let spec = TrainSpec { batch_size: 65_536, ..TrainSpec::default() };
         assert!(check_within(&dataset(), &spec, 1 << 30).is_ok());
     }

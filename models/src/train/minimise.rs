@@ -18,8 +18,8 @@ pub(super) fn minimise<E>(
     least_gain: f64,
     mut function: impl FnMut(&[f64]) -> Result<(f64, Vec<f64>), E>,
 ) -> Result<Option<Vec<f64>>, E> {
-    let mut at = start;
-    let (mut value, mut gradient) = function(&at)?;
+    let mut point = start;
+    let (mut value, mut gradient) = function(&point)?;
     if !value.is_finite() || gradient.iter().any(|g| !g.is_finite()) {
         return Ok(None);
     }
@@ -32,8 +32,8 @@ pub(super) fn minimise<E>(
             break;
         }
         let mut length = 1.0;
-        let found = loop {
-            let next = sum(&at, length, &direction);
+        let accepted = loop {
+            let next = sum(&point, length, &direction);
             let (next_value, next_gradient) = function(&next)?;
             if next_value <= value + 1e-4 * length * slope && next_gradient.iter().all(|g| g.is_finite()) {
                 break Some((next, next_value, next_gradient));
@@ -43,8 +43,8 @@ pub(super) fn minimise<E>(
                 break None;
             }
         };
-        let Some((next, next_value, next_gradient)) = found else { break };
-        let (step, change) = (sum(&next, -1.0, &at), sum(&next_gradient, -1.0, &gradient));
+        let Some((next, next_value, next_gradient)) = accepted else { break };
+        let (step, change) = (sum(&next, -1.0, &point), sum(&next_gradient, -1.0, &gradient));
         if dot(&step, &change) > 1e-10 * dot(&change, &change) {
             past.push_back((step, change));
             if past.len() > MEMORY {
@@ -52,31 +52,31 @@ pub(super) fn minimise<E>(
             }
         }
         let gain = value - next_value;
-        (at, value, gradient) = (next, next_value, next_gradient);
+        (point, value, gradient) = (next, next_value, next_gradient);
         if gain < least_gain * value.abs() {
             break;
         }
     }
-    Ok(Some(at))
+    Ok(Some(point))
 }
 
 /// Direction of descent by the two-loop recursion over past steps and changes of the gradient.
 fn descent(gradient: &[f64], past: &VecDeque<(Vec<f64>, Vec<f64>)>) -> Vec<f64> {
     let mut direction: Vec<f64> = gradient.iter().map(|g| -g).collect();
-    let mut shares = Vec::with_capacity(past.len());
+    let mut factors = Vec::with_capacity(past.len());
     for (step, change) in past.iter().rev() {
-        let share = dot(step, &direction) / dot(step, change);
-        direction = sum(&direction, -share, change);
-        shares.push(share);
+        let factor = dot(step, &direction) / dot(step, change);
+        direction = sum(&direction, -factor, change);
+        factors.push(factor);
     }
     let scale = match past.back() {
         Some((step, change)) => dot(step, change) / dot(change, change),
         None => 1.0 / dot(gradient, gradient).sqrt().max(1.0),
     };
     direction.iter_mut().for_each(|d| *d *= scale);
-    for ((step, change), share) in past.iter().zip(shares.iter().rev()) {
-        let back = dot(change, &direction) / dot(step, change);
-        direction = sum(&direction, share - back, step);
+    for ((step, change), factor) in past.iter().zip(factors.iter().rev()) {
+        let correction = dot(change, &direction) / dot(step, change);
+        direction = sum(&direction, factor - correction, step);
     }
     direction
 }
@@ -94,14 +94,13 @@ fn sum(a: &[f64], factor: f64, b: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// Rosenbrock's narrow valley.
     #[test]
-    fn a_narrow_valley_leads_to_its_minimum() {
-        let valley = |x: &[f64]| {
+    fn the_minimum_of_rosenbrocks_function_is_found() {
+        let rosenbrock = |x: &[f64]| {
             let (a, b) = (1.0 - x[0], x[1] - x[0] * x[0]);
             Ok::<_, String>((a * a + 100.0 * b * b + 1.0, vec![-2.0 * a - 400.0 * x[0] * b, 200.0 * b]))
         };
-        let found = minimise(vec![-1.2, 1.0], 100, 1e-6, valley).expect("no error").expect("a minimum");
+        let found = minimise(vec![-1.2, 1.0], 100, 1e-6, rosenbrock).expect("no error").expect("a minimum");
         assert!(found.iter().all(|x| (x - 1.0).abs() < 0.02), "{found:?}");
     }
 

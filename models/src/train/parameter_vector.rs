@@ -27,7 +27,7 @@ impl<'a> ParameterVector<'a> {
         Some(self.parameters[..index].iter().map(|parameter| parameter.variable.elem_count()).sum())
     }
 
-    /// A number for each element of the vector, the same for all of a parameter.
+    /// Vector of numbers that are the same for all elements of a parameter.
     pub(super) fn by_parameter(&self, number: impl Fn(&Parameter) -> f64) -> Vec<f64> {
         self.iter().flat_map(|parameter| vec![number(parameter); parameter.variable.elem_count()]).collect()
     }
@@ -49,7 +49,7 @@ impl<'a> ParameterVector<'a> {
         Ok(())
     }
 
-    /// Gradient by the vector; 0 where there is none.
+    /// Gradient by the vector; 0 for parameters without a gradient.
     pub(super) fn gradient(&self, gradients: &GradStore) -> Result<Vec<f64>> {
         let mut gradient = Vec::new();
         for Parameter { variable, .. } in self.iter() {

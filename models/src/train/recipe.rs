@@ -34,12 +34,12 @@ pub fn train(
 }
 
 /// [`train`] that writes `checkpoint` after each epoch and continues from it if it exists. A training that was killed and continued
-/// gives the same model as one that was not. The file stays at the end, where another call gives the model again: remove it when
-/// the model is saved. Hold its [`CheckpointLock`](super::CheckpointLock) until then.
+/// gives the same model as one that was not. The file remains at the end, and another call gives the model again. Remove it when the
+/// model is saved, and keep its [`CheckpointLock`](super::CheckpointLock) until then.
 ///
 /// # Errors
 /// Those of [`train`], [`TrainError::Checkpoint`] if the checkpoint cannot be read, [`TrainError::OtherTraining`] if it is of another
-/// training, and [`TrainError::Unwritten`] if it cannot be written.
+/// training, and [`TrainError::CheckpointWrite`] if it cannot be written.
 pub fn train_with_checkpoint(
     dataset: &Dataset,
     spec: &TrainSpec,
@@ -153,7 +153,7 @@ impl Prepared {
     }
 }
 
-/// Largest learning rate at which steps are timed. At any other a step takes as long, and at a large one it may diverge.
+/// Largest learning rate at which steps are timed. The time of a step does not depend on it, but a large one may diverge.
 const TIMED_RATE: f64 = 1e-4;
 
 /// Measures how long the parts of a training take, by a few steps of it.
@@ -184,11 +184,11 @@ impl<'a> Training<'a> {
         let resume = |state| run::Run::resume(data, spec, state, level);
         let (mut leader, mut trial, mut history, mut next_start) = match self.load()? {
             None => (None, None, Vec::new(), 0),
-            Some(found) => (
-                found.leader.map(resume).transpose()?,
-                found.trial.map(resume).transpose()?,
-                found.history,
-                found.next_start,
+            Some(checkpoint) => (
+                checkpoint.leader.map(resume).transpose()?,
+                checkpoint.trial.map(resume).transpose()?,
+                checkpoint.history,
+                checkpoint.next_start,
             ),
         };
         while trial.is_some() || next_start < spec.starts {
@@ -200,9 +200,9 @@ impl<'a> Training<'a> {
                 }
             };
             while run.epochs_done() < trials {
-                let told = run.epoch(false)?;
-                history.push(told.clone());
-                report(told);
+                let epoch = run.epoch(false)?;
+                history.push(epoch.clone());
+                report(epoch);
                 self.save(leader.as_ref(), Some(&run), &history, next_start)?;
             }
             if leader.as_ref().is_none_or(|leader: &run::Run| run.validation_loss() < leader.validation_loss()) {
@@ -213,9 +213,9 @@ impl<'a> Training<'a> {
             return Err(TrainError::Setting { name: "starts", value: "0".into(), expected: "at least 1" });
         };
         while run.epochs_done() < spec.epochs {
-            let told = run.epoch(true)?;
-            history.push(told.clone());
-            report(told);
+            let epoch = run.epoch(true)?;
+            history.push(epoch.clone());
+            report(epoch);
             self.save(Some(&run), None, &history, next_start)?;
         }
         Ok((run, history))
@@ -231,11 +231,11 @@ impl<'a> Training<'a> {
 
     fn load(&self) -> Result<Option<checkpoint::Checkpoint>, TrainError> {
         let Some(path) = self.checkpoint else { return Ok(None) };
-        let Some(found) = checkpoint::Checkpoint::load(path)? else { return Ok(None) };
-        if found.fingerprint != self.fingerprint()? {
+        let Some(checkpoint) = checkpoint::Checkpoint::load(path)? else { return Ok(None) };
+        if checkpoint.fingerprint != self.fingerprint()? {
             return Err(TrainError::OtherTraining { path: path.to_owned() });
         }
-        Ok(Some(found))
+        Ok(Some(checkpoint))
     }
 
     fn save(

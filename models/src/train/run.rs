@@ -15,7 +15,7 @@ use super::head_start;
 use super::outcome::{EpochReport, StepTimes};
 use super::spec::{LatentStandardisation, TrainSpec};
 use super::start::{
-    self, collect, descriptor_normalisation, feature_normalisation, latent_arrays, moments, place_hidden, place_latent,
+    self, descriptor_normalisation, feature_normalisation, latent_arrays, moments, rows_of, scale_hidden, scale_latent,
 };
 use crate::layer::{KernelLevel, backward, cross_entropy};
 use crate::metrics::{Metrics, most_probable};
@@ -25,6 +25,7 @@ use crate::random::stream;
 /// Steps that are timed.
 const TIMED_STEPS: usize = 4;
 
+/// Training of one initialisation.
 pub(super) struct Run<'a> {
     data: &'a Data,
     spec: &'a TrainSpec,
@@ -54,7 +55,7 @@ impl<'a> Run<'a> {
         if let Some(weights) = weights {
             weights.apply(&network)?;
         }
-        let mut run = Self::around(data, spec, start, network);
+        let mut run = Self::new(data, spec, start, network);
         if spec.network.reads_descriptors() {
             run.normalise_descriptors()?;
         }
@@ -82,9 +83,9 @@ impl<'a> Run<'a> {
             self.set_feature_constants(feature_normalisation(&pooled, self.spec.feature_sigma))?;
         }
         if self.has_hidden_before_latent()? {
-            place_hidden(&self.network, &self.results(names::HIDDEN, &positions)?)?;
+            scale_hidden(&self.network, &self.results(names::HIDDEN, &positions)?)?;
         }
-        place_latent(&self.network, &self.results(names::LATENT_DENSE, &positions)?, self.spec.latent_sigma)?;
+        scale_latent(&self.network, &self.results(names::LATENT_DENSE, &positions)?, self.spec.latent_sigma)?;
         if self.spec.latent != LatentStandardisation::None {
             self.measure_latent()?;
         }
@@ -105,7 +106,7 @@ impl<'a> Run<'a> {
 
     /// Output of a layer for the training maps at `positions`, row by row.
     fn results(&self, layer: &'static str, positions: &[usize]) -> Result<Vec<Vec<f32>>, TrainError> {
-        collect(&self.network, self.data, &self.data.train, positions, self.network.value_of(layer)?)
+        rows_of(&self.network, self.data, &self.data.train, positions, self.network.value_of(layer)?)
     }
 
     /// Sets the constants by which the features are standardised until the end of the training.
@@ -115,7 +116,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    fn around(data: &'a Data, spec: &'a TrainSpec, start: u64, network: Network) -> Self {
+    fn new(data: &'a Data, spec: &'a TrainSpec, start: u64, network: Network) -> Self {
         let adam = Adam::new(network.trained().iter().map(|p| &p.variable));
         Run {
             data,
@@ -132,7 +133,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Continues from the result of [`Run::state`]. Errors name what does not fit.
+    /// Continues from the result of [`Run::state`]. Errors name the array that does not fit.
     pub(super) fn resume(
         data: &'a Data,
         spec: &'a TrainSpec,
@@ -140,10 +141,10 @@ impl<'a> Run<'a> {
         level: KernelLevel,
     ) -> Result<Self, TrainError> {
         let network = Network::initialise(&spec.network_spec(), spec.seed, state.start, level)?;
-        let mut run = Self::around(data, spec, state.start, network);
-        // A network may have changed since: the checkpoint is of no use then, and a study begins the training again.
-        let set = run.network.parameters().set_values(&state.values);
-        set.map_err(|error| TrainError::Checkpoint { what: error.to_string() })?;
+        let mut run = Self::new(data, spec, state.start, network);
+        // The checkpoint is unusable if the network has changed since; a study then begins the training again.
+        let result = run.network.parameters().set_values(&state.values);
+        result.map_err(|error| TrainError::Checkpoint { what: error.to_string() })?;
         for (name, normalisation) in state.normalisations {
             run.network.parameters_mut().set_normalisation(&name, normalisation);
         }
@@ -190,11 +191,11 @@ impl<'a> Run<'a> {
         let mut positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
         positions.shuffle(&mut stream(self.spec.seed, "circuit maps", self.start));
         positions.truncate(start::START_MAPS);
-        let move_latent = self.spec.latent == LatentStandardisation::None;
-        let mut rows = collect(&self.network, self.data, &self.data.train, &positions, latent)?;
-        let found = if move_latent { moments(&rows) } else { Normalisation::default() };
+        let fit_latent_map = self.spec.latent == LatentStandardisation::None;
+        let mut rows = rows_of(&self.network, self.data, &self.data.train, &positions, latent)?;
+        let normalisation = if fit_latent_map { moments(&rows) } else { Normalisation::default() };
         for row in &mut rows {
-            for ((z, mean), sigma) in row.iter_mut().zip(&found.mean).zip(&found.sigma) {
+            for ((z, mean), sigma) in row.iter_mut().zip(&normalisation.mean).zip(&normalisation.sigma) {
                 *z = (*z - mean) / sigma;
             }
         }
@@ -204,12 +205,12 @@ impl<'a> Run<'a> {
             labels: &labels,
             class_weights: &self.data.class_weights,
             penalty: self.penalty(),
-            move_latent,
+            fit_latent_map,
             sigma: self.spec.latent_sigma,
         };
-        let placing = head_start::search(&self.network, latent, &points, self.spec.seed, self.start)?;
-        if move_latent {
-            self.place(&placing, &found)?;
+        let latent_map = head_start::search(&self.network, latent, &points, self.spec.seed, self.start)?;
+        if fit_latent_map {
+            self.fold_latent_map(&latent_map, &normalisation)?;
         }
         self.warming_up = false;
         self.adam = Adam::new(self.network.trained().iter().map(|p| &p.variable));
@@ -219,17 +220,21 @@ impl<'a> Run<'a> {
     }
 
     /// Folds `u = matrix (z - mean) / sigma + offset` with `z = weight h + bias` into weight and bias.
-    fn place(&self, placing: &head_start::AffineMap, found: &Normalisation) -> Result<(), TrainError> {
+    fn fold_latent_map(
+        &self,
+        latent_map: &head_start::AffineMap,
+        normalisation: &Normalisation,
+    ) -> Result<(), TrainError> {
         let parameters = self.network.parameters();
         let [weight_name, bias_name] = latent_arrays();
         let (weight, bias) = (parameters.numbers(&weight_name)?, parameters.numbers(&bias_name)?);
         let width = bias.len();
         let inputs = weight.len() / width.max(1);
-        let (mut new_weight, mut new_bias) = (vec![0.0f32; weight.len()], placing.offset.clone());
-        for (k, matrix) in placing.matrix.chunks_exact(width.max(1)).enumerate() {
+        let (mut new_weight, mut new_bias) = (vec![0.0f32; weight.len()], latent_map.offset.clone());
+        for (k, matrix) in latent_map.matrix.chunks_exact(width.max(1)).enumerate() {
             for (j, &m) in matrix.iter().enumerate() {
-                let m = m / found.sigma[j];
-                new_bias[k] += m * (bias[j] - found.mean[j]);
+                let m = m / normalisation.sigma[j];
+                new_bias[k] += m * (bias[j] - normalisation.mean[j]);
                 let row = weight.get(j * inputs..(j + 1) * inputs).unwrap_or_default();
                 new_weight.iter_mut().skip(k * inputs).zip(row).for_each(|(new, old)| *new += m * old);
             }
@@ -243,7 +248,7 @@ impl<'a> Run<'a> {
         self.start
     }
 
-    /// Epochs done.
+    /// Number of trained epochs.
     pub(super) fn epochs_done(&self) -> usize {
         self.epoch
     }
@@ -269,7 +274,7 @@ impl<'a> Run<'a> {
 
     /// Trains for one epoch.
     pub(super) fn epoch(&mut self, chosen: bool) -> Result<EpochReport, TrainError> {
-        let began = Instant::now();
+        let started = Instant::now();
         if self.spec.latent == LatentStandardisation::FrozenByEpoch {
             self.measure_latent()?;
         }
@@ -281,7 +286,7 @@ impl<'a> Run<'a> {
         order.shuffle(&mut stream(self.spec.seed, "order", self.epoch as u64));
         let (mut loss, mut pairs, mut maps) = (0.0, Vec::with_capacity(order.len()), 0);
         for batch in order.chunks(self.spec.batch_size) {
-            // One map gives a batch normalisation no variance. The map is in another batch in the next epoch.
+            // A batch of one map has no variance for batch normalisation. The map is in another batch in the next epoch.
             if batch.len() == 1 && order.len() > 1 && self.network.graph().batch_norms().next().is_some() {
                 continue;
             }
@@ -291,11 +296,11 @@ impl<'a> Run<'a> {
         let training = Metrics::from_predictions(pairs);
         let (validation_loss, validation) = self.validate()?;
         self.latest_loss = validation_loss;
-        let better = self.best.as_ref().is_none_or(|b| {
+        let is_best = self.best.as_ref().is_none_or(|b| {
             let score = validation.balanced_accuracy;
             score > b.balanced_accuracy || (score == b.balanced_accuracy && validation_loss < b.loss)
         });
-        if better {
+        if is_best {
             self.best = Some(Best {
                 balanced_accuracy: validation.balanced_accuracy,
                 loss: validation_loss,
@@ -313,23 +318,23 @@ impl<'a> Run<'a> {
             training_balanced_accuracy: training.balanced_accuracy,
             validation_loss,
             validation_balanced_accuracy: validation.balanced_accuracy,
-            seconds: began.elapsed().as_secs_f64(),
+            seconds: started.elapsed().as_secs_f64(),
         })
     }
 
-    /// Measures the end of the warm-up, steps behind it on the first batch, and the validation of one batch. The first
-    /// of the steps and of the validations is not counted.
+    /// Measures the fit of the head, steps on the first batch after it, and the validation of one batch. The first step and the first
+    /// validation are not counted.
     pub(super) fn time_steps(mut self) -> Result<StepTimes, TrainError> {
-        let began = Instant::now();
+        let started = Instant::now();
         self.start_head()?;
-        let head_s = began.elapsed().as_secs_f64();
+        let head_s = started.elapsed().as_secs_f64();
         self.epoch = 1;
         let batch: Vec<usize> = (0..self.data.train.maps.len().min(self.spec.batch_size)).collect();
         let step_s = mean_s(TIMED_STEPS, || self.train_batch(&batch, &mut Vec::new()).map(|_| ()))?;
         let part = &self.data.validation;
         let positions: Vec<usize> = (0..part.maps.len().min(start::EVALUATION_BATCH)).collect();
         let output = self.output()?;
-        let batch_s = mean_s(1, || collect(&self.network, self.data, part, &positions, output).map(|_| ()))?;
+        let batch_s = mean_s(1, || rows_of(&self.network, self.data, part, &positions, output).map(|_| ()))?;
         Ok(StepTimes { head_s, step_s, validation_map_s: batch_s / positions.len().max(1) as f64 })
     }
 
@@ -357,7 +362,7 @@ impl<'a> Run<'a> {
     fn train_batch(&mut self, batch: &[usize], pairs: &mut Vec<(Occupancy, Occupancy)>) -> Result<f64, TrainError> {
         self.step += 1;
         let (input, labels) = self.data.augmented(batch, &self.spec.augmentation, self.spec.seed, self.epoch)?;
-        // Each start has its own draws of dropped values.
+        // Dropout draws other values for each start.
         let step = (self.start << 32) + self.step as u64;
         let output = self.output()?;
         let penalty = if self.warming_up { 0.0 } else { self.penalty() as f32 };
@@ -370,7 +375,7 @@ impl<'a> Run<'a> {
             let what = values.first_non_finite()?.unwrap_or("loss").to_owned();
             return Err(self.non_finite(format!("output of {what}")));
         }
-        predictions(logits, &labels, pairs)?;
+        add_predictions(logits, &labels, pairs)?;
         let gradients = backward(&loss)?;
         let latent_rows: Option<Vec<Vec<f32>>> = match (self.spec.latent, self.network.raw_latent()?) {
             (LatentStandardisation::Running { .. }, Some(raw)) => Some(values.get(raw)?.to_vec2()?),
@@ -405,7 +410,7 @@ impl<'a> Run<'a> {
         let warm_up = ((self.step - self.head_step) as f64 / self.spec.warm_up_steps.max(1) as f64).min(1.0);
         let cosine = 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
         let rate = self.spec.learning_rate * warm_up * (0.05 + 0.95 * cosine);
-        let of = |parameter: &crate::network::Parameter| {
+        let rate_of = |parameter: &crate::network::Parameter| {
             if !head_start::is_trained(&self.network, parameter) {
                 return 0.0;
             }
@@ -418,15 +423,15 @@ impl<'a> Run<'a> {
             };
             (rate * factor) as f32
         };
-        self.network.trained().iter().map(of).collect()
+        self.network.trained().iter().map(rate_of).collect()
     }
 
-    /// Share of its values that each array loses in a step.
+    /// Weight decay of each array in a step, as a share of its values.
     fn decays(&self, rates: &[f32]) -> Vec<f32> {
-        let of = |(parameter, rate): (&crate::network::Parameter, &f32)| {
+        let decay_of = |(parameter, rate): (&crate::network::Parameter, &f32)| {
             if full_batch::is_weight(parameter) { rate * self.spec.weight_decay as f32 } else { 0.0 }
         };
-        self.network.trained().iter().zip(rates).map(of).collect()
+        self.network.trained().iter().zip(rates).map(decay_of).collect()
     }
 
     fn validate(&self) -> Result<(f64, Metrics), TrainError> {
@@ -446,7 +451,7 @@ impl<'a> Run<'a> {
                 labels.iter().filter_map(|&l| self.data.class_weights.get(l)).map(|&w| f64::from(w)).sum();
             loss += batch_loss * batch_weight;
             weight += batch_weight;
-            predictions(&logits, &labels, &mut pairs)?;
+            add_predictions(&logits, &labels, &mut pairs)?;
         }
         Ok((if weight > 0.0 { loss / weight } else { 0.0 }, Metrics::from_predictions(pairs)))
     }
@@ -455,7 +460,7 @@ impl<'a> Run<'a> {
     fn measure_latent(&mut self) -> Result<(), TrainError> {
         let Some(raw) = self.network.raw_latent()? else { return Ok(()) };
         let positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
-        let latent = collect(&self.network, self.data, &self.data.train, &positions, raw)?;
+        let latent = rows_of(&self.network, self.data, &self.data.train, &positions, raw)?;
         self.network.set_latent_constants(moments(&latent));
         Ok(())
     }
@@ -474,14 +479,19 @@ impl<'a> Run<'a> {
 /// Mean time of `count` calls, s, after one call that is not counted.
 fn mean_s(count: usize, mut call: impl FnMut() -> Result<(), TrainError>) -> Result<f64, TrainError> {
     call()?;
-    let began = Instant::now();
+    let started = Instant::now();
     for _ in 0..count {
         call()?;
     }
-    Ok(began.elapsed().as_secs_f64() / count.max(1) as f64)
+    Ok(started.elapsed().as_secs_f64() / count.max(1) as f64)
 }
 
-fn predictions(logits: &Tensor, labels: &[usize], pairs: &mut Vec<(Occupancy, Occupancy)>) -> Result<(), TrainError> {
+/// Appends (truth, prediction) of each row of logits.
+fn add_predictions(
+    logits: &Tensor,
+    labels: &[usize],
+    pairs: &mut Vec<(Occupancy, Occupancy)>,
+) -> Result<(), TrainError> {
     for (row, &label) in logits.to_vec2::<f32>()?.iter().zip(labels) {
         if let (&[a, b, c], Some(truth)) = (row.as_slice(), Occupancy::from_index(label)) {
             pairs.push((truth, most_probable(&[a, b, c])));
@@ -492,17 +502,17 @@ fn predictions(logits: &Tensor, labels: &[usize], pairs: &mut Vec<(Occupancy, Oc
 
 #[cfg(test)]
 mod hard_cases {
-    use super::super::data::tests::made_up;
+    use super::super::data::tests::dataset_of;
     use super::*;
     use crate::network::NetworkKind;
     use crate::standardise::MapReference;
     use crate::train::Maps;
 
-    /// The error was that of a tensor, so that a study stopped there each time instead of beginning the training again.
+    /// Regression test: the error was that of a tensor, so a study stopped each time instead of beginning the training again.
     #[test]
     fn a_checkpoint_of_fewer_descriptors_is_unusable() {
         let mut cell = 0u32;
-        let dataset = made_up(16, 36, 24, || {
+        let dataset = dataset_of(16, 36, 24, || {
             cell += 1;
             -80.0 - (cell * 7 % 31) as f32
         });
@@ -511,7 +521,7 @@ mod hard_cases {
         let data = Data::load(&Maps::new(&dataset, reference), &spec).expect("data");
         let level = KernelLevel::detect();
         let network = Network::initialise(&spec.network_spec(), spec.seed, 0, level).expect("a network");
-        let mut state = Run::around(&data, &spec, 0, network).state().expect("a state");
+        let mut state = Run::new(&data, &spec, 0, network).state().expect("a state");
         // One descriptor fewer for each of the three classes.
         let weights = state.values.get_mut("head.weight").expect("a parameter");
         weights.truncate(weights.len() - 3);

@@ -44,50 +44,50 @@ type Sums = (f64, u64);
 /// The method is a compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`] and
 /// [`Smoothing::temperature`] from `START` (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs
 /// frames that follow each other more closely than errors last, and people who come and go. Frames a second apart do
-/// not show how long errors last. The others are those of `kept`: the log loss alone would set [`Smoothing::newest`] near 1, where
-/// answers flicker.
-pub fn fit_smoothing(groups: &[Vec<FilterSequence>], kept: Smoothing) -> Option<SmoothingFit> {
+/// not show how long errors last. The other settings are those of `fixed`: the log loss alone would set [`Smoothing::newest`] near 1,
+/// where answers flicker.
+pub fn fit_smoothing(groups: &[Vec<FilterSequence>], fixed: Smoothing) -> Option<SmoothingFit> {
     let settings = |logarithms: [f64; 3]| {
         let [dwell_s, independent_s, temperature] = logarithms.map(f64::exp);
-        Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature, ..kept }
+        Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature, ..fixed }
     };
     let log_loss_by_frame = log_loss(groups, None)?;
-    let mut at = START.map(f64::ln);
-    let mut least = log_loss(groups, Some(settings(at)))?;
+    let mut best = START.map(f64::ln);
+    let mut least_loss = log_loss(groups, Some(settings(best)))?;
     let (mut step, last_step) = STEPS;
     while step > last_step {
-        let mut has_gained = false;
-        for coordinate in 0..at.len() {
+        let mut has_improved = false;
+        for coordinate in 0..best.len() {
             for direction in [step, -step] {
-                let mut next = at;
+                let mut next = best;
                 next[coordinate] += direction;
-                let tried = settings(next);
-                if tried.fault().is_some() {
+                let candidate = settings(next);
+                if candidate.invalid_setting().is_some() {
                     continue;
                 }
-                let loss = log_loss(groups, Some(tried))?;
-                if loss < least - LEAST_GAIN {
-                    (at, least, has_gained) = (next, loss, true);
+                let loss = log_loss(groups, Some(candidate))?;
+                if loss < least_loss - LEAST_GAIN {
+                    (best, least_loss, has_improved) = (next, loss, true);
                     break;
                 }
             }
         }
-        if !has_gained {
+        if !has_improved {
             step *= 0.5;
         }
     }
-    Some(SmoothingFit { smoothing: settings(at), log_loss: least, log_loss_by_frame })
+    Some(SmoothingFit { smoothing: settings(best), log_loss: least_loss, log_loss_by_frame })
 }
 
 /// Log loss of the answers of a filter with these settings, or of single frames without settings. It is the mean over
 /// the labelled frames of a group, and then over the groups.
 fn log_loss(groups: &[Vec<FilterSequence>], smoothing: Option<Smoothing>) -> Option<f64> {
-    let of_group = |group: &Vec<FilterSequence>| {
+    let group_mean = |group: &Vec<FilterSequence>| {
         // Summed in the order of the recordings, on any number of threads.
-        let each: Vec<Sums> = group.par_iter().map(|sequence| sequence.sums(smoothing)).collect();
-        mean(each)
+        let sums: Vec<Sums> = group.par_iter().map(|sequence| sequence.sums(smoothing)).collect();
+        mean(sums)
     };
-    mean(groups.iter().filter_map(of_group).map(|loss| (loss, 1)))
+    mean(groups.iter().filter_map(group_mean).map(|loss| (loss, 1)))
 }
 
 fn mean(sums: impl IntoIterator<Item = Sums>) -> Option<f64> {
@@ -123,14 +123,14 @@ mod tests {
     use super::*;
     use crate::metrics::CLASSES;
 
-    const KEPT: Smoothing =
+    const FIXED: Smoothing =
         Smoothing { dwell_s: 1.0, weight: None, independent_s: None, temperature: 1.0, newest: 0.0, one_share: 0.5 };
 
-    /// Probability of the class that a frame says to be the truth.
+    /// Probability that a frame's most probable class is the truth.
     const RIGHT: f64 = 0.5;
 
-    /// Recordings of the model that the filter assumes: people come and go by its rates, and frames are independent, each a share
-    /// of a piece of evidence.
+    /// Recordings drawn from the model that the filter assumes: people come and go at its rates, and frames are independent. Each frame
+    /// is a fraction of a piece of evidence.
     fn recordings(dwell_s: f64, independent_s: f64, interval_s: f64) -> Vec<FilterSequence> {
         (0..24).map(|index| recording(dwell_s, independent_s, interval_s, index)).collect()
     }
@@ -144,10 +144,10 @@ mod tests {
             if rng.random::<f64>() < leaves {
                 truth = if truth == 1 { 2 * rng.random_range(0..2usize) } else { 1 };
             }
-            let said =
+            let observed =
                 if rng.random::<f64>() < RIGHT { truth } else { (truth + rng.random_range(1..3usize)) % CLASSES };
-            let likelihood = |class: usize| if class == said { RIGHT } else { 0.5 * (1.0 - RIGHT) };
-            // To the power of the share of a piece that a frame is, this is proportional to the likelihood.
+            let likelihood = |class: usize| if class == observed { RIGHT } else { 0.5 * (1.0 - RIGHT) };
+            // The filter raises probabilities to the power of interval over independent time, which gives the likelihood.
             let powers: [f64; CLASSES] =
                 std::array::from_fn(|class| likelihood(class).powf(independent_s / interval_s));
             let norm: f64 = powers.iter().sum();
@@ -162,12 +162,12 @@ mod tests {
 
     /// A fit to recordings from the filter's own model finds its settings, with a loss no larger than that of the true settings.
     #[test]
-    fn the_settings_that_made_recordings_are_found() {
+    fn the_true_settings_are_found() {
         for (dwell_s, independent_s) in [(6.0, 0.5), (12.0, 0.8)] {
             let groups = vec![recordings(dwell_s, independent_s, 0.2)];
-            let fit = fit_smoothing(&groups, KEPT).expect("labels");
+            let fit = fit_smoothing(&groups, FIXED).expect("labels");
             let true_settings =
-                Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature: 1.0, ..KEPT };
+                Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature: 1.0, ..FIXED };
             assert!(Some(fit.log_loss) <= log_loss(&groups, Some(true_settings)).map(|loss| loss + 2e-3), "{fit:?}");
             assert!(fit.log_loss < fit.log_loss_by_frame, "{fit:?}");
             let Smoothing { dwell_s: found_dwell_s, independent_s: found_s, temperature, .. } = fit.smoothing;
@@ -181,7 +181,7 @@ mod tests {
         }
     }
 
-    /// A group weighs the same however many frames it has.
+    /// The weight of a group does not depend on its number of frames.
     #[test]
     fn the_loss_is_a_mean_over_groups() {
         let frame = |truth, probabilities| FramePrediction { time_s: 0.0, truth: Some(truth), probabilities };
@@ -201,21 +201,21 @@ mod tests {
         use super::*;
 
         #[test]
-        fn nothing_is_fitted_to_nothing() {
-            assert_eq!(fit_smoothing(&[], KEPT), None);
+        fn without_labels_there_is_no_fit() {
+            assert_eq!(fit_smoothing(&[], FIXED), None);
             let mut unlabelled = recording(5.0, 0.5, 0.2, 0);
             unlabelled.frames.iter_mut().for_each(|frame| frame.truth = None);
-            assert_eq!(fit_smoothing(&[vec![unlabelled]], KEPT), None);
+            assert_eq!(fit_smoothing(&[vec![unlabelled]], FIXED), None);
         }
 
         /// Frames with NaN, and a recording with a constant number of people.
         #[test]
-        fn odd_recordings_end_in_settings_that_are_allowed() {
+        fn fits_to_odd_recordings_are_valid() {
             let mut odd = recording(1e9, 0.5, 0.2, 1);
             odd.frames.iter_mut().step_by(3).for_each(|frame| frame.probabilities = [f32::NAN, 0.0, f32::INFINITY]);
             odd.frames.truncate(100);
-            let fit = fit_smoothing(&[vec![odd]], KEPT).expect("labels");
-            assert!(fit.smoothing.fault().is_none() && fit.log_loss.is_finite(), "{fit:?}");
+            let fit = fit_smoothing(&[vec![odd]], FIXED).expect("labels");
+            assert!(fit.smoothing.invalid_setting().is_none() && fit.log_loss.is_finite(), "{fit:?}");
         }
     }
 }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 use super::augmentation::Augmentation;
 use super::error::{TrainError, check_setting};
 use crate::dataset::SplitSpec;
-use crate::evidence_mean::{MEMORIES, is_memory};
+use crate::evidence_mean::{MEMORY_RANGE, is_valid_memory};
 use crate::kernel::KernelLevel;
 use crate::metrics::CLASSES;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
@@ -48,7 +48,7 @@ pub struct FullBatch {
     pub weight_penalty: f64,
 }
 
-/// Reads the kind of a network. The error about a name that stands for a head, too, says how to write both.
+/// Reads the kind of a network. If the name stands for a network with a head, the error says how to write both.
 fn network_kind<'de, D: Deserializer<'de>>(deserializer: D) -> Result<NetworkKind, D::Error> {
     let name = String::deserialize(deserializer)?;
     let kind = NetworkKind::deserialize(IntoDeserializer::<D::Error>::into_deserializer(name.as_str()));
@@ -281,7 +281,7 @@ impl TrainSpec {
         {
             return check_setting(false, "head.circuit", error, "a circuit that can be run");
         }
-        if let Some((name, value, expected)) = self.reference.fault() {
+        if let Some((name, value, expected)) = self.reference.invalid_setting() {
             return check_setting(false, name, value, expected);
         }
         self.augmentation.check(self.reference)?;
@@ -290,8 +290,8 @@ impl TrainSpec {
         check_setting(is_labelled, "label_leaking_cells", true, expected)?;
         let is_pooled = self.pooled.iter().all(|n| (1..=MOST_POOLED).contains(n));
         check_setting(is_pooled, "pooled", format!("{:?}", self.pooled), "1 to 64 rows and columns")?;
-        check_setting(is_memory(self.memory_s), "memory_s", self.memory_s, MEMORIES)?;
-        if let Some((name, value, expected)) = self.smoothing.fault() {
+        check_setting(is_valid_memory(self.memory_s), "memory_s", self.memory_s, MEMORY_RANGE)?;
+        if let Some((name, value, expected)) = self.smoothing.invalid_setting() {
             return check_setting(false, name, value, expected);
         }
         self.network.check_maps(self.reference, self.transposed, self.label_leaking_cells)?;

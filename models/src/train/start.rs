@@ -4,7 +4,7 @@ use super::data::{Data, Part};
 use super::error::TrainError;
 use crate::network::{Mode, Network, Normalisation, Value, names};
 
-/// Training maps that the start is measured on.
+/// Largest number of training maps that an initialisation is measured on.
 pub(super) const START_MAPS: usize = 256;
 /// Maps of a forward pass without gradients.
 pub(super) const EVALUATION_BATCH: usize = 64;
@@ -23,8 +23,8 @@ pub(super) fn moments(rows: &[Vec<f32>]) -> Normalisation {
     Normalisation { mean: mean.iter().map(|&v| v as f32).collect(), sigma }
 }
 
-/// Rows of one value for the maps at `positions`.
-pub(super) fn collect(
+/// Rows of one of the network's values for the maps at `positions`.
+pub(super) fn rows_of(
     network: &Network,
     data: &Data,
     part: &Part,
@@ -62,8 +62,8 @@ pub(super) fn feature_normalisation(rows: &[Vec<f32>], sigma: f32) -> Normalisat
     }
 }
 
-/// Least deviation of a descriptor, dB, bins or natural logarithms, so that one that hardly varies on the training maps is not
-/// amplified on others.
+/// Least deviation of a descriptor, dB, bins or natural logarithms. It keeps descriptors that hardly vary on the training maps from
+/// being amplified on others.
 const LEAST_DESCRIPTOR_SIGMA: f32 = 0.1;
 
 /// Constants that give each descriptor mean 0 and standard deviation 1, each in its own unit.
@@ -74,7 +74,7 @@ pub(super) fn descriptor_normalisation(rows: &[Vec<f32>]) -> Normalisation {
 
 /// Rescales the dense layer before the hidden one so that the hidden values have a mean square of 1/2. The ReLU of a
 /// value of unit variance has this mean square.
-pub(super) fn place_hidden(network: &Network, hidden: &[Vec<f32>]) -> Result<(), TrainError> {
+pub(super) fn scale_hidden(network: &Network, hidden: &[Vec<f32>]) -> Result<(), TrainError> {
     let count = hidden.iter().map(Vec::len).sum::<usize>().max(1);
     let square = hidden.iter().flatten().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>() / count as f64;
     let factor = (0.5 / square.max(1e-12)).sqrt() as f32;
@@ -91,15 +91,15 @@ pub(super) fn latent_arrays() -> [String; 2] {
 }
 
 /// Rescales the layer before the latent so that each component has mean 0 and standard deviation `sigma`.
-pub(super) fn place_latent(network: &Network, latent: &[Vec<f32>], sigma: f32) -> Result<(), TrainError> {
-    let found = moments(latent);
+pub(super) fn scale_latent(network: &Network, latent: &[Vec<f32>], sigma: f32) -> Result<(), TrainError> {
+    let measured = moments(latent);
     let [weight_name, bias_name] = latent_arrays();
     let mut weight = network.parameters().numbers(&weight_name)?;
     let mut bias = network.parameters().numbers(&bias_name)?;
     let width = (weight.len() / bias.len().max(1)).max(1);
-    let columns = found.mean.iter().zip(&found.sigma);
-    for ((row, bias), (mean, found)) in weight.chunks_exact_mut(width).zip(&mut bias).zip(columns) {
-        let factor = sigma / found;
+    let columns = measured.mean.iter().zip(&measured.sigma);
+    for ((row, bias), (mean, measured_sigma)) in weight.chunks_exact_mut(width).zip(&mut bias).zip(columns) {
+        let factor = sigma / measured_sigma;
         row.iter_mut().for_each(|w| *w *= factor);
         *bias = (*bias - mean) * factor;
     }

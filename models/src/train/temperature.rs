@@ -23,7 +23,7 @@ pub(super) fn fit(network: &Network, data: &Data) -> Result<f64, TrainError> {
 }
 
 fn minimise(logits: &[Vec<f32>], labels: &[usize], class_weights: &[f32]) -> f64 {
-    // Maps of classes that were not trained on do not weigh: the loss is 0 at every temperature.
+    // Classes that were not trained on have weight 0: with only such maps, the loss is 0 at every temperature.
     if labels.iter().all(|&label| class_weights.get(label).is_none_or(|weight| *weight <= 0.0)) {
         return 1.0;
     }
@@ -74,7 +74,7 @@ mod tests {
         assert!((found / 2.5 - 1.0).abs() < 0.05, "{found}");
     }
 
-    /// The temperature was 0.05, so that the model was certain of everything.
+    /// Regression test: the temperature was 0.05, so all probabilities of the model were near 0 or 1.
     #[test]
     fn without_a_map_of_a_trained_class_it_is_1() {
         assert_eq!(minimise(&[vec![1.0, 0.5, 0.0], vec![0.0, 0.2, 0.1]], &[2, 2], &[1.0, 1.0, 0.0]), 1.0);

@@ -58,7 +58,7 @@ impl Trainer {
     ///
     /// # Errors
     /// A tensor operation failed.
-    pub fn made_up_maps(batch: usize, range: usize, doppler: usize) -> Result<(Tensor, Vec<usize>)> {
+    pub fn random_maps(batch: usize, range: usize, doppler: usize) -> Result<(Tensor, Vec<usize>)> {
         let mut rng = stream(1, "made-up maps", 0);
         let cells: Vec<f32> = (0..batch * range * doppler).map(|_| rng.random_range(-1.5..1.5)).collect();
         let maps = Tensor::from_vec(cells, (batch, range, doppler), &Device::Cpu)?;

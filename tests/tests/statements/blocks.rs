@@ -8,7 +8,7 @@ use std::fmt::Write;
 use std::fs;
 
 use radome_dsp::Occupancy;
-use radome_models::dataset::{CellStatistics, Domain};
+use radome_models::dataset::{Domain, GroupStatistics};
 use radome_models::interval::{Interval, t_interval};
 use radome_models::study::{
     Cell, ConditionCell, ConditionReport, PAPER_CLEAN, PAPER_FRACTIONS, PAPER_NOISE, PAPER_SHARES, PAPER_SNR_DB,
@@ -302,7 +302,7 @@ fn domains(study: &str) -> String {
     let mut rows = Vec::new();
     for source in &sources {
         let name = source["name"].as_str().expect("a name");
-        let cells: Vec<CellStatistics> = serde_json::from_value(source["cells"].clone()).expect("cells");
+        let cells: Vec<GroupStatistics> = serde_json::from_value(source["cells"].clone()).expect("cells");
         rows.extend(cells.iter().map(|cell| domain_row(name, cell)));
     }
     let heads = [
@@ -319,8 +319,8 @@ fn domains(study: &str) -> String {
     table(&heads, rows)
 }
 
-fn domain_row(name: &str, cell: &CellStatistics) -> Vec<String> {
-    let CellStatistics { mean_db, sigma_db, mean_half_width_db, sigma_half_width_db, .. } = *cell;
+fn domain_row(name: &str, cell: &GroupStatistics) -> Vec<String> {
+    let GroupStatistics { mean_db, sigma_db, mean_half_width_db, sigma_half_width_db, .. } = *cell;
     let of_paper = PAPER_CELLS
         .iter()
         .find(|(scene, class, ..)| cell.domain == Domain::Sim && *scene == cell.scene && *class == cell.class);

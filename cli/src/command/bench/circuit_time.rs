@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use radome_models::quantum::{
-    Circuit, CircuitSpec, Draw, Execution, ShotGradient, Shots, Trained, circuit, expectations_of_rows,
+    Circuit, CircuitSpec, ClosedForm, Draw, Execution, ShotGradient, Shots, circuit, expectations_of_rows,
     gradients_of_rows,
 };
 
@@ -37,9 +37,9 @@ pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
     let (mut out, mut by_x) = (vec![[0.0f32; 2]; BATCH], vec![[0.0f32; 2]; BATCH]);
     let cotangents = vec![[0.3f32, -0.5]; BATCH];
     let ms = least_ms(rounds, || {
-        let trained = Trained::new(theta);
-        expectations_of_rows(&trained, &x, &mut out);
-        std::hint::black_box(gradients_of_rows(&trained, &x, &cotangents, &mut by_x));
+        let closed_form = ClosedForm::new(theta);
+        expectations_of_rows(&closed_form, &x, &mut out);
+        std::hint::black_box(gradients_of_rows(&closed_form, &x, &cotangents, &mut by_x));
         Ok(())
     })?;
     points.push(point("closed form, f32 lanes".into(), ms, Some(rms(&|k| out[k].map(f64::from)))));

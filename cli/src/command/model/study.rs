@@ -12,7 +12,7 @@ use anyhow::{Context, bail};
 use radome_driver::recording::Existing;
 use radome_files::with_suffix;
 use radome_models::dataset::{Dataset, DatasetError};
-use radome_models::study::{Judgement, Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
+use radome_models::study::{ConditionScores, Outcome, Progress, Report, Study, StudyError, StudySpec, Times};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
@@ -225,13 +225,13 @@ fn work(study: &Study, json: bool) -> anyhow::Result<()> {
                 begin(index, count, format!("{} seed {} of {labels:.0} % ", job.variant, job.seed));
                 return;
             }
-            Progress::Judging(job, condition, index, count) => {
+            Progress::Evaluation(job, condition, index, count) => {
                 begin(index, count, format!("{} seed {} on {condition} ", job.variant, job.seed));
                 return;
             }
             Progress::Epoch(_) => return bar.tick(),
             Progress::Done(outcome) => bar.suspend(|| if json { output::json_line(outcome) } else { told(outcome) }),
-            Progress::Judged(of) => bar.suspend(|| if json { output::json_line(of) } else { told_judgement(of) }),
+            Progress::Evaluated(of) => bar.suspend(|| if json { output::json_line(of) } else { told_judgement(of) }),
         };
         bar.inc(1);
         let mut trouble = trouble.borrow_mut();
@@ -270,8 +270,8 @@ fn told(outcome: &Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn told_judgement(judgement: &Judgement) -> anyhow::Result<()> {
-    let Judgement { job, condition, metrics, .. } = judgement;
+fn told_judgement(judgement: &ConditionScores) -> anyhow::Result<()> {
+    let ConditionScores { job, condition, metrics, .. } = judgement;
     let what = match metrics {
         Some(metrics) => format!("balanced accuracy {:.3} of {} maps", metrics.balanced_accuracy, metrics.samples),
         None => "its training failed".to_owned(),

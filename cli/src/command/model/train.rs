@@ -136,7 +136,8 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
     bar.finish_and_clear();
     let outcome = outcome.inspect_err(|error| {
         // After any other error the same command fails again.
-        let may_pass = matches!(error, TrainError::Unwritten { .. } | TrainError::Dataset(DatasetError::Io { .. }));
+        let may_pass =
+            matches!(error, TrainError::CheckpointWrite { .. } | TrainError::Dataset(DatasetError::Io { .. }));
         if may_pass && checkpoint.exists() {
             message!("the epochs so far are in {}; the same command carries on", checkpoint.display());
         }

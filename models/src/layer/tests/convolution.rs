@@ -3,8 +3,8 @@ use super::*;
 /// Batch, rows, columns, inputs, outputs, kernel, geometry.
 type Case = (usize, [usize; 2], usize, usize, [usize; 2], ConvGeometry);
 
-/// Kernels 1, 3, 5, 7 and oblong; strides 1 to 3; odd sizes; channels that fill no vector, one, and more than a tile;
-/// depthwise; a batch of one; more rows than a task takes.
+/// Kernels 1, 3, 5, 7 and oblong; strides 1 to 3; odd sizes; channel counts of less than a vector, of one, and of more
+/// than a tile; depthwise; a batch of one; more rows than one task takes.
 fn cases() -> Vec<Case> {
     let (dense, depthwise) = (ConvGeometry::dense, ConvGeometry::depthwise);
     vec![
@@ -60,16 +60,16 @@ fn conv2d_agrees_with_the_reference_and_with_finite_differences() {
             let weight = var(&w, &[outputs, inputs / geometry.groups, kernel[0], kernel[1]]);
             let bias = var(&b, &[outputs]);
             let out = conv2d(&input, &weight, Some(&bias), geometry, InputGradient::Needed, level).expect("forward");
-            close(&name("output"), &flat(&out), &channel_last(&want, outputs, cells), 1e-5);
+            assert_near(&name("output"), &flat(&out), &channel_last(&want, outputs, cells), 1e-5);
             let [gx, gw, gb] = gradients(&out, &channel_last(&upstream, outputs, cells), [&input, &weight, &bias]);
-            close(&name("dx"), &gx, &channel_last(&dx, inputs, rows * columns), 1e-5);
-            close(&name("dw"), &gw, &dw, 1e-5);
-            close(&name("db"), &gb, &db, 1e-5);
+            assert_near(&name("dx"), &gx, &channel_last(&dx, inputs, rows * columns), 1e-5);
+            assert_near(&name("dw"), &gw, &dw, 1e-5);
+            assert_near(&name("db"), &gb, &db, 1e-5);
         }
     }
 }
 
-/// One fast level against the portable one at every coordinate: finite differences look at a hundred.
+/// Compares every instruction set with the portable one at every coordinate; finite differences cover only a hundred.
 #[test]
 fn levels_agree_at_every_coordinate() {
     for case in cases() {
@@ -85,13 +85,14 @@ fn levels_agree_at_every_coordinate() {
         let plain = run(KernelLevel::Portable);
         for level in KernelLevel::ALL {
             for (got, want) in run(level).iter().zip(&plain) {
-                close(&format!("{case:?} at {level:?}"), got, &to_f64(want), 1e-5);
+                assert_near(&format!("{case:?} at {level:?}"), got, &to_f64(want), 1e-5);
             }
         }
     }
 }
 
-/// Kernels of 3x3 are computed in windows, those of 5x5 cell by cell. More windows than a block of the weights' gradient has.
+/// Kernels of 3x3 are computed in windows, those of 5x5 cell by cell. The map has more windows than one block of the
+/// weights' gradient.
 #[test]
 fn a_kernel_of_3x3_is_one_of_5x5_with_zeros_around() {
     let (batch, [rows, columns], inputs, outputs) = (2, [23, 22], 96, 170);
@@ -114,9 +115,9 @@ fn a_kernel_of_3x3_is_one_of_5x5_with_zeros_around() {
         let [out, gx, gw] = run(&w, 3, level);
         let [want_out, want_gx, want_gw] = run(&wide, 5, level);
         let want_gw: Vec<f32> = (0..w.len()).map(|k| want_gw[inside(k)]).collect();
-        close(&format!("output at {level:?}"), &out, &to_f64(&want_out), 1e-5);
-        close(&format!("dx at {level:?}"), &gx, &to_f64(&want_gx), 1e-5);
-        close(&format!("dw at {level:?}"), &gw, &to_f64(&want_gw), 1e-5);
+        assert_near(&format!("output at {level:?}"), &out, &to_f64(&want_out), 1e-5);
+        assert_near(&format!("dx at {level:?}"), &gx, &to_f64(&want_gx), 1e-5);
+        assert_near(&format!("dw at {level:?}"), &gw, &to_f64(&want_gw), 1e-5);
     }
 }
 
@@ -133,7 +134,7 @@ fn an_empty_batch_has_no_output_and_no_gradient_of_weights() {
 }
 
 #[test]
-fn a_prepared_convolution_is_the_layers_in_a_row() {
+fn a_prepared_convolution_agrees_with_the_separate_layers() {
     for case in cases() {
         let (batch, [rows, columns], inputs, outputs, kernel, geometry) = case;
         let (x, w, b) = tensors(&case);
@@ -158,11 +159,11 @@ fn a_prepared_convolution_is_the_layers_in_a_row() {
             (Activation::Silu, Some(&residual), sum.silu().expect("silu")),
         ] {
             let prepared = PreparedConv::new(&w, weight_dims, Some(&b), affine, geometry, act, level).expect("prepare");
-            // A buffer that has been used before, by something larger.
+            // A buffer that held a larger result before.
             let mut output = Feature::new([1, 1, 1, 9000], vec![f32::NAN; 9000]).expect("feature");
             prepared.run(&feature, residual, &mut output).expect("run");
             assert_eq!(output.dims(), dims);
-            close(&format!("{act:?} of {case:?}"), output.values(), &to_f64(&flat(&want)), 1e-5);
+            assert_near(&format!("{act:?} of {case:?}"), output.values(), &to_f64(&flat(&want)), 1e-5);
         }
     }
 }
@@ -173,8 +174,9 @@ fn channel_first(values: &[f32], channels: usize, cells: usize) -> Vec<f64> {
     samples.flat_map(|s| (0..channels * cells).map(move |k| f64::from(s[k % cells * channels + k / cells]))).collect()
 }
 
-/// Windows of two by two cells, at all levels: odd sizes, maps smaller than a window, channels that fill no vector, several panels,
-/// more windows than a task takes. Convolutions and blocks of one input channel have code of their own.
+/// Windows of two by two cells, at all levels: odd sizes, maps smaller than a window, channel counts below a vector's
+/// width, several panels, more windows than one task takes. Convolutions and blocks of one input channel have separate
+/// code.
 #[test]
 fn convolutions_by_windows_agree_with_the_reference() {
     let windows = [
@@ -205,14 +207,14 @@ fn convolutions_by_windows_agree_with_the_reference() {
                 let want = if act == Activation::None { plain.clone() } else { reference::relu(&plain) };
                 let got: Vec<f32> =
                     channel_first(output.values(), outputs, rows * columns).iter().map(|&v| v as f32).collect();
-                close(&case, &got, &want, 1e-6);
+                assert_near(&case, &got, &want, 1e-6);
             }
             if rows >= 2 && columns >= 2 {
                 let block = PreparedBlock::new(&w, [outputs, inputs], Some(&b), None, level).expect("prepare");
                 block.run(&input, &mut output).expect("run");
                 let cells = rows / 2 * (columns / 2);
                 let got: Vec<f32> = channel_first(output.values(), outputs, cells).iter().map(|&v| v as f32).collect();
-                close(&case, &got, &pooled, 1e-6);
+                assert_near(&case, &got, &pooled, 1e-6);
             }
         }
     }
@@ -221,9 +223,9 @@ fn convolutions_by_windows_agree_with_the_reference() {
 mod hard_cases {
     use super::*;
 
-    /// In whichever cell of a window it is.
+    /// A NaN in any cell of a pooling window reaches the output.
     #[test]
-    fn a_nan_comes_out_of_a_prepared_block() {
+    fn a_prepared_block_propagates_nan() {
         for level in KernelLevel::ALL {
             for inputs in [1, 9] {
                 let block =
@@ -259,7 +261,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_nan_comes_out_wherever_it_is_looked_at() {
+    fn nan_reaches_every_output_that_reads_it() {
         for level in KernelLevel::ALL {
             for (inputs, geometry) in [
                 (3, ConvGeometry::dense(1, 1)),
@@ -301,8 +303,7 @@ mod hard_cases {
     }
 }
 
-/// Nothing is lost before the one rounding of a sum: sums of large numbers that nearly cancel come out to the last bit, alike at
-/// every level.
+/// Sums are rounded once: sums of large numbers that nearly cancel are exact to the last bit at every level.
 #[test]
 fn dense_layers_round_once() {
     for [batch, inputs, outputs] in [[1, 960, 64], [3, 64, 2], [2, 7, 33], [1, 1, 1]] {

@@ -36,19 +36,19 @@ fn batch_norm_agrees_with_the_reference_and_with_finite_differences() {
             let check = |mode: BatchNormMode, forward: &dyn Fn(&[f64], &[f64], &[f64]) -> Vec<f64>| {
                 let loss = |x: &[f64], w: &[f64], b: &[f64]| weighted_sum(&forward(x, w, b), &gd);
                 let out = batch_norm(&input, &weight, &bias, &statistics, mode, act, level).expect("forward");
-                close(&format!("output, {mode:?}"), &flat(&out), &forward(&xd, &wd, &bd), 2e-4);
+                assert_near(&format!("output, {mode:?}"), &flat(&out), &forward(&xd, &wd, &bd), 2e-4);
                 let got = gradients(&out, &upstream, [&input, &weight, &bias]);
-                close(&format!("dx, {mode:?}"), &got[0], &differences(&xd, |x| loss(x, &wd, &bd)), 1e-3);
-                close(&format!("dw, {mode:?}"), &got[1], &differences(&wd, |w| loss(&xd, w, &bd)), 1e-3);
-                close(&format!("db, {mode:?}"), &got[2], &differences(&bd, |b| loss(&xd, &wd, b)), 1e-3);
+                assert_near(&format!("dx, {mode:?}"), &got[0], &differences(&xd, |x| loss(x, &wd, &bd)), 1e-3);
+                assert_near(&format!("dw, {mode:?}"), &got[1], &differences(&wd, |w| loss(&xd, w, &bd)), 1e-3);
+                assert_near(&format!("db, {mode:?}"), &got[2], &differences(&bd, |b| loss(&xd, &wd, b)), 1e-3);
             };
             check(BatchNormMode::Training, &forward);
-            // PyTorch: a tenth of the way, and the running variance is unbiased.
+            // As in PyTorch, running statistics move by a tenth, and their variance is unbiased.
             let n = (count / channels) as f64;
             let want: Vec<f64> = mean.iter().map(|m| 0.1 * m).collect();
-            close("running mean", &statistics.mean(), &want, 1e-6);
+            assert_near("running mean", &statistics.mean(), &want, 1e-6);
             let want: Vec<f64> = variance.iter().map(|v| 0.9 + 0.1 * v * n / (n - 1.0)).collect();
-            close("running variance", &statistics.variance(), &want, 1e-5);
+            assert_near("running variance", &statistics.variance(), &want, 1e-5);
 
             // Evaluation is an affine function of each value.
             statistics
@@ -78,7 +78,7 @@ fn activations_agree_with_their_formulas_and_finite_differences() {
             let out = flat(&out);
             for (k, &x) in xd.iter().enumerate() {
                 let want = activated(act, x);
-                for y in [out[k], act.of(x as f32)].map(f64::from) {
+                for y in [out[k], act.apply(x as f32)].map(f64::from) {
                     assert!((y - want).abs() <= 1e-6 * want.abs() + 1e-30, "{act:?}({x}) is {want}, not {y}");
                 }
                 if act == Activation::Relu && x.abs() < 1e-4 {
@@ -116,7 +116,7 @@ fn sums_scales_and_pools_agree_with_references_and_finite_differences() {
             let out = max_pool2d(&input, kernel, stride, padding, level).expect("forward");
             assert_eq!(flat(&out), channel_last(&want, channels, pooled));
             let [got] = gradients(&out, &channel_last(&upstream, channels, pooled), [&input]);
-            close("dx", &got, &channel_last(&dx, channels, cells), 1e-5);
+            assert_near("dx", &got, &channel_last(&dx, channels, cells), 1e-5);
         }
     }
 
@@ -133,17 +133,17 @@ fn sums_scales_and_pools_agree_with_references_and_finite_differences() {
     for level in KernelLevel::ALL {
         let out = add_relu(&va, &vb, level).expect("forward");
         let got = gradients(&out, &upstream, [&va, &vb]);
-        close("da", &got[0], &differences(&ad, |a| sum(a, &bd)), 1e-5);
-        close("db", &got[1], &differences(&bd, |b| sum(&ad, b)), 1e-5);
+        assert_near("da", &got[0], &differences(&ad, |a| sum(a, &bd)), 1e-5);
+        assert_near("db", &got[1], &differences(&bd, |b| sum(&ad, b)), 1e-5);
     }
     let out = scale_channels(&va, &vs).expect("forward");
     let got = gradients(&out, &upstream, [&va, &vs]);
-    close("da", &got[0], &differences(&ad, |a| scaled(a, &sd)), 1e-5);
-    close("ds", &got[1], &differences(&sd, |s| scaled(&ad, s)), 1e-5);
+    assert_near("da", &got[0], &differences(&ad, |a| scaled(a, &sd)), 1e-5);
+    assert_near("ds", &got[1], &differences(&sd, |s| scaled(&ad, s)), 1e-5);
 }
 
 #[test]
-fn dropout_drops_its_share_and_the_gradient_of_what_it_dropped() {
+fn dropout_zeroes_its_fraction_of_values_and_their_gradients() {
     let input = var(&vec![1.0; 50_000], &[50, 1000]);
     let run = |draw| dropout(&input, 0.3, 5, draw).expect("forward");
     let out = flat(&run(0));
@@ -155,9 +155,9 @@ fn dropout_drops_its_share_and_the_gradient_of_what_it_dropped() {
     assert!(dropout(&input, 1.0, 5, 0).is_err());
 }
 
-/// A network in which one tensor goes two ways, and candle's own operations stand between layers.
+/// A network in which two layers read one tensor, with candle's own operations between layers.
 #[test]
-fn the_backward_pass_is_candles() {
+fn the_backward_pass_gives_candles_gradients() {
     let level = KernelLevel::detect();
     let (x, w, b) =
         (var(&random(4 * 20, "x"), &[4, 20]), var(&random(400, "w"), &[20, 20]), var(&random(20, "b"), &[20]));
@@ -167,12 +167,17 @@ fn the_backward_pass_is_candles() {
     let loss = cross_entropy(&y, &[0, 5, 19, 3], &[1.0; 20]).expect("loss");
     let (ours, theirs) = (backward(&loss).expect("backward"), loss.backward().expect("backward"));
     for v in [&x, &w, &b] {
-        close("gradient", &flat(ours.get(v).expect("ours")), &to_f64(&flat(theirs.get(v).expect("theirs"))), 1e-5);
+        assert_near(
+            "gradient",
+            &flat(ours.get(v).expect("ours")),
+            &to_f64(&flat(theirs.get(v).expect("theirs"))),
+            1e-5,
+        );
     }
 }
 
 #[test]
-fn what_inference_does_to_features_is_the_layers() {
+fn inference_on_features_agrees_with_the_layers() {
     let level = KernelLevel::detect();
     let dims = [2, 9, 7, 21];
     let (x, scale) = (random(2 * 9 * 7 * 21, "x"), random(2 * 21, "s"));
@@ -207,7 +212,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_nan_comes_out_of_every_layer() {
+    fn every_layer_propagates_nan() {
         let mut x = random(2 * 4 * 4 * 20, "x");
         x[5] = f32::NAN;
         let input = var(&x, &[2, 4, 4, 20]);

@@ -26,7 +26,7 @@ pub(super) fn flat(tensor: &Tensor) -> Vec<f32> {
     tensor.flatten_all().expect("flat").to_vec1().expect("f32")
 }
 
-fn close(name: &str, got: &[f32], want: &[f64], tolerance: f64) {
+fn assert_near(name: &str, got: &[f32], want: &[f64], tolerance: f64) {
     assert_eq!(got.len(), want.len(), "{name}");
     let scale = want.iter().fold(1e-3f64, |m, v| m.max(v.abs()));
     for (k, (g, w)) in got.iter().zip(want).enumerate() {
@@ -37,12 +37,12 @@ fn close(name: &str, got: &[f32], want: &[f64], tolerance: f64) {
     }
 }
 
-/// Central differences of a scalar function in f64, at no more than about a hundred evenly spread coordinates; NaN
-/// elsewhere, which [`close`] passes over.
+/// Central differences of a scalar function in f64 at about a hundred evenly spread coordinates at most. Others are NaN,
+/// which [`assert_near`] skips.
 fn differences(at: &[f64], f: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     let h = 1e-6;
     let step = at.len().div_ceil(100);
-    // A step that shares factors with the axes would test the same channels and offsets again and again.
+    // A step that shares factors with the axes would test the same channels and offsets repeatedly.
     let step = (step..).find(|s| [2, 3, 5, 7].iter().all(|p| s % p != 0) || *s == 1).unwrap_or(1);
     let mut moved = at.to_vec();
     (0..at.len())
@@ -103,7 +103,7 @@ pub(super) fn same_bits<const N: usize>(what: &str, run: impl Fn() -> [Vec<f32>;
     }
 }
 
-/// (batch, rows, columns, inputs, outputs): first layer, second layer, odd sizes, channels that fill no vector.
+/// (batch, rows, columns, inputs, outputs): first layer, second layer, odd sizes, channel counts below a vector's width.
 const CASES: [(usize, usize, usize, usize, usize); 4] =
     [(3, 8, 6, 1, 16), (2, 6, 8, 16, 32), (2, 7, 5, 3, 5), (1, 4, 4, 2, 20)];
 
@@ -129,12 +129,12 @@ fn conv_relu_pool_agrees_with_the_reference_and_with_finite_differences() {
             let input = var(&channel_last(&x, inputs, rows * columns), &[batch, rows, columns, inputs]);
             let (weight, bias) = (var(&w, &[outputs, inputs, 3, 3]), var(&b, &[outputs]));
             let out = conv_relu_pool(&input, &weight, &bias, InputGradient::Needed, level).expect("forward");
-            close("output", &flat(&out), &channel_last(&forward(&xd, &wd, &bd), outputs, pooled), 1e-6);
+            assert_near("output", &flat(&out), &channel_last(&forward(&xd, &wd, &bd), outputs, pooled), 1e-6);
             let [gx, gw, gb] = gradients(&out, &channel_last(&upstream, outputs, pooled), [&input, &weight, &bias]);
             let dx = differences(&xd, |x| loss(x, &wd, &bd));
-            close("dx", &gx, &channel_last(&dx, inputs, rows * columns), 1e-5);
-            close("dw", &gw, &differences(&wd, |w| loss(&xd, w, &bd)), 1e-5);
-            close("db", &gb, &differences(&bd, |b| loss(&xd, &wd, b)), 1e-5);
+            assert_near("dx", &gx, &channel_last(&dx, inputs, rows * columns), 1e-5);
+            assert_near("dw", &gw, &differences(&wd, |w| loss(&xd, w, &bd)), 1e-5);
+            assert_near("db", &gb, &differences(&bd, |b| loss(&xd, &wd, b)), 1e-5);
         }
     }
 }
@@ -154,15 +154,16 @@ fn gradients_do_not_depend_on_whether_the_input_needs_one() {
                 gradients_of_squares(&out, [&weight, &bias])
             };
             let (with, without) = (run(InputGradient::Needed), run(InputGradient::Unused));
-            close("dw", &without[0], &to_f64(&with[0]), 1e-5);
-            close("db", &without[1], &to_f64(&with[1]), 1e-5);
+            assert_near("dw", &without[0], &to_f64(&with[0]), 1e-5);
+            assert_near("db", &without[1], &to_f64(&with[1]), 1e-5);
         }
     }
 }
 
-/// candle's own max-pooling gives 0.25 here: its gradient is scaled by the share of maxima in the window.
+/// The maximum of a window gets the whole gradient. candle's own max-pooling gives 0.25, because it scales the gradient by
+/// the fraction of maxima in the window.
 #[test]
-fn pooling_passes_the_whole_gradient_to_the_winner() {
+fn pooling_passes_the_whole_gradient_to_the_maximum() {
     let input = var(&[1.0, 2.0, 3.0, 4.0], &[1, 2, 2, 1]);
     let mut identity = [0.0; 9];
     identity[4] = 1.0;
@@ -193,10 +194,10 @@ fn adaptive_average_pool_agrees_with_the_reference_and_with_finite_differences()
         };
         let input = var(&channel_last(&x, channels, rows * columns), &[batch, rows, columns, channels]);
         let out = adaptive_average_pool(&input, to.0, to.1).expect("forward");
-        close("output", &flat(&out), &forward(&to_f64(&x)), 1e-6);
+        assert_near("output", &flat(&out), &forward(&to_f64(&x)), 1e-6);
         let [got] = gradients(&out, &upstream, [&input]);
         let dx = differences(&to_f64(&x), |x| weighted_sum(&forward(x), &gd));
-        close("dx", &got, &channel_last(&dx, channels, rows * columns), 1e-5);
+        assert_near("dx", &got, &channel_last(&dx, channels, rows * columns), 1e-5);
     }
 }
 
@@ -212,11 +213,11 @@ fn linear_agrees_with_the_reference_and_with_finite_differences() {
     for level in KernelLevel::ALL {
         let (input, weight, bias) = (var(&x, &[batch, inputs]), var(&w, &[outputs, inputs]), var(&b, &[outputs]));
         let out = linear(&input, &weight, &bias, level).expect("forward");
-        close("output", &flat(&out), &forward(&xd, &wd, &bd), 1e-6);
+        assert_near("output", &flat(&out), &forward(&xd, &wd, &bd), 1e-6);
         let [gx, gw, gb] = gradients(&out, &upstream, [&input, &weight, &bias]);
-        close("dx", &gx, &differences(&xd, |x| weighted_sum(&forward(x, &wd, &bd), &gd)), 1e-5);
-        close("dw", &gw, &differences(&wd, |w| weighted_sum(&forward(&xd, w, &bd), &gd)), 1e-5);
-        close("db", &gb, &differences(&bd, |b| weighted_sum(&forward(&xd, &wd, b), &gd)), 1e-5);
+        assert_near("dx", &gx, &differences(&xd, |x| weighted_sum(&forward(x, &wd, &bd), &gd)), 1e-5);
+        assert_near("dw", &gw, &differences(&wd, |w| weighted_sum(&forward(&xd, w, &bd), &gd)), 1e-5);
+        assert_near("db", &gb, &differences(&bd, |b| weighted_sum(&forward(&xd, &wd, b), &gd)), 1e-5);
     }
 }
 
@@ -230,17 +231,17 @@ fn cross_entropy_agrees_with_finite_differences() {
     };
     let z = var(&logits, &[4, 3]);
     let out = cross_entropy(&z, &labels, &weights).expect("loss");
-    close("loss", &flat(&out), &[loss(&to_f64(&logits))], 1e-6);
+    assert_near("loss", &flat(&out), &[loss(&to_f64(&logits))], 1e-6);
     let grads = out.backward().expect("backward");
-    close("dz", &flat(grads.get(&z).expect("gradient")), &differences(&to_f64(&logits), loss), 1e-5);
+    assert_near("dz", &flat(grads.get(&z).expect("gradient")), &differences(&to_f64(&logits), loss), 1e-5);
 }
 
 mod hard_cases {
     use super::*;
 
-    /// In whichever cell of a window it is.
+    /// A NaN in any cell of a pooling window reaches the output.
     #[test]
-    fn a_nan_comes_out_of_the_fused_pooling() {
+    fn fused_pooling_propagates_nan() {
         let (w, b) = (var(&random(9, "w"), &[1, 1, 3, 3]), var(&[0.0], &[1]));
         for cell in 0..64 {
             let mut x = random(64, "x");
@@ -261,7 +262,7 @@ mod hard_cases {
         assert!(
             flat(&loss)[0].is_finite() && flat(grads.get(&logits).expect("gradient")).iter().all(|v| v.is_finite())
         );
-        // Every class of the batch has weight zero: nothing to learn from, nothing divided by zero.
+        // Every class of the batch has weight zero: the loss is zero, without a division by zero.
         let loss = cross_entropy(&logits, &[1, 1], &[1.0, 0.0, 0.0]).expect("loss");
         assert_eq!(flat(&loss), [0.0]);
     }

@@ -15,14 +15,19 @@ pub fn max_pool2(input: &[f64], rows: usize, columns: usize) -> Vec<f64> {
     max_pool(input, [rows, columns], 2, 2, 0)
 }
 
-/// Adaptive average pooling of `[channel][rows][columns]` to `[channel][to.0][to.1]`.
-pub fn adaptive_average_pool(input: &[f64], rows: usize, columns: usize, to: (usize, usize)) -> Vec<f64> {
+/// Adaptive average pooling of `[channel][rows][columns]` to `[channel][pooled_rows][pooled_columns]`.
+pub fn adaptive_average_pool(
+    input: &[f64],
+    rows: usize,
+    columns: usize,
+    (pooled_rows, pooled_columns): (usize, usize),
+) -> Vec<f64> {
     let mut out = Vec::new();
     for plane in input.chunks_exact(rows * columns) {
-        for i in 0..to.0 {
-            let (top, bottom) = (i * rows / to.0, ((i + 1) * rows).div_ceil(to.0));
-            for j in 0..to.1 {
-                let (left, right) = (j * columns / to.1, ((j + 1) * columns).div_ceil(to.1));
+        for i in 0..pooled_rows {
+            let (top, bottom) = (i * rows / pooled_rows, ((i + 1) * rows).div_ceil(pooled_rows));
+            for j in 0..pooled_columns {
+                let (left, right) = (j * columns / pooled_columns, ((j + 1) * columns).div_ceil(pooled_columns));
                 let cells = (top..bottom).flat_map(|y| (left..right).map(move |x| plane[y * columns + x]));
                 out.push(cells.sum::<f64>() / ((bottom - top) * (right - left)) as f64);
             }
@@ -84,16 +89,16 @@ pub fn conv2d(
     out
 }
 
-/// Max-pooling of `[channel][rows][columns]`; padding is never the largest.
+/// Max-pooling of `[channel][rows][columns]`; padding is never a maximum.
 pub fn max_pool(input: &[f64], [rows, columns]: [usize; 2], kernel: usize, stride: usize, padding: usize) -> Vec<f64> {
-    // None where the window is larger than the plane.
-    let places = |length: usize| (length + 2 * padding).checked_sub(kernel).map_or(0, |rest| rest / stride + 1);
+    // 0 where the window is larger than the plane.
+    let positions = |length: usize| (length + 2 * padding).checked_sub(kernel).map_or(0, |rest| rest / stride + 1);
     let mut out = Vec::new();
     for plane in input.chunks_exact(rows * columns) {
-        for y in 0..places(rows) {
-            for x in 0..places(columns) {
-                let window = |at: usize, length: usize| {
-                    (at * stride).saturating_sub(padding)..(at * stride + kernel - padding).min(length)
+        for y in 0..positions(rows) {
+            for x in 0..positions(columns) {
+                let window = |position: usize, length: usize| {
+                    (position * stride).saturating_sub(padding)..(position * stride + kernel - padding).min(length)
                 };
                 let cells = window(y, rows).flat_map(|r| window(x, columns).map(move |c| plane[r * columns + c]));
                 out.push(cells.fold(f64::NEG_INFINITY, f64::max));
@@ -103,7 +108,7 @@ pub fn max_pool(input: &[f64], [rows, columns]: [usize; 2], kernel: usize, strid
     out
 }
 
-/// Batch normalisation of `[row][channel]` by its own mean and biased variance; also returns these.
+/// Batch normalisation of `[row][channel]` by its own mean and biased variance, which are also returned.
 pub fn batch_norm(input: &[f64], weight: &[f64], bias: &[f64], epsilon: f64) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
     let channels = weight.len();
     let count = (input.len() / channels) as f64;

@@ -7,14 +7,14 @@ fn vector(rows: usize, columns: usize, what: &str) -> Var {
     var(&values, &[rows, columns])
 }
 
-/// Output, and the gradient of its weighted sum by one input, beside the formula and its central differences.
+/// Compares a layer's output with the formula, and the gradient of its weighted sum with central differences.
 fn check(layer: &str, input: &Var, output: &dyn Fn(&Tensor) -> Tensor, formula: &dyn Fn(&[f64]) -> Vec<f64>) {
     let x = to_f64(&flat(input));
     let out = output(input.as_tensor());
-    close(layer, &flat(&out), &formula(&x), 3e-6);
+    assert_near(layer, &flat(&out), &formula(&x), 3e-6);
     let weights = random(out.elem_count(), layer);
     let [found] = gradients(&out, &weights, [input]);
-    close(layer, &found, &differences(&x, |x| weighted_sum(&formula(x), &to_f64(&weights))), 1e-5);
+    assert_near(layer, &found, &differences(&x, |x| weighted_sum(&formula(x), &to_f64(&weights))), 1e-5);
 }
 
 #[test]
@@ -44,9 +44,9 @@ fn outputs_and_gradients_are_those_of_the_formulas() {
     });
 }
 
-/// The penalty of the scaled sigmoid is the gradient of its weight times the mean square, and no part of the output.
+/// The penalty of the scaled sigmoid adds the gradient of its weight times the mean square, and leaves the output.
 #[test]
-fn the_penalty_is_a_gradient_alone() {
+fn the_penalty_changes_only_the_gradient() {
     let x = vector(4, 2, "x");
     let gradient = |penalty: f32| {
         let loss = scaled_sigmoid(&x, penalty).and_then(|t| t.sum_all()).expect("loss");
@@ -71,7 +71,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_nan_comes_out() {
+    fn nan_propagates() {
         let x = Tensor::new(&[[f32::NAN, 0.0]], &Device::Cpu).expect("tensor");
         for output in [scaled_sigmoid(&x, 0.0), trigonometric(&x), add(&x, &x), standardise(&x, &[0.0; 2], &[1.0; 2])] {
             assert!(flat(&output.expect("output")).iter().any(|v| v.is_nan()));

@@ -6,7 +6,7 @@ use super::circuit;
 use super::proto::{self, FLOAT};
 use super::writer::{ExportError, Writer, int};
 use crate::array_hash;
-use crate::layer::{Activation, bin};
+use crate::layer::{Activation, bin_bounds};
 use crate::model::card::CARD_KEY;
 use crate::model::file::Model;
 use crate::model::onnx_runtime::{INPUT_NAME, OUTPUT_NAME};
@@ -85,7 +85,7 @@ fn value_info(name: &str, shape: &[Option<usize>]) -> proto::ValueInfo {
     };
     let shape = proto::Shape { dim: shape.iter().map(dim).collect() };
     let tensor = proto::TensorType { element: FLOAT, shape: Some(shape) };
-    proto::ValueInfo { name: name.to_owned(), of: Some(proto::Type { tensor: Some(tensor) }) }
+    proto::ValueInfo { name: name.to_owned(), value_type: Some(proto::Type { tensor: Some(tensor) }) }
 }
 
 impl Writer<'_> {
@@ -94,21 +94,21 @@ impl Writer<'_> {
         let (name, network) = (&node.name, self.network);
         let first = inputs.first().map(String::as_str).unwrap_or_default();
         let second = inputs.get(1).map(String::as_str).unwrap_or_default();
-        let named = |what: &str| format!("{name}.{what}");
+        let prefixed = |what: &str| format!("{name}.{what}");
         Ok(match &node.layer {
             Layer::Descriptors => return Err(ExportError::Descriptors { layer: name.clone() }),
             Layer::Repeat { channels } => self.op_with("Concat", &vec![first; *channels], output, vec![int("axis", 1)]),
             Layer::ConvReluPool { .. } => {
                 let [weight, bias] = self.weight_and_bias(name)?;
-                let convolved = self.op_with("Conv", &[first, &weight, &bias], &named("convolved"), window(3, 1, 1));
-                let rectified = self.op("Relu", &[&convolved], &named("rectified"));
+                let convolved = self.op_with("Conv", &[first, &weight, &bias], &prefixed("convolved"), window(3, 1, 1));
+                let rectified = self.op("Relu", &[&convolved], &prefixed("rectified"));
                 self.op_with("MaxPool", &[&rectified], output, window(2, 2, 0))
             }
             Layer::Convolution { kernel, geometry, bias, .. } => {
                 let mut attributes = window(*kernel, geometry.stride, geometry.padding);
                 attributes.push(int("group", geometry.groups as i64));
                 if !bias {
-                    let weight = self.parameter(&named("weight"))?;
+                    let weight = self.parameter(&prefixed("weight"))?;
                     return Ok(self.op_with("Conv", &[first, &weight], output, attributes));
                 }
                 let [weight, bias] = self.weight_and_bias(name)?;
@@ -137,12 +137,12 @@ impl Writer<'_> {
                 Some(constants) => self.standardise(name, *width, constants, first, output),
             },
             Layer::ScaledSigmoid => {
-                let pi = self.constant(&named("pi"), &[1], &[std::f32::consts::PI]);
-                let sigmoid = self.op("Sigmoid", &[first], &named("sigmoid"));
+                let pi = self.constant(&prefixed("pi"), &[1], &[std::f32::consts::PI]);
+                let sigmoid = self.op("Sigmoid", &[first], &prefixed("sigmoid"));
                 self.op("Mul", &[&sigmoid, &pi], output)
             }
             Layer::Circuit { circuit, .. } => {
-                let theta = network.parameters().numbers(&named("theta"))?;
+                let theta = network.parameters().numbers(&prefixed("theta"))?;
                 circuit::write(self, name, circuit, &theta, first, output)?
             }
             Layer::Trigonometric => circuit::write_features(self, name, first, output),
@@ -165,10 +165,10 @@ impl Writer<'_> {
         input: &str,
         output: &str,
     ) -> String {
-        let named = |what: &str| format!("{name}.{what}");
-        let mean = self.constant(&named("mean"), &[width], &constants.mean);
-        let sigma = self.constant(&named("sigma"), &[width], &constants.sigma);
-        let centred = self.op("Sub", &[input, &mean], &named("centred"));
+        let prefixed = |what: &str| format!("{name}.{what}");
+        let mean = self.constant(&prefixed("mean"), &[width], &constants.mean);
+        let sigma = self.constant(&prefixed("sigma"), &[width], &constants.sigma);
+        let centred = self.op("Sub", &[input, &mean], &prefixed("centred"));
         self.op("Div", &[&centred, &sigma], output)
     }
 
@@ -185,22 +185,22 @@ impl Writer<'_> {
         let statistics = network.parameters().statistics(name)?;
         let mean = self.constant(&format!("{name}.running_mean"), &[channels], &statistics.mean());
         let variance = self.constant(&format!("{name}.running_var"), &[channels], &statistics.variance());
-        let read = [input, &weight, &bias, &mean, &variance];
+        let inputs = [input, &weight, &bias, &mean, &variance];
         let epsilon = vec![float("epsilon", statistics.constants().epsilon)];
-        Ok(self.activated("BatchNormalization", &read, output, epsilon, activation))
+        Ok(self.activated("BatchNormalization", &inputs, output, epsilon, activation))
     }
 
-    /// Adaptive mean pooling: products with a matrix of means from either side.
+    /// Adds adaptive mean pooling: products with matrices of means over rows and over columns.
     fn average_pool(&mut self, node: &Node, rows: usize, columns: usize, input: &str, output: &str) -> String {
-        let named = |what: &str| format!("{}.{what}", node.name);
+        let prefixed = |what: &str| format!("{}.{what}", node.name);
         let (height, width) = match node.inputs.first().and_then(|&value| self.sizes.get(value)) {
             Some(&Size::Map { rows, columns, .. }) => (rows, columns),
             _ => (1, 1),
         };
-        let by_columns = self.constant(&named("columns"), &[width, columns], &means(width, columns, true));
-        let by_rows = self.constant(&named("rows"), &[rows, height], &means(height, rows, false));
-        let narrow = self.op("MatMul", &[input, &by_columns], &named("narrow"));
-        let pooled = self.op("MatMul", &[&by_rows, &narrow], &named("pooled"));
+        let by_columns = self.constant(&prefixed("columns"), &[width, columns], &means(width, columns, true));
+        let by_rows = self.constant(&prefixed("rows"), &[rows, height], &means(height, rows, false));
+        let narrow = self.op("MatMul", &[input, &by_columns], &prefixed("narrow"));
+        let pooled = self.op("MatMul", &[&by_rows, &narrow], &prefixed("pooled"));
         self.op_with("Flatten", &[&pooled], output, vec![int("axis", 1)])
     }
 }
@@ -209,7 +209,7 @@ impl Writer<'_> {
 fn means(length: usize, bins: usize, bins_last: bool) -> Vec<f32> {
     let mut matrix = vec![0.0; length * bins];
     for index in 0..bins {
-        let (from, to) = bin(index, bins, length);
+        let (from, to) = bin_bounds(index, bins, length);
         for cell in from..to {
             let at = if bins_last { cell * bins + index } else { index * length + cell };
             matrix[at] = 1.0 / (to - from) as f32;

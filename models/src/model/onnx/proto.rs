@@ -109,7 +109,7 @@ pub struct ValueInfo {
     #[prost(string, tag = "1")]
     pub name: String,
     #[prost(message, optional, tag = "2")]
-    pub of: Option<Type>,
+    pub value_type: Option<Type>,
 }
 
 /// `TypeProto`

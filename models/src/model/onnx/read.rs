@@ -1,5 +1,4 @@
-//! Checks of an ONNX file before a runtime gets it: that it is whole, that its numbers are finite and those that were written, and its
-//! card.
+//! Checks of an ONNX file before a runtime loads it: it is complete, its numbers are finite and match the hash, and its card is valid.
 
 use std::path::Path;
 
@@ -9,11 +8,11 @@ use super::proto::{self, FLOAT};
 use crate::model::card::{CARD_KEY, ModelCard, ModelError};
 use crate::model::file::check_hash;
 
-/// The card in the bytes of the ONNX file `path` (used in errors only), whose numbers are checked to be finite and to have the hash in
-/// the card, if there is one.
+/// Reads the card in the bytes of the ONNX file `path` (used in errors only). Checks that numbers are finite and match the hash in the
+/// card, if it has one.
 pub(crate) fn read_card(path: &Path, data: &[u8]) -> Result<ModelCard, ModelError> {
     let damaged = |reason: String| ModelError::NotOnnx { path: path.to_owned(), reason, length: data.len() };
-    // Decodes one message at a time: an empty one of two bytes takes a hundred bytes of memory, and there may be any number.
+    // Decodes one message at a time: an empty message of two bytes takes a hundred bytes of memory, and a file may have any number.
     let (mut is_graph, mut card) = (false, None);
     for field in Fields(data) {
         match field.map_err(&damaged)? {

@@ -6,7 +6,7 @@ use crate::train::Trainer;
 use candle_core::{Device, Tensor};
 use rand::Rng;
 
-/// Maps of which each is stronger than the one before, so that answers differ. Descriptors count from 6 dB over noise.
+/// Maps, each stronger than the one before, so that logits differ. Descriptors count from 6 dB over noise.
 fn maps(spec: &NetworkSpec, [batch, range, doppler]: [usize; 3]) -> Vec<f32> {
     let mut rng = crate::random::stream(5, "maps", 0);
     let scale = if spec.kind.reads_descriptors() { 12.0 } else { 1.0 };
@@ -14,16 +14,16 @@ fn maps(spec: &NetworkSpec, [batch, range, doppler]: [usize; 3]) -> Vec<f32> {
     (0..batch * range * doppler).map(|index| strength(index) * rng.random_range(-1.0..1.0)).collect()
 }
 
-/// Numbers of a network after a few steps of training, so that its normalisations do something and its answers differ.
-fn lively(spec: &NetworkSpec) -> std::collections::BTreeMap<String, Vec<f32>> {
+/// Numbers of a network after a few steps of training, so that its normalisations are not trivial and its logits differ.
+fn trained_values(spec: &NetworkSpec) -> std::collections::BTreeMap<String, Vec<f32>> {
     let mut trainer = Trainer::new(spec, 3, 1e-3, KernelLevel::detect()).expect("trainer");
-    let (maps, labels) = Trainer::made_up_maps(6, 32, 32).expect("maps");
+    let (maps, labels) = Trainer::random_maps(6, 32, 32).expect("maps");
     let maps = if spec.kind.reads_descriptors() { (maps * 20.0).expect("maps") } else { maps };
     for _ in 0..15 {
         trainer.step(&maps, &labels).expect("step");
     }
     let mut values = trainer.network().values().expect("values");
-    // Two hidden units are soon dead; of two that are opposed one lives.
+    // Both hidden units may be inactive. With opposed weights one of them is active.
     if let Some([a, b, c, d]) = values.get_mut("head_hidden.weight").map(Vec::as_mut_slice) {
         (*c, *d) = (-*a, -*b);
     }
@@ -34,7 +34,7 @@ fn network(spec: &NetworkSpec, values: &std::collections::BTreeMap<String, Vec<f
     let mut network = Network::from_values(spec, values, level).expect("network");
     if spec.kind.has_latent() {
         let width = spec.head.width();
-        // Spread over the scaled sigmoid, whatever the training left.
+        // Constants that spread the latent over the scaled sigmoid's range.
         let shape = [2, 32, 32];
         let input = Tensor::from_vec(maps(spec, shape), &shape[..], &Device::Cpu).expect("tensor");
         let latent = network.latent(&input).expect("latent").and_then(|l| l.to_vec2::<f32>().ok()).expect("two rows");
@@ -70,15 +70,15 @@ fn specs() -> Vec<(String, NetworkSpec)> {
     specs
 }
 
-/// The folded and fused steps give the results of the layers one by one.
+/// Folded and fused steps agree with the separate layers.
 #[test]
-fn prepared_networks_are_the_networks() {
+fn prepared_networks_agree_with_the_networks() {
     for (name, spec) in specs() {
-        let values = lively(&spec);
+        let values = trained_values(&spec);
         for level in KernelLevel::ALL.into_iter().filter(|level| level.available() == *level) {
             let network = network(&spec, &values, level);
             let mut inference = Inference::new(&network).expect("prepared");
-            // One after the other, so that buffers that were larger are used again.
+            // Shapes in this order reuse buffers that were larger before.
             for shape in [[1, 128, 128], [5, 64, 61], [2, 33, 40], [1, 32, 32], [2, 64, 61]] {
                 let maps = maps(&spec, shape);
                 let logits = inference.logits(&maps, shape).expect("run");
@@ -89,11 +89,12 @@ fn prepared_networks_are_the_networks() {
     }
 }
 
-/// One thread or three, alone or in a batch: the same bits.
+/// Logits have the same bits on one thread or three, alone or in a batch.
 #[test]
 fn threads_and_batches_change_no_bit() {
     for (name, spec) in specs() {
-        let mut inference = Inference::new(&network(&spec, &lively(&spec), KernelLevel::detect())).expect("prepared");
+        let mut inference =
+            Inference::new(&network(&spec, &trained_values(&spec), KernelLevel::detect())).expect("prepared");
         let shape = [3, 64, 61];
         let maps = maps(&spec, shape);
         let mut run = |threads: usize, maps: &[f32], shape| {
@@ -101,10 +102,10 @@ fn threads_and_batches_change_no_bit() {
             let logits = pool.install(|| inference.logits(maps, shape).expect("run").to_vec());
             logits.iter().map(|v| v.to_bits()).collect::<Vec<_>>()
         };
-        let of_batch = run(1, &maps, shape);
-        assert_eq!(of_batch, run(3, &maps, shape), "{name}");
-        let alone: Vec<u32> = maps.chunks_exact(64 * 61).flat_map(|map| run(2, map, [1, 64, 61])).collect();
-        assert_eq!(of_batch, alone, "{name}");
+        let batch_bits = run(1, &maps, shape);
+        assert_eq!(batch_bits, run(3, &maps, shape), "{name}");
+        let single_bits: Vec<u32> = maps.chunks_exact(64 * 61).flat_map(|map| run(2, map, [1, 64, 61])).collect();
+        assert_eq!(batch_bits, single_bits, "{name}");
     }
 }
 
@@ -114,12 +115,13 @@ mod hard_cases {
     #[test]
     fn wrong_sizes_are_refused() {
         let spec = NetworkSpec::named("doppler_net").expect("known");
-        let mut inference = Inference::new(&network(&spec, &lively(&spec), KernelLevel::detect())).expect("prepared");
+        let mut inference =
+            Inference::new(&network(&spec, &trained_values(&spec), KernelLevel::detect())).expect("prepared");
         assert!(inference.logits(&[0.0; 7], [1, 2, 4]).is_err());
         assert!(inference.logits(&[], [0, 32, 32]).is_err());
         let error = inference.logits(&[0.0; 256], [1, 16, 16]).expect_err("too small").to_string();
         assert!(error.contains("conv5"), "{error}");
-        // And it still works.
+        // It still works after errors.
         assert_eq!(inference.logits(&maps(&spec, [1, 32, 32]), [1, 32, 32]).expect("run").len(), 3);
     }
 }

@@ -12,13 +12,13 @@ pub(super) const MOST_FRAMES: usize = 2000;
 
 /// Labelled time of a recording at which its share within a class is half of the largest possible, s.
 pub(super) const LONG_S: f64 = 10.0;
-/// Least labelled time of one or two people that is below [`LONG_S`], as a share of that of the class with most. A few seconds in which
-/// somebody comes or goes do not show what a class looks like, and would weigh as much as another class. An empty room looks the same at
-/// all times.
+/// Least labelled time of one or two people, as a share of that of the class with most; [`LONG_S`] is always enough. A few seconds in
+/// which somebody comes or goes do not represent a class, and would weigh as much as another class. An empty room looks the same at all
+/// times.
 const LEAST_SHARE: f64 = 0.2;
 
 /// Returns which classes are labelled for long enough to learn from them, given their labelled seconds.
-pub(super) fn shown(seconds: [f64; CLASSES]) -> [bool; CLASSES] {
+pub(super) fn learnable_classes(seconds: [f64; CLASSES]) -> [bool; CLASSES] {
     let least_s = LONG_S.min(LEAST_SHARE * seconds.into_iter().fold(0.0, f64::max));
     std::array::from_fn(|class| {
         seconds[class] > 0.0 && (class == Occupancy::Empty.index() || seconds[class] >= least_s)
@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_few_seconds_beside_minutes_show_no_class() {
+    fn classes_with_few_seconds_are_not_learnable() {
         for (seconds, expected) in [
             ([60.0, 60.0, 60.0], [true; 3]),
             ([0.0, 60.0, 60.0], [false, true, true]),
@@ -77,7 +77,7 @@ mod tests {
             ([600.0, 9.0, 10.0], [true, false, true]),
             ([0.0; 3], [false; 3]),
         ] {
-            assert_eq!(shown(seconds), expected, "{seconds:?}");
+            assert_eq!(learnable_classes(seconds), expected, "{seconds:?}");
         }
     }
 }
