@@ -7,7 +7,7 @@ use radome_dsp::Waveform;
 use serde_json::json;
 
 use super::feed::Feed;
-use super::labels::Keeper;
+use super::label_store::LabelStore;
 use super::policy::Policy;
 use crate::source::Playback;
 
@@ -58,10 +58,10 @@ impl About {
 pub struct Shared {
     pub about: About,
     pub feed: Feed,
-    pub labels: Keeper,
+    pub labels: LabelStore,
     pub policy: Policy,
     /// Summary of the run, once it is over.
-    pub over: Mutex<Option<serde_json::Value>>,
+    pub summary: Mutex<Option<serde_json::Value>>,
 }
 
 #[cfg(test)]
