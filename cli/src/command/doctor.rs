@@ -14,7 +14,7 @@ use serde_json::json;
 use self::check::{Check, Outcome};
 use self::checks::Examined;
 use self::redact::{Kind, Redactor};
-use crate::judge::{self, BUILT_IN};
+use crate::classifier::{self, BUILT_IN};
 use crate::live::integrations::broker::{self, Broker, BrokerArguments, Secret};
 use crate::output;
 pub use wire::WireLog;
@@ -64,7 +64,7 @@ impl Arguments {
         let source = source.filter(|source| *source != "auto").map(Path::new);
         for path in [
             source,
-            self.model.as_deref().filter(|name| !judge::is_without_file(name)),
+            self.model.as_deref().filter(|name| !classifier::is_without_file(name)),
             Some(self.record_to.as_path()),
             self.broker.mqtt_password_file.as_deref(),
             self.broker.mqtt_ca.as_deref(),
@@ -129,7 +129,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => checks::devices().into_iter().try_for_each(|check| report.say(check))?,
     }
     // Boards that are told no waveform get that of the default model.
-    let waveform = waveform.map_or_else(|| Ok(judge::network(Path::new(BUILT_IN))?.card.waveform), anyhow::Ok)?;
+    let waveform = waveform.map_or_else(|| Ok(classifier::network(Path::new(BUILT_IN))?.card.waveform), anyhow::Ok)?;
     checks::disk(&arguments.record_to, &waveform).into_iter().try_for_each(|check| report.say(check))?;
     if let Some(path) = &arguments.bundle {
         pack(path, &report.checks, examined.as_ref(), arguments, &broker)?;

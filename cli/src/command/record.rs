@@ -11,9 +11,9 @@ use radome_driver::recording::mcap::{Recorder, RecorderOptions, SyncOptions};
 use radome_dsp::Gap;
 use serde_json::json;
 
-use crate::exit::Ended;
+use crate::exit::Completion;
 use crate::live::pipeline::{End, Failure, Inlet, Item, Pipeline, Policy};
-use crate::live::recorder::{LAST_PATIENCE, PATIENCE, ended_after, join_last};
+use crate::live::recorder::{FINAL_STALL_LIMIT, STALL_LIMIT, failure_message, join_unless_stalled};
 use crate::live::screen;
 use crate::output_file::{self, NewRecording, Overwrite};
 use crate::source::{self, SourceArgs};
@@ -53,14 +53,14 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The source or the output cannot be opened, the recording fails, or more frames are lost than allowed.
-pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
+pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     output::catch_interrupts()?;
     let output = NewRecording::named(&arguments.output);
     output_file::check_is_mcap(output.path())?;
     arguments.overwrite.check(output.path(), &arguments.source.inputs())?;
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     message!("{}", source.description);
-    labels::tell_left_behind(arguments.source.input());
+    labels::warn_not_copied(arguments.source.input());
     tell_answers_left_behind(arguments.source.input());
     let header = source.header(None);
     let sync = (!arguments.no_sync).then(SyncOptions::default);
@@ -69,7 +69,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let recorder = output.create(&header, &recorder_options)?;
     let bar = output::progress(arguments.source.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
     let mut pipeline = Pipeline::default();
-    let policy = if source.is_live { Policy::Lossless(PATIENCE) } else { Policy::Wait };
+    let policy = if source.is_live { Policy::Lossless(STALL_LIMIT) } else { Policy::Wait };
     let inlet = pipeline.consumer("recorder", 64, policy);
     let reader = pipeline.start(source.frames, arguments.source.frames);
     let backlog = source.is_live.then(Backlog::default);
@@ -85,12 +85,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     }
     // What waits when the output stalls may still be written, and the file be finished.
     let has_stalled = || queue.has_stalled.load(Ordering::SeqCst);
-    let captured = join_last(thread, &taken, || if has_stalled() { PATIENCE } else { LAST_PATIENCE });
+    let captured = join_unless_stalled(thread, &taken, || if has_stalled() { STALL_LIMIT } else { FINAL_STALL_LIMIT });
     reader.stop();
     bar.finish_and_clear();
     let (tally, end) = captured.with_context(|| format!("{file} is not whole"))?;
     let Tally { frames, dropped, gaps, unknown } = tally;
-    let more = screen::lost_besides(unknown);
+    let more = screen::unknown_loss_text(unknown);
     let said = match arguments.json {
         true => output::json_line(&json!({
             "file": file, "frames": frames, "dropped": dropped, "gaps": gaps, "gaps_of_unknown_length": unknown,
@@ -98,14 +98,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped{more}")),
     };
     end?;
-    output::unless_closed(said)?;
+    output::ignore_closed_stdout(said)?;
     if let Some(most) = arguments.max_dropped.filter(|most| unknown > 0 || dropped > *most) {
         bail!("{dropped} frames were lost{more}, at most {most} allowed");
     }
     if gaps > 0 && !arguments.allow_loss {
         message!("frames are missing (gaps: {gaps}); with --allow-loss this is no error");
     }
-    Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
+    Ok(Completion::from_loss(gaps > 0 && !arguments.allow_loss))
 }
 
 /// Names the model whose answers in a recording are not copied with its frames.
@@ -172,10 +172,10 @@ fn capture(
     tally.frames = recorder.frames_written();
     let end = match written {
         // The first error is reported; finishing the file would fail again.
-        Err(error) => Err(error.context(ended_after(&recorder))),
+        Err(error) => Err(error.context(failure_message(&recorder))),
         Ok(Some(failure)) if failure.is_panic() => Err(failure.into()),
         Ok(failure) => {
-            let ended = ended_after(&recorder);
+            let ended = failure_message(&recorder);
             let finished = flushed.and_then(|()| recorder.finish()).context(ended);
             match (failure, finished) {
                 (None, finished) => finished.map(drop),
@@ -232,7 +232,7 @@ impl Writer {
                 Err(RecvTimeoutError::Timeout) => {}
                 // The end is known even if it could not be delivered in time.
                 Err(RecvTimeoutError::Disconnected) => {
-                    let Some(end) = inlet.queue.end.get() else { return Err(Failure::without_a_word().into()) };
+                    let Some(end) = inlet.queue.end.get() else { return Err(Failure::without_result().into()) };
                     return Ok(self.write(Item::End(end.clone()))?.and_then(Result::err));
                 }
             }
@@ -276,7 +276,7 @@ impl Writer {
         self.tally.unknown += u64::from(gap.frames == 0);
         self.tally.dropped = self.tally.dropped.saturating_add(gap.frames);
         self.next_sequence = gap.first_sequence.saturating_add(gap.frames);
-        message!("{}", screen::lost(gap));
+        message!("{}", screen::gap_message(gap));
         Ok(())
     }
 }

@@ -171,7 +171,7 @@ impl Parts {
         let make = |unit: &usize, parallel: bool| -> anyhow::Result<()> {
             let Some(source) = plan.units.get(*unit) else { return Ok(()) };
             // A unit that panics ends the build like one that fails: the other units stay.
-            panics::caught(|| unit::make(plan, source, &place(unit), parallel))
+            panics::catch_panic(|| unit::make(plan, source, &place(unit), parallel))
                 .unwrap_or_else(|panicked| Err(panicked.into()))
                 .with_context(|| source.recording.clone())?;
             bar.inc(1);

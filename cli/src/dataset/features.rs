@@ -74,7 +74,7 @@ pub fn compare(
     measured: Option<&Path>,
 ) -> anyhow::Result<Vec<Row>> {
     let (text, path) = match measured {
-        Some(path) => (files::text(path)?, path.to_owned()),
+        Some(path) => (files::read_text_file(path)?, path.to_owned()),
         None => (WALKING.to_owned(), PathBuf::from("fixtures/features/walking.toml")),
     };
     let measured: MeasuredFile =

@@ -61,7 +61,7 @@ impl Fingerprints {
         if depth == DEEPEST || path.extension().is_none_or(|e| e != "toml") {
             return Ok(());
         }
-        let text = files::text(&path)?;
+        let text = files::read_text_file(&path)?;
         // The scene's reader has rejected files that are not TOML.
         let Ok(table) = text.parse::<toml::Table>() else { return Ok(()) };
         let mut strings = Vec::new();

@@ -46,7 +46,7 @@ pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::
             let processor = NoisyProcessor::new(processor, noise(0));
             let spans = match (label, label_file) {
                 (Some(_), _) => Vec::new(),
-                (None, Some(file)) => labels::read(file)?,
+                (None, Some(file)) => labels::read_file(file)?,
                 (None, None) => recording.labels()?,
             };
             let fixed = label.map(|occupancy| Truth { occupancy, transition: false });
@@ -143,7 +143,7 @@ fn recording(
                     continue;
                 }
                 let labelled = || {
-                    let mut truth = labels::by_span(spans, &frame, &waveform)?;
+                    let mut truth = labels::truth_of_frame(spans, &frame, &waveform)?;
                     // A simulator also tells when somebody is partly in the room.
                     truth.transition |=
                         frame.truth.is_some_and(|own| own.transition && own.occupancy == truth.occupancy);
@@ -156,7 +156,7 @@ fn recording(
             }
         }
     }
-    labels::check_read(spans, extent_s)?;
+    labels::check_imported(spans, extent_s)?;
     if extent_s.is_none() {
         message!("{}: no frame, and so no map", sink.unit.recording);
     }

@@ -168,7 +168,7 @@ impl<W: Write + Seek> Export<W> {
             .filter(|(sequence, _)| sequence.checked_add(1) == Some(frame.sequence))
             .and_then(|(_, before_ns)| frame.time_ns.checked_sub(before_ns))
             .filter(|interval_ns| *interval_ns > 0);
-        let labelled = labels::by_span(&self.spans, frame, &self.waveform);
+        let labelled = labels::truth_of_frame(&self.spans, frame, &self.waveform);
         State {
             timestamp: timestamp(time_ns),
             sequence: frame.sequence,

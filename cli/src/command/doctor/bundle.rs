@@ -80,8 +80,8 @@ pub fn parts(
 
 /// Card of a model; `None` of the classical detector, which has none, and of a file that cannot be read.
 fn card(model: &Path) -> Option<ModelCard> {
-    if judge::is_built_in(model) {
-        return Some(judge::network(model).ok()?.card);
+    if classifier::is_built_in(model) {
+        return Some(classifier::network(model).ok()?.card);
     }
     ModelCard::load(model).ok()
 }

@@ -12,10 +12,10 @@ use radome_driver::recording::utc;
 use radome_dsp::{Frame, KernelLevel, SourceEvent, Waveform};
 
 use super::check::Check;
-use crate::judge::{Judge, Model, Prediction};
+use crate::classifier::{FrameClassifier, Model, Prediction};
 use crate::live::integrations::broker::{Broker, BrokerArguments};
 use crate::live::integrations::mqtt;
-use crate::live::screen::lost_besides;
+use crate::live::screen::unknown_loss_text;
 use crate::source::{self, SourceOptions};
 
 pub fn program() -> Check {
@@ -178,10 +178,10 @@ pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>
     let mut checks = vec![Check::ok("source", format!("{}, {}", opened.description, waveform.shape()))];
     let header = opened.header(None);
     let mut examined = Examined { description: opened.description, header, frames: Vec::new() };
-    let mut judge = match model.map(|model| model.judge(&waveform, None)) {
-        Some(Ok(judge)) => {
+    let mut classifier = match model.map(|model| model.for_waveform(&waveform, None)) {
+        Some(Ok(classifier)) => {
             checks.push(Check::ok("fit", "the model takes these frames"));
-            Some(judge)
+            Some(classifier)
         }
         Some(Err(error)) => {
             checks.push(Check::error("fit", &error));
@@ -189,7 +189,7 @@ pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>
         }
         None => None,
     };
-    checks.push(frames(opened.frames, opened.is_live, &mut judge, &mut examined.frames));
+    checks.push(frames(opened.frames, opened.is_live, &mut classifier, &mut examined.frames));
     (checks, Some(examined))
 }
 
@@ -212,7 +212,7 @@ struct Seen {
 fn frames(
     mut source: Box<dyn radome_dsp::FrameSource>,
     is_live: bool,
-    judge: &mut Option<Judge>,
+    classifier: &mut Option<FrameClassifier>,
     kept: &mut Vec<Frame>,
 ) -> Check {
     let interval_s = source.waveform().frame_interval_s();
@@ -225,7 +225,7 @@ fn frames(
                 seen.saturated += u64::from(frame.saturated_samples());
                 seen.dead.extend((0..frame.shape.rx).filter(|rx| frame.is_receiver_dead(*rx)));
                 let asked = Instant::now();
-                match judge.as_mut().map(|judge| judge.frame(&frame)) {
+                match classifier.as_mut().map(|classifier| classifier.classify(&frame)) {
                     Some(Err(error)) => return Check::error("frames", &error),
                     // The first frame is not timed: it includes the setup.
                     Some(Ok(Prediction::Probabilities(_))) if !kept.is_empty() => {
@@ -250,7 +250,7 @@ impl Seen {
     /// Reports the numbers for `count` frames that came in the time `took`.
     fn check(&self, count: usize, took: Duration, interval_s: f64, is_live: bool, receivers: usize) -> Check {
         let Seen { lost, unknown, saturated, dead, slowest } = self;
-        let more = lost_besides(*unknown);
+        let more = unknown_loss_text(*unknown);
         let found = format!(
             "{count} frames in {:.1} s, {lost} lost{more}, {saturated} saturated samples{}",
             took.as_secs_f64(),

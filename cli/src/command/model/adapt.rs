@@ -12,7 +12,7 @@ use serde_json::json;
 
 use self::frames::Frames;
 use super::evaluate::LabelledRecording;
-use crate::judge::{CFAR, Model};
+use crate::classifier::{CFAR, Model};
 use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
 use crate::{files, labels, output, source};
 
@@ -79,7 +79,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if matches!(judging, Model::Cfar) {
         bail!("{CFAR} is not trained, so it cannot be adapted\n\nhint: name a model file");
     }
-    let mut adapter = Adapter::new(crate::judge::network(&arguments.model)?)?;
+    let mut adapter = Adapter::new(crate::classifier::network(&arguments.model)?)?;
     if let Some(folder) = &arguments.simulated {
         adapter.mix(&Dataset::open(folder)?).with_context(|| folder.display().to_string())?;
     }

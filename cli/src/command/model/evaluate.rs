@@ -20,8 +20,8 @@ use serde_json::json;
 use self::candidate::{Candidate, Predictions, Refused, count_reliability};
 pub use self::labelled::LabelledRecording;
 use self::thermal::ThermalNoise;
+use crate::classifier::{CFAR, Model};
 use crate::exit::wrong_use;
-use crate::judge::{CFAR, Model};
 use crate::{output, source};
 
 /// `radome model evaluate`
@@ -348,7 +348,7 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
     let all = LabelledRecording::parse_all(inputs.iter().cloned())?;
     let mut answers = Answers::default();
     for recording in &all {
-        match judge(&mut candidate, recording, None)? {
+        match classify_recording(&mut candidate, recording, None)? {
             Ok(predictions) => answers.add(recording, &predictions, arguments.no_smoothing)?,
             Err(refusal) => answers.refuse(recording, refusal),
         }
@@ -405,7 +405,7 @@ fn under_thermal_noise(
         let mut confusion = Confusion::default();
         for recording in recordings {
             let noise = ThermalNoise::of(&recording.path, snr_db)?;
-            let predictions = judge(candidate, recording, Some(&noise))??;
+            let predictions = classify_recording(candidate, recording, Some(&noise))??;
             let scores =
                 if arguments.no_smoothing { predictions.alone_scores() } else { predictions.filtered_scores() };
             add_confusion(&mut confusion, &scores.confusion);
@@ -417,7 +417,7 @@ fn under_thermal_noise(
 }
 
 /// Predicts the frames of a recording. The inner error is the model's refusal of its waveform.
-fn judge(
+fn classify_recording(
     candidate: &mut Candidate,
     recording: &LabelledRecording,
     noise: Option<&ThermalNoise>,

@@ -44,7 +44,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.output.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("onnx")) {
         wrong_use!("{}: no name of an ONNX file\n\nhint: end its name in .onnx", arguments.output.display());
     }
-    let model = judge::network(&arguments.model)?;
+    let model = classifier::network(&arguments.model)?;
     let bytes = onnx::export(&model)?;
     files::write_bytes(&arguments.output, arguments.overwrite.existing(), &bytes)?;
     let file = arguments.output.display().to_string();

@@ -72,7 +72,7 @@ pub struct StudyFile {
 /// # Errors
 /// The file or one that it names cannot be read, or it is no study.
 pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<ConditionFile>)> {
-    let file: StudyFile = files::toml(path, "study")?;
+    let file: StudyFile = files::read_toml(path, "study")?;
     let mut spec: StudySpec = file.study.try_into().with_context(|| format!("{} is no study", path.display()))?;
     spec.train.weights = spec.train.weights.as_deref().map(|name| named(path, name)).transpose()?;
     spec.check()?;
@@ -88,7 +88,7 @@ pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<Condi
 /// # Errors
 /// There is no such file, or it lies where a study's files may not be.
 pub(super) fn named(study: &Path, name: &Path) -> anyhow::Result<PathBuf> {
-    files::named(study.parent().unwrap_or(Path::new("")), name)
+    files::resolve_named(study.parent().unwrap_or(Path::new("")), name)
 }
 
 /// Trains and evaluates many networks, and writes one report.

@@ -7,7 +7,7 @@ use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_wi
 use serde_json::json;
 
 use crate::exit::WrongUse;
-use crate::output_file::{MODEL_HINT, Overwrite, check_apart, check_ending};
+use crate::output_file::{MODEL_HINT, Overwrite, check_distinct, check_ending};
 use crate::{files, output};
 
 /// `radome model train`
@@ -93,7 +93,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     check_ending(&arguments.output, &["safetensors"], MODEL_HINT)?;
     // Both are removed at the end.
     for removed in [&checkpoint, &CheckpointLock::path_of(&checkpoint)] {
-        check_apart(removed, &arguments.output)?;
+        check_distinct(removed, &arguments.output)?;
         Overwrite::yes().check(removed, &inputs)?;
     }
     let _held = CheckpointLock::new(&checkpoint)?;
@@ -167,9 +167,9 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
 /// Reads the settings of a training from a TOML file, without a check of their values; defaults without one.
 fn read_spec(path: Option<&Path>) -> anyhow::Result<TrainSpec> {
     let Some(path) = path else { return Ok(TrainSpec::default()) };
-    let mut spec: TrainSpec = files::toml(path, "training spec")?;
+    let mut spec: TrainSpec = files::read_toml(path, "training spec")?;
     if let Some(weights) = &spec.weights {
-        spec.weights = Some(files::named(path.parent().unwrap_or(Path::new("")), weights)?);
+        spec.weights = Some(files::resolve_named(path.parent().unwrap_or(Path::new("")), weights)?);
     }
     Ok(spec)
 }

@@ -6,8 +6,8 @@ use radome_driver::recording::{Format, Recording, RecordingError, RecordingWrite
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
-use crate::exit::{Ended, wrong_use};
-use crate::live::screen::lost_besides;
+use crate::exit::{Completion, wrong_use};
+use crate::live::screen::unknown_loss_text;
 use crate::output_file::Overwrite;
 use crate::{files, labels, output, shell, viewers};
 
@@ -64,7 +64,7 @@ impl To {
 ///
 /// # Errors
 /// The input cannot be read, or the output cannot be written.
-pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
+pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     output::catch_interrupts()?;
     let Arguments { input, output: path, .. } = arguments;
     let format = match arguments.to {
@@ -91,7 +91,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     for what in &report.omitted {
         message!("not held by this format: {what}");
     }
-    let is_labelled = labels::of(input).is_ok_and(|spans| !spans.is_empty());
+    let is_labelled = labels::of_recording(input).is_ok_and(|spans| !spans.is_empty());
     if is_labelled && format.is_some_and(|format| !format.holds_labels()) {
         tell_of_labels(input, path, report.time_shift_ns as f64 * 1e-9, source.waveform().frame_interval_s());
     }
@@ -99,7 +99,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         message!("frames may be lost at the end of {}, which cannot be read", input.display());
     }
     if arguments.json {
-        output::unless_closed(output::json_line(&json!({
+        output::ignore_closed_stdout(output::json_line(&json!({
             "file": path.display().to_string(),
             "frames": report.frames,
             "gaps": report.gaps,
@@ -109,17 +109,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
             "not_held": report.omitted,
         })))?;
     } else {
-        output::unless_closed(output::text_line(&format!(
+        output::ignore_closed_stdout(output::text_line(&format!(
             "{}: {} frames, {} gaps with {} frames lost{}, {} bytes",
             path.display(),
             report.frames,
             report.gaps,
             report.frames_lost,
-            lost_besides(report.unknown_gaps),
+            unknown_loss_text(report.unknown_gaps),
             report.bytes
         )))?;
     }
-    Ok(Ended::with_loss(source.is_cut()))
+    Ok(Completion::from_loss(source.is_cut()))
 }
 
 /// Says how the labels get beside a new recording that cannot hold them, if its frames have kept their times.
@@ -177,7 +177,7 @@ fn open(input: &Path) -> anyhow::Result<Recording> {
 /// recording; they are carried over as they are.
 fn read_labels(input: &Path, source: &Recording) -> anyhow::Result<Vec<LabelSpan>> {
     let beside = labels::file_beside(input).filter(|_| !source.format().holds_labels());
-    let spans = labels::of(input).with_context(|| match beside {
+    let spans = labels::of_recording(input).with_context(|| match beside {
         Some(file) => format!(
             "the labels of {} cannot be read\n\nhint: mend {}, or move it away to convert without labels",
             input.display(),
@@ -188,7 +188,7 @@ fn read_labels(input: &Path, source: &Recording) -> anyhow::Result<Vec<LabelSpan
     let extent = Recording::open(input).and_then(|mut recording| recording.extent()).ok().flatten();
     let interval_s = source.waveform().frame_interval_s();
     let extent_s = extent.map(|extent| (extent.first.time_s(), extent.last.time_s() + interval_s));
-    if let Err(error) = labels::check_read(&spans, extent_s) {
+    if let Err(error) = labels::check_imported(&spans, extent_s) {
         message!("warning: {error}");
     }
     Ok(spans)

@@ -213,7 +213,7 @@ fn calibrate(
 }
 
 fn read(path: &Path) -> anyhow::Result<AngleCalibration> {
-    let file: AngleFile = parse_toml(&files::text(path)?).with_context(|| {
+    let file: AngleFile = parse_toml(&files::read_text_file(path)?).with_context(|| {
         format!(
             "{}: no file of angles\n\nhint: make one with radome recording echoes SOURCE --reflector 2.0,0,0 -o FILE",
             path.display()

@@ -112,7 +112,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let mut spans = arguments.span.clone();
     if let Some(file) = &arguments.from {
-        spans.extend(labels::read(file)?);
+        spans.extend(labels::read_file(file)?);
     }
     if let Some(who) = &arguments.who {
         spans.iter_mut().for_each(|span| span.who = Some(who.clone()));
@@ -132,7 +132,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let place = match &arguments.output {
         Some(file) => {
             labels::check(&arguments.recording, &spans)?;
-            labels::write(file, arguments.overwrite.existing(), &spans)?;
+            labels::write_file(file, arguments.overwrite.existing(), &spans)?;
             file.clone()
         }
         None => labels::add(&arguments.recording, &spans, |there| {
@@ -162,9 +162,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// Prints the labels of a recording and writes them to the output file, if one is named.
 fn show(arguments: &Arguments) -> anyhow::Result<()> {
-    let spans = labels::of(&arguments.recording)?;
+    let spans = labels::of_recording(&arguments.recording)?;
     if let Some(file) = &arguments.output {
-        labels::write(file, arguments.overwrite.existing(), &spans)?;
+        labels::write_file(file, arguments.overwrite.existing(), &spans)?;
     }
     print(&spans, arguments.json)
 }

@@ -11,7 +11,7 @@ use serde_json::json;
 
 use super::preview;
 use crate::exit::wrong_use;
-use crate::live::recorder::ended_after;
+use crate::live::recorder::failure_message;
 use crate::output_file::{Overwrite, check_is_mcap, check_is_picture};
 use crate::shard::Shard;
 use crate::source::DEFAULT_SEED;
@@ -155,7 +155,7 @@ impl Simulated {
             match simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
                 SourceEvent::Frame => {
                     if let Some(recorder) = &mut recorder {
-                        recorder.frame(&frame).with_context(|| ended_after(recorder))?;
+                        recorder.frame(&frame).with_context(|| failure_message(recorder))?;
                     }
                 }
                 // A simulation loses no frame.
@@ -217,7 +217,7 @@ fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: R
     if frames.is_empty() {
         compared.clear();
     }
-    if kept::is_recording_of(output, simulator, frames, &compared) {
+    if stored_simulation::is_recording_of(output, simulator, frames, &compared) {
         message!("{} is there already", output.display());
         return Ok(true);
     }

@@ -212,7 +212,7 @@ impl<'a> Pairing<'a> {
     fn truth(&self, spans: &[LabelSpan], frame: &Frame) -> Option<Truth> {
         let by_count = self.settings.people.and_then(|n| Occupancy::from_index(usize::from(n)));
         let by_count = by_count.map(|occupancy| Truth { occupancy, transition: false });
-        labels::by_span(spans, frame, &self.waveform).or(frame.truth).or(by_count)
+        labels::truth_of_frame(spans, frame, &self.waveform).or(frame.truth).or(by_count)
     }
 
     /// Finds the echoes of the recording and stores its maps.
@@ -379,8 +379,8 @@ impl Followed {
 /// Reads the labels from a file if one is named, else from the recording.
 fn spans(settings: &Settings) -> anyhow::Result<Vec<LabelSpan>> {
     let spans = match (&settings.labels, Path::new(&settings.recording)) {
-        (Some(file), _) => labels::read(file)?,
-        (None, path) if path.exists() && Recording::open(path).is_ok() => labels::of(path)?,
+        (Some(file), _) => labels::read_file(file)?,
+        (None, path) if path.exists() && Recording::open(path).is_ok() => labels::of_recording(path)?,
         _ => Vec::new(),
     };
     check_spans(&spans, None)?;

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use super::frames::Frames;
-use crate::judge::Model;
+use crate::classifier::Model;
 use crate::{files, output};
 
 const FORMAT: u32 = 1;
@@ -107,7 +107,7 @@ struct Curve {
 /// The file of rooms or a scene cannot be read, or the model does not take their waveform.
 pub fn run(model: Model, adapter: &Adapter, path: &Path, json: bool) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    let file: RoomsFile = files::toml(path, "list of rooms")?;
+    let file: RoomsFile = files::read_toml(path, "list of rooms")?;
     file.check().with_context(|| path.display().to_string())?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let bar = output::progress(file.room.len() as u64, "rooms");

@@ -9,7 +9,7 @@ use radome_models::occupancy_filter::OccupancyFilter;
 use radome_models::train::FilterSequence;
 use serde::Serialize;
 
-use crate::judge::{Judge, Model, Prediction};
+use crate::classifier::{FrameClassifier, Model, Prediction};
 use crate::output;
 
 /// Model that predicts one recording after another.
@@ -54,24 +54,24 @@ impl Candidate {
     pub fn start(&mut self, waveform: &Waveform) -> anyhow::Result<Run> {
         let model = self.take()?;
         let filter = OccupancyFilter::new(model.smoothing(), waveform.frame_interval_s());
-        let judge = model.judge(waveform, self.max_range_m)?;
+        let classifier = model.for_waveform(waveform, self.max_range_m)?;
         let frame_interval_s = waveform.frame_interval_s();
         Ok(Run {
-            judge,
+            classifier,
             filter,
             predictions: Predictions { filtered: Vec::new(), alone: Vec::new(), frame_interval_s },
         })
     }
 
     pub fn end(&mut self, run: Run) -> Predictions {
-        self.model = Some(run.judge.into_model());
+        self.model = Some(run.classifier.into_model());
         run.predictions
     }
 }
 
 /// Model running on a recording.
 pub struct Run {
-    judge: Judge,
+    classifier: FrameClassifier,
     filter: OccupancyFilter,
     predictions: Predictions,
 }
@@ -85,12 +85,12 @@ impl Run {
         self.changed_frame(frame, frame, truth)
     }
 
-    /// Predicts the next frame with other codes than it was `received` with ([`Judge::changed_frame`]).
+    /// Predicts the next frame with other codes than it was `received` with ([`FrameClassifier::classify_changed`]).
     ///
     /// # Errors
     /// If the model cannot judge it.
     pub fn changed_frame(&mut self, received: &Frame, changed: &Frame, truth: Option<Occupancy>) -> anyhow::Result<()> {
-        if let Prediction::Probabilities(alone) = self.judge.changed_frame(received, changed)? {
+        if let Prediction::Probabilities(alone) = self.classifier.classify_changed(received, changed)? {
             let time_s = received.time_s();
             let filtered = self.filter.update(time_s, alone);
             self.predictions.filtered.push(FramePrediction { time_s, truth, probabilities: filtered });
@@ -101,7 +101,7 @@ impl Run {
 
     /// Notes that frames are missing before the next one.
     pub fn gap(&mut self) {
-        self.judge.reset();
+        self.classifier.reset();
     }
 }
 

@@ -64,11 +64,11 @@ impl LabelledRecording {
                          RECORDING=two, RECORDING=LABELS.txt, or RECORDING alone if it holds labels"
                     );
                 }
-                (PathBuf::from(path), labels::read(Path::new(file))?)
+                (PathBuf::from(path), labels::read_file(Path::new(file))?)
             }
             _ => {
                 let path = PathBuf::from(input);
-                let spans = labels::of(&path)?;
+                let spans = labels::of_recording(&path)?;
                 if spans.iter().all(|span| span.occupancy().is_none()) {
                     return Ok(LabelledRecording { path, labels: Labels::OfFrames });
                 }
@@ -76,7 +76,7 @@ impl LabelledRecording {
             }
         };
         let extent_s = labels::extent_s(&mut Recording::open(&path)?)?;
-        labels::check_read(&spans, extent_s).with_context(|| format!("{input}: labels cannot be used"))?;
+        labels::check_imported(&spans, extent_s).with_context(|| format!("{input}: labels cannot be used"))?;
         Ok(LabelledRecording { path, labels: Labels::Spans(spans) })
     }
 
@@ -93,7 +93,7 @@ impl LabelledRecording {
     pub fn truth(&self, frame: &Frame, waveform: &Waveform) -> Option<Occupancy> {
         let truth = match &self.labels {
             Labels::Throughout(occupancy) => return Some(*occupancy),
-            Labels::Spans(spans) => labels::by_span(spans, frame, waveform),
+            Labels::Spans(spans) => labels::truth_of_frame(spans, frame, waveform),
             Labels::OfFrames => frame.truth,
         };
         truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy)

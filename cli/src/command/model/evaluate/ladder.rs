@@ -19,8 +19,8 @@ use serde_json::json;
 use self::rung::{Rung, Simulation, load};
 use self::scores::{OfModel, RungScores, print, print_fit};
 use super::candidate::{Candidate, Refused, Run};
-use crate::judge::Model;
-use crate::panics::Guarded;
+use crate::classifier::Model;
+use crate::panics::PanicGuard;
 use crate::{kept, output};
 
 /// Evaluates models on the recordings of a ladder and prints their scores. With `fit`, also prints the filter settings
@@ -153,7 +153,7 @@ impl Simulation {
         if let Some(folder) = keep {
             let path = folder.join(format!("{}.mcap", self.name));
             // Any change of the scene or the simulator shows in the last frame.
-            if kept::is_recording_of(&path, &simulator, 0..self.frames, &[self.frames - 1]) {
+            if stored_simulation::is_recording_of(&path, &simulator, 0..self.frames, &[self.frames - 1]) {
                 return Ok((Box::new(Recording::open(&path)?), None));
             }
             let header = RecordingHeader::new(simulator.waveform().clone());
@@ -161,7 +161,7 @@ impl Simulation {
             recorder = Some(Recorder::with_options(&path, &header, &options)?);
         }
         // Models run on this thread. On the shared thread pool they would queue behind the next frames.
-        let source: Box<dyn FrameSource> = Box::new(Guarded::new(Box::new(simulator.on_own_threads()?)));
+        let source: Box<dyn FrameSource> = Box::new(PanicGuard::new(Box::new(simulator.on_own_threads()?)));
         Ok((source, recorder))
     }
 }
