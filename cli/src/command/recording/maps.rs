@@ -153,7 +153,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                     counts.non_finite_cells += u64::from(map.flags.non_finite_cells);
                     write(&map)?;
                     if let (Some(path), true) = (&arguments.png, arguments.frame == Some(frame.sequence)) {
-                        plot::map(path, &map)?;
+                        plot::save_map(path, &map)?;
                         pictured = true;
                     }
                 }
@@ -174,7 +174,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     bar.finish_and_clear();
     if let (Some(path), false, true) = (&arguments.png, pictured, counts.maps > 0) {
-        plot::map(path, &map)?;
+        plot::save_map(path, &map)?;
     }
     tell(arguments, &counts, &map)
 }
