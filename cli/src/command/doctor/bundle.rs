@@ -14,7 +14,7 @@ use super::check::Check;
 use super::checks::Examined;
 use super::redact::{Kind, Redactor};
 use super::wire::WireLog;
-use crate::{files, judge};
+use crate::{classifier, files};
 
 const EXISTS_HINT: &str = "hint: choose another name for --bundle, or remove that file";
 

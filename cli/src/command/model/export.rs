@@ -5,7 +5,7 @@ use serde_json::json;
 
 use crate::exit::wrong_use;
 use crate::output_file::Overwrite;
-use crate::{files, judge, output};
+use crate::{classifier, files, output};
 
 /// Text below the options in the help.
 const NOTES: &str = "\

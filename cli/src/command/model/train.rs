@@ -108,15 +108,15 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
         message!("warning: {warning}");
     }
     // That the checkpoint is of this training is known when an epoch is done.
-    let mut carries_on = checkpoint.exists();
+    let mut is_resuming = checkpoint.exists();
     let bar = output::progress(spec.all_epochs() as u64, "training");
-    let mut trouble = None;
+    let mut output_error = None;
     let outcome = train_with_checkpoint(&dataset, spec, Some(checkpoint), &mut |report| {
         bar.inc(1);
-        if std::mem::take(&mut carries_on) {
+        if std::mem::take(&mut is_resuming) {
             bar.suspend(|| message!("carrying on from {}", checkpoint.display()));
         }
-        let said = if arguments.json {
+        let printed = if arguments.json {
             output::json_line(&report)
         } else {
             let line = format!(
@@ -131,7 +131,7 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
             );
             bar.suspend(|| output::text_line(&line))
         };
-        trouble = trouble.take().or(said.err());
+        output_error = output_error.take().or(printed.err());
     });
     bar.finish_and_clear();
     let outcome = outcome.inspect_err(|error| {
@@ -154,7 +154,7 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
     })?;
     // Not before: a kill would lose the training. A file that cannot be removed does no harm: a new training repeats the last step.
     let _ = std::fs::remove_file(checkpoint);
-    if let Some(error) = trouble {
+    if let Some(error) = output_error {
         return Err(error);
     }
     let file = arguments.output.display().to_string();

@@ -15,7 +15,7 @@ use crate::live::recorder::failure_message;
 use crate::output_file::{Overwrite, check_is_mcap, check_is_picture};
 use crate::shard::Shard;
 use crate::source::DEFAULT_SEED;
-use crate::{kept, output};
+use crate::{output, stored_simulation};
 
 /// `radome scene simulate`
 #[derive(clap::Args)]

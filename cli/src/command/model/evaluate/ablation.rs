@@ -29,7 +29,7 @@ pub struct Row {
 ///
 /// # Errors
 /// A recording cannot be read, or the model does not take its waveform.
-pub fn on_recordings(
+pub fn ablate_recordings(
     mut model: Model,
     recordings: &[&LabelledRecording],
     max_range_m: Option<f64>,
@@ -71,7 +71,7 @@ pub fn on_recordings(
 ///
 /// # Errors
 /// A map cannot be read, or the network fails.
-pub fn on_dataset(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize]) -> anyhow::Result<Vec<Row>> {
+pub fn ablate_dataset(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize]) -> anyhow::Result<Vec<Row>> {
     Ok(rows(&ablate(classifier, dataset, indices)?))
 }
 

@@ -18,11 +18,11 @@ pub struct LabelledRecording {
 
 enum Labels {
     /// One label for all frames.
-    Throughout(Occupancy),
+    Constant(Occupancy),
     /// Spans; frames outside of them have no label.
     Spans(Vec<LabelSpan>),
     /// The truth that a simulator wrote with each frame.
-    OfFrames,
+    InFrames,
 }
 
 impl LabelledRecording {
@@ -54,7 +54,7 @@ impl LabelledRecording {
         if let Some((path, label)) = after
             && let Some(occupancy) = Occupancy::from_name(label)
         {
-            return Ok(LabelledRecording { path: path.into(), labels: Labels::Throughout(occupancy) });
+            return Ok(LabelledRecording { path: path.into(), labels: Labels::Constant(occupancy) });
         }
         let (path, spans) = match after {
             Some((path, file)) if !Path::new(input).exists() => {
@@ -70,7 +70,7 @@ impl LabelledRecording {
                 let path = PathBuf::from(input);
                 let spans = labels::of_recording(&path)?;
                 if spans.iter().all(|span| span.occupancy().is_none()) {
-                    return Ok(LabelledRecording { path, labels: Labels::OfFrames });
+                    return Ok(LabelledRecording { path, labels: Labels::InFrames });
                 }
                 (path, spans)
             }
@@ -92,9 +92,9 @@ impl LabelledRecording {
     /// Returns the label of a frame; `None` where it has none, or where someone is entering or leaving.
     pub fn truth(&self, frame: &Frame, waveform: &Waveform) -> Option<Occupancy> {
         let truth = match &self.labels {
-            Labels::Throughout(occupancy) => return Some(*occupancy),
+            Labels::Constant(occupancy) => return Some(*occupancy),
             Labels::Spans(spans) => labels::truth_of_frame(spans, frame, waveform),
-            Labels::OfFrames => frame.truth,
+            Labels::InFrames => frame.truth,
         };
         truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy)
     }

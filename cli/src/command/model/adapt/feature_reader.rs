@@ -7,7 +7,7 @@ use radome_models::train::{AdaptFrame, AdaptRecording, Adapter};
 use crate::classifier::{Model, Prediction};
 
 /// Computes the features of recordings with one model.
-pub struct Frames<'a> {
+pub struct FeatureReader<'a> {
     /// Model, which is absent while in use and after an error.
     model: Option<Model>,
     adapter: &'a Adapter,
@@ -15,9 +15,9 @@ pub struct Frames<'a> {
     max_range_m: Option<f64>,
 }
 
-impl<'a> Frames<'a> {
+impl<'a> FeatureReader<'a> {
     pub fn new(model: Model, adapter: &'a Adapter, max_range_m: Option<f64>) -> Self {
-        Frames { model: Some(model), adapter, max_range_m }
+        FeatureReader { model: Some(model), adapter, max_range_m }
     }
 
     /// Reads features and labels of the frames that `next` returns one after another.
