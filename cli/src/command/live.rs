@@ -98,8 +98,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     }
     let model = Model::open(&arguments.model)?;
     let delays = Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s };
-    let judge = model.description(&arguments.model, delays, arguments.max_range_m)?;
-    let background = arguments.background.as_deref().map(|path| Background::load(path, &judge)).transpose()?;
+    let description = model.description(&arguments.model, delays, arguments.max_range_m)?;
+    let background = arguments.background.as_deref().map(|path| Background::load(path, &description)).transpose()?;
     let source = source::open(&arguments.source.source, &arguments.source_options(&model)?)?;
     // The page repeats and skips frames, which no recording may.
     if source.playback.is_some() && output.is_some() {
@@ -129,7 +129,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     let recording = output.as_ref().map(|output| (output.path(), has_failed.clone()));
     let name = arguments.integrations.name();
     let page = view::Page::open(&arguments.view, &source, &arguments.model, arguments.max_range_m, recording, name)?;
-    let header = source.header(Some(judge));
+    let header = source.header(Some(description));
     // A recording must not speak as the board that made it: the broker would drop that board's own connection.
     let board = source.board.as_ref().filter(|_| !source.is_recording);
     let mut integrations =
@@ -138,7 +138,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
 
     let mut pipeline = Pipeline::default();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
-    // The recorder gets each frame first: a frame that the classifier has judged is then in the recording.
+    // The recorder gets each frame first: a frame that has been classified is then in the recording.
     let recorder = output.map(|output| arguments.recorder(output, &header, &mut pipeline, &source, has_failed));
     let recorder = recorder.transpose()?;
     let inlet = pipeline.consumer("classifier", 16, policy);

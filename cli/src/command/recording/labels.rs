@@ -36,7 +36,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.import {
         let mut spans = labels::read_file(path)?;
         spans.iter_mut().for_each(|span| span.who.clone_from(&arguments.who));
-        labels::add(&arguments.file, &spans, |there| there)?;
+        labels::add(&arguments.file, &spans, |existing| existing)?;
         message!("{} labels added to {}", spans.len(), arguments.file.display());
     }
     let spans = Recording::open(&arguments.file)?.labels()?;
