@@ -363,7 +363,7 @@ impl FrameClassifier {
     /// Classifies the next frame. Reports receivers with errors on stderr, each error once per run of the program.
     ///
     /// # Errors
-    /// The frame is of another shape than the waveform says, or the model fails.
+    /// The frame does not have the shape of the waveform, or the model fails.
     pub fn classify(&mut self, frame: &Frame) -> anyhow::Result<Prediction> {
         self.classify_changed(frame, frame)
     }
@@ -448,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn what_another_waveform_loses_is_said_by_quantity() {
+    fn losses_by_another_waveform_are_reported_by_quantity() {
         let axes = PhysicalAxes { range_step_m: 0.15, range_bins: 64, velocity_step_m_per_s: 0.098, velocity_bins: 64 };
         let own = waveform(|_| ());
         let lost = |given: Waveform| losses(&axes, &given, &own).join("; ");
@@ -486,7 +486,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_names_the_receiver_and_what_to_do() {
+    fn a_fault_names_the_receiver_and_a_remedy() {
         for (fault, hint) in [
             (ReceiverFault::Constant, "programs"),
             (ReceiverFault::Saturated, "if_gain_db"),

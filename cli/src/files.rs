@@ -39,7 +39,7 @@ pub fn read_text_file(path: &Path) -> anyhow::Result<String> {
     read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))
 }
 
-/// Reads a TOML file. Errors say that it is no `what`.
+/// Reads a TOML file. Errors name `what` the file should be.
 ///
 /// # Errors
 /// The file cannot be read, or its content does not match the type.
@@ -179,7 +179,7 @@ mod tests {
 
     /// Regression test: the hint was to make the folder, although a file has its name.
     #[test]
-    fn the_error_says_that_a_file_has_the_name_of_the_outputs_folder() {
+    fn the_error_reports_that_a_file_has_the_name_of_the_outputs_folder() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("night.mcap");
         std::fs::write(&file, "").expect("writes");

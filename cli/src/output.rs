@@ -86,7 +86,7 @@ pub fn check_no_terminal() -> anyhow::Result<()> {
 #[error("stdout was closed")]
 pub struct StdoutClosed;
 
-/// Returns whether an error only says that the reader of stdout has closed it.
+/// Returns whether an error only means that the reader of stdout has closed it.
 pub fn is_closed_stdout(error: &anyhow::Error) -> bool {
     error.is::<StdoutClosed>()
 }

@@ -17,7 +17,7 @@ const MOST_LOCATIONS: usize = 32;
      the file that `radome doctor --bundle` makes"
 )]
 pub struct Panicked {
-    /// File and line, or a text that says that they are unknown.
+    /// File and line, or a text for an unknown location.
     pub location: String,
     pub message: String,
 }

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | a path | a recording: MCAP file, Infineon folder or the vendor's text |
 //! | `SCENE.toml` | the simulator |
-//! | `serial:/dev/ttyACM0` | the board on that port, whatever it speaks |
+//! | `serial:/dev/ttyACM0` | the board on that port, of any protocol |
 //! | `deepcraft:/dev/ttyACM0` | a PSoC 6 kit with DEEPCRAFT firmware, without asking in other protocols first |
 //! | `usb:`, `usb:1-4`, `usb:SERIAL` | a board with bulk firmware: the only one, by bus and address, by serial number |
 //! | `auto` | the one board attached |
@@ -82,7 +82,7 @@ impl SourceArgs {
         let input = self.input();
         let schemes = ["serial:", "usb:", "deepcraft:"];
         let is_board = self.source == "auto" || schemes.iter().any(|scheme| self.source.starts_with(scheme));
-        // A device is no recording. The error of opening it says how to name the board.
+        // A device is no recording. The error of opening it explains how to name the board.
         let is_recording = !is_board && !is_scene(input) && (input.is_file() || input.is_dir());
         let of_simulations = "it is for simulated scenes";
         for (option, is_given, is_unused, why) in [
@@ -166,7 +166,7 @@ pub struct Source {
     /// Whether the frames are those of a recording: the board is not at work now.
     pub is_recording: bool,
     pub registers: RegisterList,
-    /// State that tells whether the board is away. If the source is stopped meanwhile, the lost frames are not in a gap of the
+    /// State that shows whether the board is away. If the source is stopped meanwhile, the lost frames are not in a gap of the
     /// source.
     pub outage: Outage,
     /// Playback, if the source is a recording that can be played, paused and sought.

@@ -128,7 +128,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         None => checks::devices().into_iter().try_for_each(|check| report.add(check))?,
     }
-    // Boards that are told no waveform get that of the default model.
+    // Without a model or a source, the waveform is that of the default model.
     let waveform = waveform.map_or_else(|| Ok(classifier::network(Path::new(BUILT_IN))?.card.waveform), anyhow::Ok)?;
     checks::disk(&arguments.record_to, &waveform).into_iter().try_for_each(|check| report.add(check))?;
     if let Some(path) = &arguments.bundle {

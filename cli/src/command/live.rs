@@ -130,7 +130,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     let name = arguments.integrations.name();
     let page = view::Page::open(&arguments.view, &source, &arguments.model, arguments.max_range_m, recording, name)?;
     let header = source.header(Some(description));
-    // A recording must not speak as the board that made it: the broker would drop that board's own connection.
+    // A recording must not use the identity of the board that made it: the broker would drop that board's own connection.
     let board = source.board.as_ref().filter(|_| !source.is_recording);
     let mut integrations =
         Integrations::open(&arguments.integrations, broker, &arguments.view.access, &header, board, started)?;

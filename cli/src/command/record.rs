@@ -144,7 +144,7 @@ impl Backlog {
     /// Longest wait that is not reported.
     const LONG: Duration = Duration::from_millis(500);
 
-    /// Adds the time of a write. `is_full` says whether the queue is full behind it, so that the reader waits. Returns true once, when
+    /// Adds the time of a write. `is_full` is whether the queue is full behind it, so that the reader waits. Returns true once, when
     /// the wait exceeds [`Self::LONG`].
     fn is_long(&mut self, write_time: Duration, is_full: bool) -> bool {
         self.waited = if is_full { self.waited + write_time } else { Duration::ZERO };
@@ -346,7 +346,7 @@ mod tests {
 
     /// A slow output made the chip's FIFO overflow, and only the FIFO was named.
     #[test]
-    fn an_output_that_keeps_the_board_waiting_is_told_of_once() {
+    fn an_output_that_keeps_the_board_waiting_is_reported_once() {
         let mut backlog = Backlog::default();
         let seconds = Duration::from_secs_f64;
         assert!(!backlog.is_long(seconds(2.0), false), "nobody waits");
@@ -356,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_source_that_has_gone_without_a_word_is_an_error_and_no_silence() {
+    fn a_source_that_ends_without_a_result_is_an_error() {
         let (_, error, is_finished) = capture_source(None);
         assert!(error.is_some_and(|error| error.contains("without a result")) && !is_finished);
     }

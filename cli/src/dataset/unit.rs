@@ -147,7 +147,7 @@ fn recording(
                 }
                 let labelled = || {
                     let mut truth = labels::truth_of_frame(spans, &frame, &waveform)?;
-                    // A simulator also tells when somebody is partly in the room.
+                    // A simulator also marks when somebody is partly in the room.
                     truth.transition |=
                         frame.truth.is_some_and(|own| own.transition && own.occupancy == truth.occupancy);
                     Some(truth)

@@ -127,7 +127,7 @@ impl LiveClassifier {
     /// Classifies a frame that arrived at `arrived`.
     ///
     /// # Errors
-    /// The frame is of another shape than the waveform says, or the model fails.
+    /// The frame does not have the shape of the waveform, or the model fails.
     pub fn classify(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
         let time_s = frame.time_s();
         let is_long_after = |last_s: f64| time_s - last_s > self.reset_after_s;

@@ -323,7 +323,7 @@ mod tests {
         }
 
         #[test]
-        fn silent_connections_give_way_to_new_ones() {
+        fn silent_connections_are_closed_for_new_ones() {
             let server = start(Limits { connections: 4, head: PATIENCE, request: PATIENCE, ..Limits::default() });
             let silent: Vec<_> = (0..40).map(|_| server.connect()).collect();
             for _ in 0..3 {

@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn a_consumer_that_goes_away_does_not_hold_up_the_others() {
+    fn a_dropped_consumer_does_not_block_the_others() {
         let mut pipeline = Pipeline::default();
         drop(pipeline.consumer("gone", 1, Policy::Wait));
         let inlet = pipeline.consumer("stays", 64, Policy::Wait);

@@ -158,7 +158,7 @@ impl RecorderSink {
         Ok(RecorderSink { results, thread, failure: None, taken_items, has_gaps, has_failed, queue, file })
     }
 
-    /// Returns the flag that tells whether frames are missing in the recording.
+    /// Returns the flag that is set when frames are missing in the recording.
     pub fn has_gaps(&self) -> Arc<AtomicBool> {
         self.has_gaps.clone()
     }
@@ -188,7 +188,7 @@ impl Sink for RecorderSink {
         };
         match sent {
             Ok(()) => Ok(()),
-            // The recorder has ended, and its own error tells why, or its disk hangs.
+            // The recorder has ended, and its own error gives the cause, or its disk hangs.
             Err(TrySendError::Disconnected(_)) => {
                 self.has_failed.store(true, Ordering::Relaxed);
                 let joined = self.join();

@@ -129,7 +129,7 @@ pub fn gap_message(gap: &Gap) -> String {
     }
 }
 
-/// Text behind a number of lost frames that tells of gaps of unknown length, which the number does not include.
+/// Text behind a number of lost frames about gaps of unknown length, which the number does not include.
 pub fn unknown_loss_text(unknown_gaps: u64) -> String {
     match unknown_gaps {
         0 => String::new(),

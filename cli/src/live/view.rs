@@ -80,7 +80,7 @@ pub struct Page {
 
 impl Page {
     /// Starts the server if the page is requested. If the source is not a recording, labels go to `recording`, which is being
-    /// written. Its flag tells whether the recorder has failed. `name` is the radar's own, if it has one. People farther away
+    /// written. Its flag is set when the recorder has failed. `name` is the radar's own, if it has one. People farther away
     /// than `max_range_m`, if given, do not count.
     ///
     /// # Errors

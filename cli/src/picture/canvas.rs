@@ -52,7 +52,7 @@ impl Canvas {
         self.marks.push(Mark::Text { corner, text: text.to_owned(), letters, ink });
     }
 
-    /// Writes the picture atomically, as SVG if the file's name says so, else as PNG.
+    /// Writes the picture atomically, as SVG if the file's name ends in .svg, else as PNG.
     ///
     /// # Errors
     /// The width or the height is zero, both are too large, or the file cannot be written.

@@ -474,7 +474,7 @@ mod tests {
 
     /// The beam ends where the power pattern is half its maximum.
     #[test]
-    fn beams_are_as_wide_as_the_antenna_says() {
+    fn beams_have_the_width_of_the_antenna_pattern() {
         let scene = scene("corridor");
         for (view, width_deg) in [
             (View { up: 1, ..view() }, scene.receiver().antenna.azimuth_beamwidth_deg),

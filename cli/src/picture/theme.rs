@@ -109,7 +109,7 @@ mod tests {
     /// Red-blind and green-blind vision by Machado, Oliveira and Fernandes, "A Physiologically-based Model for
     /// Simulation of Color Vision Deficiency", 2009, severity 1. A difference of 2 is barely visible.
     #[test]
-    fn series_are_told_apart_by_the_colour_blind() {
+    fn series_are_distinguishable_by_the_colour_blind() {
         let eyes = [
             [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],

@@ -41,7 +41,7 @@ mod tests {
     }
 
     #[test]
-    fn time_goes_on_from_the_first_frame_if_clocks_are_set_back() {
+    fn time_continues_from_the_first_frame_if_clocks_are_set_back() {
         let mut clock = Clock::default();
         let mut time_of_message = |time_ns, host_time_ns| {
             clock.update(&frame(time_ns, host_time_ns));

@@ -105,7 +105,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let board = EmulatedBoard::spawn(feed, options)?;
     let mut path = board.path().display().to_string();
     if kind == Kind::Mcu7Bulk && !path.contains('/') {
-        // `usb:FOLDER` is told from a serial number by its slash.
+        // `usb:FOLDER` is distinguished from a serial number by its slash.
         path.insert_str(0, "./");
     }
     if let Some(Gadget::FunctionFs(mount)) = gadget {

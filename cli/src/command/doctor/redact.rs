@@ -281,7 +281,7 @@ fn is_word(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 
-/// Finds names at the beginning of a text by their form. Callers ask only at the beginning of a word.
+/// Finds names at the beginning of a text by their form. Only for the beginning of a word.
 fn match_forms(rest: &str) -> Vec<Match> {
     let mut matches = Vec::new();
     let Some(first) = rest.chars().next() else { return matches };
@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_the_form_of_a_name_becomes_a_token_and_the_rest_stays() {
+    fn texts_in_the_form_of_names_become_tokens_and_others_stay() {
         for (text, expected) in [
             ("/home/bob/a.toml: bad", "<path-1>: bad"),
             ("cannot read /home/bob/a.toml from /srv/x.", "cannot read <path-1> from <path-2>."),

@@ -118,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_long_talk_keeps_its_beginning_and_its_end() {
+    fn a_long_trace_keeps_its_beginning_and_its_end() {
         let mut lines = Lines::default();
         (0..FIRST_LINES + LAST_LINES + 5).for_each(|i| lines.push(format!("{i}\n")));
         let log = WireLog { lines: Arc::new(Mutex::new(lines)), ..WireLog::default() };

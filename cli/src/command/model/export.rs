@@ -40,7 +40,7 @@ pub struct Arguments {
 /// The model cannot be read or has no ONNX form, or the file cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.overwrite.check(&arguments.output, &[&arguments.model])?;
-    // Other commands tell an ONNX file by its name.
+    // Other commands recognise an ONNX file by its name.
     if arguments.output.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("onnx")) {
         wrong_use!("{}: no name of an ONNX file\n\nhint: end its name in .onnx", arguments.output.display());
     }

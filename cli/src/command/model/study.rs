@@ -134,7 +134,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let report_result = report(&study, folder, is_shard);
     if let Ok((report, _)) = &report_result {
         let next = match work_result {
-            // The error says what to do.
+            // The error names the remedy.
             Err(_) => "",
             Ok(()) if is_shard => "; when all shards are, --report-only reports",
             Ok(()) => "; the same command carries on",
@@ -188,7 +188,7 @@ fn is_dataset(folder: &Path) -> bool {
     folder.join("dataset.json").exists()
 }
 
-/// Returns whether an error says that another process is working in a folder.
+/// Returns whether an error means that another process is working in a folder.
 fn is_busy(error: &anyhow::Error) -> bool {
     let is_busy = |error: &DatasetError| matches!(error, DatasetError::Busy { .. });
     let of_study = match error.downcast_ref::<StudyError>() {

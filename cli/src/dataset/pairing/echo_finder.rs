@@ -49,7 +49,7 @@ impl EchoFinder {
     /// Finds the echoes of the next frame.
     ///
     /// # Errors
-    /// The frame is of another shape than the waveform says.
+    /// The frame does not have the shape of the waveform.
     pub fn add_frame(&mut self, frame: &Frame) -> anyhow::Result<()> {
         let (echoes, profile) = self.detector.detect_moving(frame)?;
         self.moving.push(echoes);

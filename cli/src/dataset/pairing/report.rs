@@ -59,7 +59,7 @@ struct Person {
 pub struct Report {
     frames: usize,
     people: Vec<Person>,
-    /// Number of frames of the mirror in which as many people are in the room as the recording's labels say.
+    /// Number of frames of the mirror in which as many people are in the room as the recording's labels state.
     labels_agree: usize,
     tells_direction: bool,
 }

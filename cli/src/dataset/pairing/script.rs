@@ -1,7 +1,7 @@
 //! Script of a person: converts tracklets, way-points and doors to steps of a scene file.
 //!
 //! The path follows tracklets, and short gaps are bridged. In longer gaps it follows way-points if there are any, or leads
-//! through a door if labels say that the person came or went. Any other gap is an error that names it.
+//! through a door if labels show that the person came or went. Any other gap is an error that names it.
 
 use glam::DVec2;
 use radome_sim::scene_file::{DoorFile, RoomFile, SceneFile, StepFile};

@@ -114,7 +114,7 @@ fn is_multipath(track: &[PersonState], others: &[Tracklet], sensor: &Sensor) -> 
     for state in track {
         for (other, is_tracked) in others.iter().filter_map(|other| person_at(other, state)) {
             let farther_m = sensor.expected(state).range_m - sensor.expected(&other).range_m;
-            // A ghost closer than this cannot be told from the echo of the body itself, where there is one.
+            // A ghost closer than this cannot be distinguished from the echo of the body itself, where there is one.
             let least_m = if is_tracked { BODY_M } else { MULTIPATH_M };
             if let (Some(own_db), Some(other_db), true) = (state.snr_db, other.snr_db, farther_m > least_m) {
                 candidates.push(GhostCandidate { person: other, farther_m, louder_db: own_db - other_db });

@@ -333,7 +333,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn what_is_no_address_is_refused_with_a_hint() {
+        fn an_invalid_address_is_refused_with_a_hint() {
             for url in [
                 "",
                 "hub",
@@ -366,7 +366,7 @@ mod tests {
         proptest! {
             /// A password in an address is refused and not quoted, whether the address is well formed or not.
             #[test]
-            fn no_password_in_an_address_is_taken_or_quoted(
+            fn a_password_in_an_address_is_neither_accepted_nor_quoted(
                 scheme in prop::sample::select(vec!["mqtt://", "mqtts://", "ssl://", "http://", "mqtt:", ""]),
                 user in "[a-z%:@]{0,6}",
                 inner in "[ -~äé€]{0,12}",

@@ -125,7 +125,7 @@ impl Device {
                 None => json!({ "p": "button" }),
             };
         }
-        // The hub shows `sw` as the firmware of the device, and the origin `o` as the program that speaks for it.
+        // The hub shows `sw` as the firmware of the device, and the origin `o` as the program that publishes for it.
         let firmware = self.firmware.as_deref().unwrap_or(version);
         json!({
             "dev": {
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_is_known_by_its_identity_and_anything_else_by_its_name() {
+    fn a_board_is_identified_by_its_identity_and_anything_else_by_its_name() {
         let device = Device::new(Some(&board("00ab")), Some("Bedroom radar"), "homeassistant", false);
         assert_eq!(device.discovery_topic(), "homeassistant/device/bgt60_00ab/config");
         assert_eq!(device.discovery()["dev"]["name"], "Bedroom radar");

@@ -276,7 +276,7 @@ fn is_closing(error: &ConnectionError) -> bool {
     matches!(error, ConnectionError::MqttState(StateError::ServerDisconnect { .. } | StateError::ConnectionAborted))
 }
 
-/// Describes the cause of a failed connection, with a remedy. `was_up` tells whether the broker had accepted it. Data from the
+/// Describes the cause of a failed connection, with a remedy. `was_up` is whether the broker had accepted it. Data from the
 /// broker are never shown, since a server that echoes its input would echo the password.
 fn describe_error(error: &ConnectionError, was_up: bool, is_encrypted: bool) -> String {
     use rumqttc::v5::mqttbytes::v5::ConnectReturnCode as Code;
@@ -433,7 +433,7 @@ impl Publisher<'_> {
             self.publish(&self.mqtt.device.state_topic(), state(&answer, dropped).to_string());
         }
         let availability = if answer.is_some() { "online" } else { "offline" };
-        // Published even if unchanged: the last will of a connection that died unnoticed may have said otherwise.
+        // Published even if unchanged: the last will of a connection that died unnoticed may have published another state.
         self.publish(&self.mqtt.device.availability_topic(), availability.into());
         self.published_online = Some(answer.is_some());
     }
@@ -471,7 +471,7 @@ mod tests {
     /// Regression test: for a broker that refuses version 5 with an answer of version 3.1.1, the message said that the
     /// connection was closed abruptly.
     #[test]
-    fn a_broker_of_an_older_version_is_said_to_be_one() {
+    fn a_broker_of_an_older_version_is_reported_as_such() {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let port = listener.local_addr().expect("an address").port();
         let broker = std::thread::spawn(move || {
@@ -488,7 +488,7 @@ mod tests {
         let error = runtime.block_on(event_loop.poll()).expect_err("a refusal");
         let description = describe_error(&error, false, false);
         assert!(description.contains("does not answer in MQTT version 5"), "{description}");
-        // The end of a connection that was up says nothing about versions.
+        // The end of a connection that was up does not depend on versions.
         assert!(!describe_error(&error, true, false).contains("version"));
         drop((client, event_loop));
         broker.join().expect("no panic");
@@ -497,7 +497,7 @@ mod tests {
     /// Regression test: each of these was said to be a broker that does not answer in MQTT version 5, and was counted as a
     /// message that is refused.
     #[test]
-    fn a_lost_connection_and_a_limit_are_not_taken_for_another_version() {
+    fn a_lost_connection_and_a_limit_are_not_reported_as_another_version() {
         let of = |error| ConnectionError::MqttState(StateError::Deserialization(error));
         let alert = rustls::Error::AlertReceived(rustls::AlertDescription::CertificateRequired);
         for (error, is_encrypted, expected) in [

@@ -193,7 +193,7 @@ impl Feed {
         Ok(())
     }
 
-    /// Waits until there is a frame and a page wants a picture; `false` once closed.
+    /// Waits until there is a frame and a page needs a picture; `false` once closed.
     fn wait_for_pages(&self, mut has_frame: bool) -> bool {
         loop {
             let handover = lock(&self.handover);

@@ -161,7 +161,7 @@ pub struct LabelStore {
 
 impl LabelStore {
     /// Reads the labels of a recording. If the source is not a recording, labels go to the one that is being made, which comes with
-    /// the flag that tells whether its recorder has failed. `model` is the one that pages offer to adapt, to
+    /// the flag that is set when its recorder has failed. `model` is the one that pages offer to adapt, to
     /// people up to `max_range_m` if that is given.
     ///
     /// # Errors
@@ -389,7 +389,7 @@ mod tests {
         /// Regression test: pages said of such labels that they are saved, and offered a command for a recording that was never
         /// complete.
         #[test]
-        fn labels_are_not_said_to_be_saved_once_the_recorder_has_failed() {
+        fn labels_are_not_reported_as_saved_after_the_recorder_has_failed() {
             let folder = tempfile::tempdir().expect("a folder");
             let path = folder.path().join("night.mcap");
             let _recorder = recorded(&path);

@@ -72,7 +72,7 @@ mod tests {
 
     /// Regression test: the time axis of the chirps was that of the requested rate, which the chip rounds.
     #[test]
-    fn pages_are_told_the_realised_sample_interval() {
+    fn pages_receive_the_realised_sample_interval() {
         let request = WaveformRequest { sample_rate_hz: 0.99e6, ..WaveformRequest::paper() };
         let about = About {
             description: String::new(),

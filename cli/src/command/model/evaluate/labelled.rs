@@ -80,7 +80,7 @@ impl LabelledRecording {
         Ok(LabelledRecording { path, labels: Labels::Spans(spans) })
     }
 
-    /// Error of a recording of which a model can judge no frame.
+    /// Creates the error for a recording of which a model can classify no frame.
     pub fn without_frames(&self) -> anyhow::Error {
         anyhow!(
             "{}: no frame of it can be judged\n\nhint: it is shorter than the slow time of the model's maps, or its receivers give no \
