@@ -15,15 +15,15 @@ pub const HELP: &str = "Examples:\n  \
 
 /// Outcome of a command that did not fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Ended {
+pub enum Completion {
     Done,
     /// Everything is done, but data were lost.
-    Lost,
+    WithLoss,
 }
 
-impl Ended {
-    pub fn with_loss(is_lost: bool) -> Self {
-        if is_lost { Ended::Lost } else { Ended::Done }
+impl Completion {
+    pub fn from_loss(has_loss: bool) -> Self {
+        if has_loss { Completion::WithLoss } else { Completion::Done }
     }
 }
 
@@ -42,10 +42,10 @@ macro_rules! wrong_use {
 pub(crate) use wrong_use;
 
 /// Prints the error of a failed command on stderr; returns the exit status.
-pub fn report(outcome: &anyhow::Result<Ended>) -> ExitCode {
+pub fn report(outcome: &anyhow::Result<Completion>) -> ExitCode {
     match outcome {
-        Ok(Ended::Done) => ExitCode::SUCCESS,
-        Ok(Ended::Lost) => ExitCode::from(3),
+        Ok(Completion::Done) => ExitCode::SUCCESS,
+        Ok(Completion::WithLoss) => ExitCode::from(3),
         // The reader of stdout has closed it and needs no more.
         Err(error) if output::is_closed_stdout(error) => ExitCode::SUCCESS,
         Err(error) => {
@@ -63,31 +63,32 @@ mod tests {
 
     use super::*;
 
-    fn is(code: ExitCode, expected: u8) -> bool {
+    fn has_status(code: ExitCode, expected: u8) -> bool {
         // Exit codes cannot be compared, but they can be formatted.
         format!("{code:?}") == format!("{:?}", ExitCode::from(expected))
     }
 
-    fn misused(argument: &str) -> anyhow::Result<Ended> {
+    fn wrong_use_error(argument: &str) -> anyhow::Result<Completion> {
         wrong_use!("no such option {argument}")
     }
 
     #[test]
     fn every_end_has_its_status() {
-        assert!(is(report(&Ok(Ended::with_loss(false))), 0));
-        assert!(is(report(&Ok(Ended::with_loss(true))), 3));
-        assert!(is(report(&Err(anyhow::anyhow!("no such board"))), 1));
-        assert!(is(report(&misused("--none")), 2));
-        assert!(is(report(&misused("--none").context("cannot begin")), 2));
-        assert_eq!(misused("--none").expect_err("an error").to_string(), "no such option --none");
-        let closed: anyhow::Result<Ended> = Err(output::StdoutClosed.into());
-        assert!(is(report(&closed), 0));
-        assert!(is(report(&closed.context("cannot say it")), 0));
+        assert!(has_status(report(&Ok(Completion::from_loss(false))), 0));
+        assert!(has_status(report(&Ok(Completion::from_loss(true))), 3));
+        assert!(has_status(report(&Err(anyhow::anyhow!("no such board"))), 1));
+        assert!(has_status(report(&wrong_use_error("--none")), 2));
+        assert!(has_status(report(&wrong_use_error("--none").context("cannot begin")), 2));
+        assert_eq!(wrong_use_error("--none").expect_err("an error").to_string(), "no such option --none");
+        let closed: anyhow::Result<Completion> = Err(output::StdoutClosed.into());
+        assert!(has_status(report(&closed), 0));
+        assert!(has_status(report(&closed.context("cannot say it")), 0));
     }
 
     #[test]
     fn a_broken_pipe_that_is_not_stdout_is_a_failure() {
-        let of_a_board: anyhow::Result<Ended> = Err(Error::from(ErrorKind::BrokenPipe)).context("the connection broke");
-        assert!(is(report(&of_a_board), 1));
+        let of_a_board: anyhow::Result<Completion> =
+            Err(Error::from(ErrorKind::BrokenPipe)).context("the connection broke");
+        assert!(has_status(report(&of_a_board), 1));
     }
 }

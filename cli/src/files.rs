@@ -35,23 +35,23 @@ pub fn fixture(name: &str) -> anyhow::Result<PathBuf> {
 ///
 /// # Errors
 /// The file cannot be read, is too long or is not UTF-8.
-pub fn text(path: &Path) -> anyhow::Result<String> {
+pub fn read_text_file(path: &Path) -> anyhow::Result<String> {
     read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))
 }
 
-/// Reads a TOML file. Errors say that it is no `what`.
+/// Reads a TOML file. Errors name `what` the file should be.
 ///
 /// # Errors
 /// The file cannot be read, or its content does not match the type.
-pub fn toml<T: DeserializeOwned>(path: &Path, what: &str) -> anyhow::Result<T> {
-    parse_toml(&text(path)?).with_context(|| format!("{} is no {what}", path.display()))
+pub fn read_toml<T: DeserializeOwned>(path: &Path, what: &str) -> anyhow::Result<T> {
+    parse_toml(&read_text_file(path)?).with_context(|| format!("{} is no {what}", path.display()))
 }
 
 /// Returns the path of a file that a spec in a folder names.
 ///
 /// # Errors
 /// There is no such file, or it lies where files that others name may not be.
-pub fn named(folder: &Path, name: &Path) -> anyhow::Result<PathBuf> {
+pub fn resolve_named(folder: &Path, name: &Path) -> anyhow::Result<PathBuf> {
     named_by_spec(folder, name).with_context(|| format!("cannot read {}", folder.join(name).display()))
 }
 
@@ -62,27 +62,28 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    fn named<T>(&self, written: io::Result<T>) -> io::Result<T> {
-        written.map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", self.target.display())))
+    /// Adds the path of the output to an error.
+    fn with_path<T>(&self, result: io::Result<T>) -> io::Result<T> {
+        result.map_err(|error| io::Error::new(error.kind(), format!("{}: {error}", self.target.display())))
     }
 }
 
 impl Write for OutputFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let written = self.file.write(bytes);
-        self.named(written)
+        self.with_path(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
         let flushed = self.file.flush();
-        self.named(flushed)
+        self.with_path(flushed)
     }
 }
 
 impl Seek for OutputFile {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         let sought = self.file.seek(to);
-        self.named(sought)
+        self.with_path(sought)
     }
 }
 
@@ -96,7 +97,7 @@ pub fn write_output(
     write: impl FnOnce(&mut BufWriter<OutputFile>) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
     let partial = Partial::file(path, existing)?;
-    fill(&partial, write)?;
+    write_partial(&partial, write)?;
     Ok(partial.finish()?)
 }
 
@@ -112,7 +113,7 @@ pub fn write_bytes(path: &Path, existing: Existing, bytes: &[u8]) -> anyhow::Res
 ///
 /// # Errors
 /// The file cannot be written, or `write` fails.
-pub fn fill(
+pub fn write_partial(
     partial: &Partial,
     write: impl FnOnce(&mut BufWriter<OutputFile>) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
@@ -176,16 +177,16 @@ pub fn check_parent(path: &Path) -> anyhow::Result<()> {
 mod tests {
     use super::*;
 
-    /// The hint was to make the folder, which a file prevents.
+    /// Regression test: the hint was to make the folder, although a file has its name.
     #[test]
-    fn a_file_in_the_place_of_the_outputs_folder_is_told_as_such() {
+    fn the_error_reports_that_a_file_has_the_name_of_the_outputs_folder() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("night.mcap");
         std::fs::write(&file, "").expect("writes");
-        let said = check_parent(&file.join("maps.npy")).expect_err("refused").to_string();
-        assert!(said.contains("night.mcap is a file") && !said.contains("mkdir"), "{said}");
-        let said = check_parent(&folder.path().join("new/maps.npy")).expect_err("refused").to_string();
-        assert!(said.contains("mkdir -p"), "{said}");
+        let error = check_parent(&file.join("maps.npy")).expect_err("refused").to_string();
+        assert!(error.contains("night.mcap is a file") && !error.contains("mkdir"), "{error}");
+        let error = check_parent(&folder.path().join("new/maps.npy")).expect_err("refused").to_string();
+        assert!(error.contains("mkdir -p"), "{error}");
         check_parent(&file).expect("a folder");
     }
 

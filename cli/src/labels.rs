@@ -1,4 +1,4 @@
-//! Labels of recordings, stored in the recording where it can hold them, else in a file beside it.
+//! Labels of recordings. They are stored in the recording if it can hold them, otherwise in a file beside it.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -18,23 +18,23 @@ use crate::output::on_one_line;
 /// Length limit of files of labels, bytes: more than a label for each frame of a day.
 const LIMIT_BYTES: u64 = 64 << 20;
 
-/// Time by which labels that are read may reach beyond their recording, s, besides a share of the recording's length.
-const BEYOND_S: f64 = 1.0;
-const BEYOND_SHARE: f64 = 0.01;
+/// Time by which imported labels may reach beyond their recording, s, in addition to a share of the recording's length.
+const OVERHANG_S: f64 = 1.0;
+const OVERHANG_SHARE: f64 = 0.01;
 
 /// Reader and writer of a kind of label file.
 struct Codec {
     parse: fn(&str) -> Result<Vec<LabelSpan>, LabelTextError>,
     print: fn(&[LabelSpan]) -> String,
-    /// Parts of labels that the kind does not hold.
-    not_held: &'static [Part],
+    /// Parts of labels that this kind of file does not hold.
+    lost_parts: &'static [Part],
 }
 
-/// Part of labels in words, and whether a label has it.
+/// Name of a part of labels, and a function that returns whether a label has it.
 type Part = (&'static str, fn(&LabelSpan) -> bool);
 
 /// Parts that Audacity's label track does not hold.
-const NOT_IN_AUDACITY: &[Part] = &[
+const LOST_IN_AUDACITY: &[Part] = &[
     ("authors", |label| label.who.is_some()),
     ("times of labelling", |label| label.made_ns.is_some()),
     ("confidences", |label| label.confidence.is_some()),
@@ -42,7 +42,7 @@ const NOT_IN_AUDACITY: &[Part] = &[
 ];
 
 /// Parts that DEEPCRAFT's file does not hold.
-const NOT_IN_DEEPCRAFT: &[Part] = &[
+const LOST_IN_DEEPCRAFT: &[Part] = &[
     ("authors", |label| label.who.is_some()),
     ("times of labelling", |label| label.made_ns.is_some()),
     ("the lack of a confidence (1 is written)", |label| label.confidence.is_none()),
@@ -51,11 +51,13 @@ const NOT_IN_DEEPCRAFT: &[Part] = &[
 fn codec(path: &Path) -> anyhow::Result<Codec> {
     match path.extension().and_then(|e| e.to_str()) {
         Some("txt") => {
-            Ok(Codec { parse: label_text::from_audacity, print: label_text::to_audacity, not_held: NOT_IN_AUDACITY })
+            Ok(Codec { parse: label_text::from_audacity, print: label_text::to_audacity, lost_parts: LOST_IN_AUDACITY })
         }
-        Some("label") => {
-            Ok(Codec { parse: label_text::from_deepcraft, print: label_text::to_deepcraft, not_held: NOT_IN_DEEPCRAFT })
-        }
+        Some("label") => Ok(Codec {
+            parse: label_text::from_deepcraft,
+            print: label_text::to_deepcraft,
+            lost_parts: LOST_IN_DEEPCRAFT,
+        }),
         _ => bail!(
             "{}: which kind of labels?\n\nhint: end its name in .txt for an Audacity label track, in .label for DEEPCRAFT",
             path.display()
@@ -67,7 +69,7 @@ fn codec(path: &Path) -> anyhow::Result<Codec> {
 ///
 /// # Errors
 /// The name has an unknown ending, or the file cannot be read or understood.
-pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
+pub fn read_file(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let parse = codec(path)?.parse;
     let text = read_text(path, LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
     parse(&text).with_context(|| format!("{} cannot be understood", path.display()))
@@ -77,12 +79,12 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
 ///
 /// # Errors
 /// The name has an unknown ending, the file exists and is not to be replaced, or it cannot be written.
-pub fn write(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Result<()> {
-    let Codec { print, not_held, .. } = codec(path)?;
+pub fn write_file(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Result<()> {
+    let Codec { print, lost_parts, .. } = codec(path)?;
     let text = print(spans);
     files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))?;
-    for (what, has_it) in not_held {
-        if spans.iter().any(has_it) {
+    for (what, has_part) in lost_parts {
+        if spans.iter().any(has_part) {
             message!("not held by this format: {what}");
         }
     }
@@ -101,14 +103,14 @@ pub fn rewrite_beside(
 ) -> anyhow::Result<()> {
     let partial = Partial::labels(file)?;
     let print = codec(file)?.print;
-    let text = print(&change(of(recording)?)?);
-    files::fill(&partial, |out| out.write_all(text.as_bytes()).context("cannot write the labels"))?;
+    let text = print(&change(of_recording(recording)?)?);
+    files::write_partial(&partial, |out| out.write_all(text.as_bytes()).context("cannot write the labels"))?;
     Ok(partial.finish()?)
 }
 
-/// Says how many labels a recording of another's frames does not take over.
-pub fn tell_left_behind(source: &Path) {
-    let count = of(source).map_or(0, |labels| labels.len());
+/// Prints how many labels of a source are not copied to the recording of its frames.
+pub fn warn_not_copied(source: &Path) {
+    let count = of_recording(source).map_or(0, |labels| labels.len());
     if count > 0 {
         message!("{count} labels of {} are not carried over; radome recording convert copies them", source.display());
     }
@@ -131,23 +133,23 @@ pub fn name_beside(recording: &Path) -> PathBuf {
     name.into()
 }
 
-/// Returns the file with the labels of such a recording, if there is one. Its name is that of [`name_beside`]. In a
-/// folder, all of [`NAMES_IN_FOLDER`] are accepted, in the radar's folder as well as in that of the session, whichever of
-/// both is given.
+/// Returns the file with the labels of a recording that cannot hold any, if the file exists. Its name is that of
+/// [`name_beside`]. For a folder, all of [`NAMES_IN_FOLDER`] are searched, in the radar's folder and in that of the session,
+/// whichever of the two is given.
 pub fn file_beside(recording: &Path) -> Option<PathBuf> {
     if !recording.is_dir() {
         return Some(name_beside(recording)).filter(|path| path.is_file());
     }
     let radar = infineon::only_radar_of(recording).unwrap_or_else(|| recording.to_owned());
-    // A path such as `.` does not tell the session that the folder is in.
+    // A path such as `.` does not name the session that contains the folder.
     let radar = if radar.file_name().is_none() { content_of(recording) } else { radar };
     let folders = [Some(radar.as_path()), infineon::session_of(&radar), Some(recording)];
     let names = |folder: &Path| NAMES_IN_FOLDER.map(|name| folder.join(name));
     folders.into_iter().flatten().flat_map(names).find(|path| path.is_file())
 }
 
-/// Path of what a recording holds: that of its file, or of the folder of its only radar, links resolved. Two names of one
-/// recording have the same.
+/// Path of a recording's content: its file, or the folder of its only radar, with links resolved. It is the same for all names
+/// of a recording.
 pub fn content_of(recording: &Path) -> PathBuf {
     let content = infineon::only_radar_of(recording).unwrap_or_else(|| recording.to_owned());
     content.canonicalize().unwrap_or(content)
@@ -157,22 +159,22 @@ pub fn content_of(recording: &Path) -> PathBuf {
 ///
 /// # Errors
 /// The recording or the file beside it cannot be read.
-pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
+pub fn of_recording(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let opened = Recording::open(recording)?;
     if opened.format().holds_labels() {
         return Ok(opened.labels()?);
     }
-    file_beside(recording).map_or(Ok(Vec::new()), |file| read(&file))
+    file_beside(recording).map_or(Ok(Vec::new()), |file| read_file(&file))
 }
 
 /// Returns the truth of a frame by its labels: the class at its first chirp, and whether the class at its last chirp
 /// differs.
-pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Option<Truth> {
+pub fn truth_of_frame(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Option<Truth> {
     let at = |time_s: f64| {
-        let holds = |span: &&LabelSpan| {
+        let contains = |span: &&LabelSpan| {
             span.occupancy().is_some() && span.start_s <= time_s + ROUNDING_S && time_s + ROUNDING_S < span.end_s
         };
-        spans.iter().find(holds)?.occupancy()
+        spans.iter().find(contains)?.occupancy()
     };
     let first_s = frame.time_s();
     let last_s = first_s + waveform.request.chirps_per_frame as f64 * waveform.request.chirp_interval_s;
@@ -185,8 +187,7 @@ fn to_ns(time_s: f64) -> f64 {
     (time_s * 1e9).round() / 1e9
 }
 
-/// Builds spans of one class each from the classes of single frames. A frame lasts until the next one, and the last for
-/// a frame interval.
+/// Builds spans from the classes of single frames. A frame lasts until the next one, and the last one for a frame interval.
 pub fn spans_of(frames: &[(f64, Occupancy)], interval_s: f64) -> Vec<LabelSpan> {
     let mut spans: Vec<LabelSpan> = Vec::new();
     for (index, (time_s, class)) in frames.iter().enumerate() {
@@ -199,20 +200,20 @@ pub fn spans_of(frames: &[(f64, Occupancy)], interval_s: f64) -> Vec<LabelSpan> 
     spans
 }
 
-/// Checks labels against each other and their recording. Says which of them are free text although a class may be meant.
+/// Checks labels against each other and their recording. Prints a message about labels that are free text.
 ///
 /// # Errors
 /// The recording cannot be read or has no frame, or labels are reversed, outside of the recording, or overlap each other.
 pub fn check(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
     let mut source = Recording::open(recording)?;
-    let named = || format!("{}: labels refused", recording.display());
+    let context = || format!("{}: labels refused", recording.display());
     // Errors within the labels are checked first, since their messages are the most specific.
-    check_spans(spans, None).with_context(named)?;
+    check_spans(spans, None).with_context(context)?;
     let extent_s = extent_s(&mut source)?;
     if extent_s.is_none() && !spans.is_empty() {
-        bail!("{}: the recording has no frame that they could be labels of", named());
+        bail!("{}: the recording has no frame that they could be labels of", context());
     }
-    check_spans(spans, extent_s).with_context(named)?;
+    check_spans(spans, extent_s).with_context(context)?;
     for LabelSpan { start_s, end_s, label, .. } in spans {
         let mut classes = Occupancy::ALL.into_iter().map(Occupancy::name);
         if label.is_empty() {
@@ -222,9 +223,10 @@ pub fn check(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
             message!("the label '{label}' is kept as free text; the class is written '{class}'");
         }
     }
-    let is_near = |label: &str| Occupancy::ALL.into_iter().any(|class| class.name().eq_ignore_ascii_case(label));
+    let is_class_in_any_case =
+        |label: &str| Occupancy::ALL.into_iter().any(|class| class.name().eq_ignore_ascii_case(label));
     let mut labels = spans.iter().map(|span| span.label.as_str());
-    if let Some(label) = labels.find(|label| !label.is_empty() && !is_near(label)) {
+    if let Some(label) = labels.find(|label| !label.is_empty() && !is_class_in_any_case(label)) {
         let label = on_one_line(label);
         message!(
             "labels that are no class, such as '{label}', are kept as free text: their frames count as not labelled"
@@ -233,21 +235,22 @@ pub fn check(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Checks labels that are read against each other and against the extent of their recording, s. They may reach a little beyond
-/// it: tracks end at full tenths or seconds, and count frames by the interval that was asked for, which boards miss by up to
-/// 0.4 %.
+/// Checks imported labels against each other and against the extent of their recording, s. They may reach a little beyond it:
+/// label tracks end at full tenths or seconds, and their times follow the requested frame interval, from which boards deviate by
+/// up to 0.4 %.
 ///
 /// # Errors
 /// Labels are reversed, reach far beyond the recording, or overlap each other.
-pub fn check_read(spans: &[LabelSpan], extent_s: Option<(f64, f64)>) -> Result<(), SpanError> {
+pub fn check_imported(spans: &[LabelSpan], extent_s: Option<(f64, f64)>) -> Result<(), SpanError> {
     check_spans(spans, None)?;
     let Some((first_s, last_s)) = extent_s else { return Ok(()) };
-    let margin_s = BEYOND_S + BEYOND_SHARE * (last_s - first_s);
-    let within = |time_s: f64| match (first_s - margin_s..=last_s + margin_s).contains(&time_s) {
+    let margin_s = OVERHANG_S + OVERHANG_SHARE * (last_s - first_s);
+    let clamped = |time_s: f64| match (first_s - margin_s..=last_s + margin_s).contains(&time_s) {
         true => time_s.clamp(first_s, last_s),
         false => time_s,
     };
-    let cut = |span: &LabelSpan| LabelSpan { start_s: within(span.start_s), end_s: within(span.end_s), ..span.clone() };
+    let cut =
+        |span: &LabelSpan| LabelSpan { start_s: clamped(span.start_s), end_s: clamped(span.end_s), ..span.clone() };
     let spans: Vec<LabelSpan> = spans.iter().map(cut).filter(|span| span.end_s > span.start_s).collect();
     check_spans(&spans, extent_s)
 }
@@ -258,16 +261,16 @@ pub fn overlaps(label: &LabelSpan, (start_s, end_s): (f64, f64)) -> bool {
     label.start_s < end_s && (label.end_s > start_s || label.start_s >= start_s)
 }
 
-/// Cuts an interval, s, out of the labels that are `meant`. The rests on both sides stay.
+/// Cuts an interval, s, out of the labels for which `is_affected` is true. The remainders on both sides stay.
 pub fn cut_out(
     labels: Vec<LabelSpan>,
     (start_s, end_s): (f64, f64),
-    meant: impl Fn(&LabelSpan) -> bool,
+    is_affected: impl Fn(&LabelSpan) -> bool,
 ) -> Vec<LabelSpan> {
-    let mut left = Vec::with_capacity(labels.len() + 1);
+    let mut remaining = Vec::with_capacity(labels.len() + 1);
     for label in labels {
-        if !meant(&label) || !overlaps(&label, (start_s, end_s)) {
-            left.push(label);
+        if !is_affected(&label) || !overlaps(&label, (start_s, end_s)) {
+            remaining.push(label);
             continue;
         }
         let rests = [(label.start_s, label.end_s.min(start_s)), (label.start_s.max(end_s), label.end_s)];
@@ -275,13 +278,13 @@ pub fn cut_out(
         let rest = |(start_s, end_s): (f64, f64)| {
             (end_s - start_s > ROUNDING_S).then(|| LabelSpan { start_s, end_s, ..label.clone() })
         };
-        left.extend(rests.into_iter().filter_map(rest));
+        remaining.extend(rests.into_iter().filter_map(rest));
     }
-    left
+    remaining
 }
 
-/// Adds labels to a recording, or to the file beside it, and returns the path. `make_room` changes the labels that are there
-/// already. Labels that [`check`] refuses or that overlap existing ones are refused; then nothing is written.
+/// Adds labels to a recording, or to the file beside it, and returns the path. `make_room` first changes the existing labels.
+/// Nothing is written if [`check`] refuses the new labels, or if they overlap existing ones.
 ///
 /// # Errors
 /// The recording cannot be read or written, or the labels are refused.
@@ -292,25 +295,25 @@ pub fn add(
 ) -> anyhow::Result<PathBuf> {
     check(recording, spans)?;
     let source = Recording::open(recording)?;
-    let named = || {
+    let context = || {
         let path = recording.display();
         format!(
             "{path}: labels refused\n\nhint: --replace cuts labels that are there already; --erase START_S:END_S cuts them out"
         )
     };
-    let with_all = |there: Vec<LabelSpan>| -> anyhow::Result<Vec<LabelSpan>> {
-        let mut all = make_room(there);
+    let merged = |existing: Vec<LabelSpan>| -> anyhow::Result<Vec<LabelSpan>> {
+        let mut all = make_room(existing);
         all.extend_from_slice(spans);
-        check_spans(&all, None).with_context(named)?;
+        check_spans(&all, None).with_context(context)?;
         Ok(all)
     };
     if source.format().holds_labels() {
         let editor = LabelEditor::open(recording)?;
-        editor.write(&with_all(editor.labels()?)?)?;
+        editor.write(&merged(editor.labels()?)?)?;
         return Ok(recording.to_owned());
     }
     let file = file_beside(recording).unwrap_or_else(|| name_beside(recording));
-    rewrite_beside(recording, &file, with_all)?;
+    rewrite_beside(recording, &file, merged)?;
     Ok(file)
 }
 

@@ -6,12 +6,11 @@
 #[macro_use]
 mod message;
 
+mod classifier;
 mod command;
 mod dataset;
 mod exit;
 mod files;
-mod judge;
-mod kept;
 mod labels;
 mod live;
 mod map_preset;
@@ -24,6 +23,7 @@ mod shard;
 mod shell;
 mod slurm;
 mod source;
+mod stored_simulation;
 mod viewers;
 
 use std::io::IsTerminal;
@@ -33,7 +33,7 @@ use clap::{CommandFactory, FromArgMatches, Parser};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::prelude::*;
 
-/// A training step allocates and frees hundreds of large blocks. The system allocator would clear each one again.
+/// Allocator that keeps large blocks: a training step allocates and frees hundreds, and the system would clear each one again.
 #[global_allocator]
 static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new();
 
@@ -49,37 +49,37 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
-    panics::remember_places();
+    panics::install_hook();
     output::catch_file_size_limit();
-    let given = std::env::args_os().collect();
-    let given = command::former_names::with_present_names(given);
-    let matches = taking_negative_numbers(Arguments::command()).get_matches_from(given);
+    let raw_arguments = std::env::args_os().collect();
+    let raw_arguments = command::former_names::with_present_names(raw_arguments);
+    let matches = allow_negative_numbers(Arguments::command()).get_matches_from(raw_arguments);
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let wire = match &arguments.command {
         command::Command::Doctor(doctor) => doctor.wire_log(),
         _ => None,
     };
     start_log(arguments.verbose, wire);
-    let outcome = panics::caught(|| command::run(arguments.command, Arguments::command));
+    let outcome = panics::catch_panic(|| command::run(arguments.command, Arguments::command));
     exit::report(&outcome.unwrap_or_else(|panicked| Err(panicked.into())))
 }
 
-/// Lets options have negative numbers, so that a wrong one is refused as the value that it is, and not as an unknown option.
-fn taking_negative_numbers(command: clap::Command) -> clap::Command {
-    command.allow_negative_numbers(true).mut_subcommands(taking_negative_numbers)
+/// Allows negative numbers as values of options, so that a wrong one is refused as a value and not as an unknown option.
+fn allow_negative_numbers(command: clap::Command) -> clap::Command {
+    command.allow_negative_numbers(true).mut_subcommands(allow_negative_numbers)
 }
 
 fn start_log(verbose: u8, wire: Option<&command::WireLog>) {
     let level = [LevelFilter::WARN, LevelFilter::INFO, LevelFilter::DEBUG][usize::from(verbose.min(2))];
-    let given: Option<Targets> = std::env::var("RADOME_LOG").ok().and_then(|targets| targets.parse().ok());
-    let has_targets = verbose > 0 || given.is_some();
-    let filter = given.unwrap_or_else(|| Targets::new().with_default(level));
+    let targets: Option<Targets> = std::env::var("RADOME_LOG").ok().and_then(|targets| targets.parse().ok());
+    let has_targets = verbose > 0 || targets.is_some();
+    let filter = targets.unwrap_or_else(|| Targets::new().with_default(level));
     // Files and journals get no colour codes; https://no-color.org.
     let is_plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
     let has_colours = std::io::stderr().is_terminal() && !is_plain;
-    let talk =
+    let stderr_layer =
         tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(has_colours).log_internal_errors(false);
-    // Modules are of use to those who look for details.
-    let talk = talk.without_time().with_target(has_targets).with_filter(filter);
-    tracing_subscriber::registry().with(talk).with(wire.map(command::WireLog::layer)).init();
+    // Names of modules only help users who look for details.
+    let stderr_layer = stderr_layer.without_time().with_target(has_targets).with_filter(filter);
+    tracing_subscriber::registry().with(stderr_layer).with(wire.map(command::WireLog::layer)).init();
 }

@@ -28,7 +28,7 @@ pub fn text_line(line: &str) -> anyhow::Result<()> {
     text(&format!("{line}\n"))
 }
 
-/// Text for one line of a table: line ends and other control characters are escaped.
+/// Escapes line ends and other control characters, so that a text fits on one line.
 pub fn on_one_line(text: &str) -> String {
     text.chars().fold(String::new(), |mut line, character| {
         match character.is_control() {
@@ -39,7 +39,7 @@ pub fn on_one_line(text: &str) -> String {
     })
 }
 
-/// Number in a table; `-` where there is none.
+/// Formats a number of a table; `-` for `None`.
 pub fn or_dash(value: Option<f64>, decimals: usize) -> String {
     value.map_or("-".to_owned(), |value| format!("{value:.decimals$}"))
 }
@@ -80,13 +80,13 @@ pub fn check_no_terminal() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Error of a stdout that its reader has closed. It is the only error that ends a command without a message and with
+/// Error of writing to a stdout that its reader has closed. It is the only error that ends a command without a message and with
 /// status 0.
 #[derive(Debug, thiserror::Error)]
 #[error("stdout was closed")]
 pub struct StdoutClosed;
 
-/// Returns whether an error only says that the reader of stdout has closed it.
+/// Returns whether an error only means that the reader of stdout has closed it.
 pub fn is_closed_stdout(error: &anyhow::Error) -> bool {
     error.is::<StdoutClosed>()
 }
@@ -95,8 +95,8 @@ pub fn is_closed_stdout(error: &anyhow::Error) -> bool {
 ///
 /// # Errors
 /// The given error, unless it is [`StdoutClosed`].
-pub fn unless_closed(said: anyhow::Result<()>) -> anyhow::Result<()> {
-    said.or_else(|error| if is_closed_stdout(&error) { Ok(()) } else { Err(error) })
+pub fn ignore_closed_stdout(written: anyhow::Result<()>) -> anyhow::Result<()> {
+    written.or_else(|error| if is_closed_stdout(&error) { Ok(()) } else { Err(error) })
 }
 
 /// Formats an error with its causes, each once, and with hints moved to the end.
@@ -105,11 +105,14 @@ pub fn chain(error: &anyhow::Error) -> String {
     let mut hints: Vec<String> = Vec::new();
     for cause in error.chain() {
         let text = cause.to_string();
-        let (message, hint) = text.split_once("\n\nhint: ").map_or((text.as_str(), None), |(m, h)| (m, Some(h)));
-        if !parts.iter().any(|p| p.contains(message)) {
+        let (message, hint) = match text.split_once("\n\nhint: ") {
+            Some((message, hint)) => (message, Some(hint)),
+            None => (text.as_str(), None),
+        };
+        if !parts.iter().any(|part| part.contains(message)) {
             parts.push(message.to_owned());
         }
-        if let Some(hint) = hint.filter(|h| !hints.iter().any(|x| x == h)) {
+        if let Some(hint) = hint.filter(|hint| !hints.iter().any(|other| other == hint)) {
             hints.push(hint.to_owned());
         }
     }
@@ -136,11 +139,11 @@ pub fn catch_file_size_limit() {
 
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
-/// Time after the first signal in which others are taken for the same: a terminal that closes sends several.
+/// Time after the first signal within which further signals are ignored: a terminal that closes sends several.
 const SAME_SIGNAL: Duration = Duration::from_secs(1);
 
-/// Makes Ctrl-C, SIGTERM and a closed terminal request an orderly end; a later second one ends the program at once.
-/// Under `nohup` the terminal's end is ignored.
+/// Makes Ctrl-C, SIGTERM and a closed terminal request an orderly end. Repeated after a second, a signal ends the program at
+/// once. Under `nohup`, a closed terminal is ignored.
 ///
 /// # Errors
 /// The system refuses the handler.

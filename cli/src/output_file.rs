@@ -66,7 +66,7 @@ impl Overwrite {
     }
 }
 
-/// Files of inputs that are folders, by kind: recordings, their labels, and datasets, whose shards have numbers.
+/// Names of files in inputs that are folders: recordings, their labels, and datasets. Shards of datasets have numbered names.
 const PARTS: [&[&str]; 3] = [&infineon::FILES, &labels::NAMES_IN_FOLDER, &["dataset.json", "manifest.jsonl"]];
 
 /// Fails if an output would replace an input, a file of an input that is a folder, the configuration beside a text
@@ -79,19 +79,19 @@ fn check_not_input(output: &Path, input: &Path) -> anyhow::Result<()> {
     let configuration = config_path(&read);
     // Labels beside a file of any other kind are not read with it.
     let labels = labels::file_beside(input).filter(|_| read.is_dir() || configuration.is_some());
-    let is_written = |path: PathBuf| path.canonicalize().is_ok_and(|path| path == written);
-    let is_beside = [configuration, labels].into_iter().flatten().any(is_written);
+    let is_output = |path: PathBuf| path.canonicalize().is_ok_and(|path| path == written);
+    let is_beside = [configuration, labels].into_iter().flatten().any(is_output);
     if written == read || is_beside || (written.starts_with(read) && is_part) {
         wrong_use!("{} is input and output at once\n\nhint: choose another name", output.display());
     }
     Ok(())
 }
 
-/// Fails if two files that a command writes are one.
+/// Fails if two outputs of a command are the same file.
 ///
 /// # Errors
 /// [`WrongUse`](crate::exit::WrongUse) if both paths name one file, which need not exist yet.
-pub fn check_apart(path: &Path, other: &Path) -> anyhow::Result<()> {
+pub fn check_distinct(path: &Path, other: &Path) -> anyhow::Result<()> {
     if resolved(path).is_some_and(|path| resolved(other) == Some(path)) {
         wrong_use!(
             "{} and {} are one file\n\nhint: choose another name for one of them",
@@ -102,7 +102,7 @@ pub fn check_apart(path: &Path, other: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Path of a file without links. A file that does not exist yet is found by its folder.
+/// Path of a file with all links resolved. For a file that does not exist yet, those of its folder are resolved.
 fn resolved(path: &Path) -> Option<PathBuf> {
     let of_new_file = || {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -111,10 +111,10 @@ fn resolved(path: &Path) -> Option<PathBuf> {
     path.canonicalize().ok().or_else(of_new_file)
 }
 
-/// Recording to make, before it exists. A name made from the time is kept from other runs meanwhile.
+/// Recording that does not exist yet. A name that contains the time is reserved, so that no other run takes it.
 pub struct NewRecording {
     path: PathBuf,
-    /// File that keeps the name; removed if the recording is not made.
+    /// File that reserves the name; removed if the recording is not made.
     reserved: Option<Partial>,
 }
 
@@ -160,7 +160,7 @@ impl NewRecording {
     }
 }
 
-/// Keeps a name from other runs, which reserve names in the same way.
+/// Reserves a name. Other runs reserve names in the same way.
 fn reserve(path: &Path) -> Result<Partial, RecordingError> {
     let check_free = || match path.symlink_metadata() {
         Ok(_) => Err(RecordingError::Occupied { path: path.to_owned() }),
@@ -168,17 +168,17 @@ fn reserve(path: &Path) -> Result<Partial, RecordingError> {
     };
     check_free()?;
     let reserved = Partial::file(path, Existing::Refuse)?;
-    // Whoever had reserved the name before may have given it to its recording meanwhile.
+    // Another run may have made its recording under this name between the two checks.
     check_free().map(|()| reserved)
 }
 
-/// Endings of recordings, models, arrays, tables, pictures and texts, each of which stands for one format.
+/// Endings of names that stand for one format each: of recordings, models, arrays, tables, pictures and texts.
 const ENDINGS: &str = "csv gif h5 hdf5 jpeg jpg json mat npy npz onnx pdf png safetensors svg toml txt";
 
 /// Hint on the name of a model's file.
 pub const MODEL_HINT: &str = "end its name in .safetensors; radome model export writes ONNX";
 
-/// Fails if the name of an output stands for another format than the one that is written. `own` are the endings of that format.
+/// Fails if the ending of an output's name stands for another format than the written one, whose endings are `own`.
 ///
 /// # Errors
 /// [`WrongUse`](crate::exit::WrongUse) if the name has an ending of another format.
@@ -332,11 +332,11 @@ mod tests {
                 std::fs::write(path("a"), "").expect("writes");
             }
             for name in ["a", "./a", "sub/../a"] {
-                let said = check_apart(&path(name), &path("a")).expect_err(name).to_string();
+                let said = check_distinct(&path(name), &path("a")).expect_err(name).to_string();
                 assert!(said.contains("are one file") && said.contains("hint: "), "{said}");
             }
             for name in ["b", "sub/a", "none/a"] {
-                check_apart(&path(name), &path("a")).expect(name);
+                check_distinct(&path(name), &path("a")).expect(name);
             }
         }
     }

@@ -7,46 +7,44 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
-/// Number of panics whose location is remembered, since several threads may panic at once.
-const REMEMBERED: usize = 32;
+/// Number of panics whose locations are kept, since several threads may panic at once.
+const MOST_LOCATIONS: usize = 32;
 
 /// Panic as an error.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "internal error at {place}: {message}\n\nhint: this is a fault of the program; please report it with the command line, and with \
+    "internal error at {location}: {message}\n\nhint: this is a fault of the program; please report it with the command line, and with \
      the file that `radome doctor --bundle` makes"
 )]
 pub struct Panicked {
-    /// File and line, or a text that they are unknown.
-    pub place: String,
+    /// File and line, or a text for an unknown location.
+    pub location: String,
     pub message: String,
 }
 
-/// Messages and locations of the last panics. When a thread passes a panic on to another, its location is stored
-/// nowhere else.
-static PLACES: Mutex<VecDeque<(String, String)>> = Mutex::new(VecDeque::new());
+/// Messages and locations of the last panics. A panic that another thread receives does not contain its location.
+static LOCATIONS: Mutex<VecDeque<(String, String)>> = Mutex::new(VecDeque::new());
 
-/// Installs a hook that remembers the location of each panic for its error. Panics are still printed on stderr.
-pub fn remember_places() {
-    let before = std::panic::take_hook();
+/// Installs a hook that stores the location of each panic for its error. Panics are still printed on stderr.
+pub fn install_hook() {
+    let previous_hook = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic: &PanicHookInfo| {
-        let place = panic.location().map_or_else(|| "an unknown place".to_owned(), ToString::to_string);
-        let mut places = lock(&PLACES);
-        if places.len() == REMEMBERED {
-            places.pop_front();
+        let location = panic.location().map_or_else(|| "an unknown place".to_owned(), ToString::to_string);
+        let mut locations = lock(&LOCATIONS);
+        if locations.len() == MOST_LOCATIONS {
+            locations.pop_front();
         }
-        places.push_back((message(panic.payload()), place));
-        drop(places);
-        before(panic);
+        locations.push_back((message(panic.payload()), location));
+        drop(locations);
+        previous_hook(panic);
     }));
 }
 
-/// Runs a function and converts a panic to an error. Values that the function borrows must be unused afterwards, or
-/// valid in any state.
+/// Runs a function and converts a panic to an error. After a panic, values that the function borrowed may be in any state.
 ///
 /// # Errors
-/// A panic of the work, with its place.
-pub fn caught<T>(work: impl FnOnce() -> T) -> Result<T, Panicked> {
+/// The function panicked.
+pub fn catch_panic<T>(work: impl FnOnce() -> T) -> Result<T, Panicked> {
     catch_unwind(AssertUnwindSafe(work)).map_err(|payload| Panicked::new(payload.as_ref()))
 }
 
@@ -59,9 +57,9 @@ impl Panicked {
     /// Creates the error from the payload of a panic, as returned by `catch_unwind` or by joining a thread.
     pub fn new(payload: &(dyn Any + Send)) -> Self {
         let message = message(payload);
-        let places = lock(&PLACES);
-        let place = places.iter().rev().find(|(said, _)| *said == message).map(|(_, place)| place.clone());
-        Panicked { place: place.unwrap_or_else(|| "an unknown place".to_owned()), message }
+        let locations = lock(&LOCATIONS);
+        let location = locations.iter().rev().find(|(text, _)| *text == message).map(|(_, location)| location.clone());
+        Panicked { location: location.unwrap_or_else(|| "an unknown place".to_owned()), message }
     }
 }
 
@@ -73,19 +71,19 @@ fn message(payload: &(dyn Any + Send)) -> String {
     }
 }
 
-/// Source whose panics become errors. It is not read again after one.
-pub struct Guarded {
+/// Source whose panics become errors. After a panic, it is not read again.
+pub struct PanicGuard {
     source: Box<dyn FrameSource>,
     panicked: Option<Panicked>,
 }
 
-impl Guarded {
+impl PanicGuard {
     pub fn new(source: Box<dyn FrameSource>) -> Self {
-        Guarded { source, panicked: None }
+        PanicGuard { source, panicked: None }
     }
 }
 
-impl FrameSource for Guarded {
+impl FrameSource for PanicGuard {
     fn waveform(&self) -> &Waveform {
         self.source.waveform()
     }
@@ -94,7 +92,7 @@ impl FrameSource for Guarded {
         if let Some(panicked) = &self.panicked {
             return Err(panicked.clone().into());
         }
-        match caught(|| self.source.next_frame(frame)) {
+        match catch_panic(|| self.source.next_frame(frame)) {
             Ok(event) => event,
             Err(panicked) => Err(self.panicked.insert(panicked).clone().into()),
         }
@@ -116,7 +114,7 @@ pub mod tests {
     /// Creates a source that panics instead of returning frame number `frames`.
     pub fn panicking_after(frames: u64) -> Box<dyn FrameSource> {
         static HOOK: Once = Once::new();
-        HOOK.call_once(remember_places);
+        HOOK.call_once(install_hook);
         failing_after(frames, |next| panic!("frame {next} cannot be made"))
     }
 
@@ -135,20 +133,20 @@ pub mod tests {
     }
 
     #[test]
-    fn a_panic_becomes_an_error_with_message_and_place_and_the_source_is_left_alone() {
-        let mut source = Guarded::new(panicking_after(1));
+    fn a_panic_becomes_an_error_with_message_and_location_and_the_source_is_not_read_again() {
+        let mut source = PanicGuard::new(panicking_after(1));
         let mut frame = Frame::zeroed(source.waveform().shape());
         assert_eq!(source.next_frame(&mut frame).expect("a frame"), SourceEvent::Frame);
         for _ in 0..2 {
             let error = source.next_frame(&mut frame).expect_err("a panic");
             let panicked = error.downcast_ref::<Panicked>().expect("its own type");
             assert_eq!(panicked.message, "frame 1 cannot be made");
-            assert!(panicked.place.contains("panics.rs:"), "{}", panicked.place);
+            assert!(panicked.location.contains("panics.rs:"), "{}", panicked.location);
         }
     }
 
     #[test]
-    fn a_panic_of_another_thread_keeps_its_place() {
+    fn a_panic_of_another_thread_keeps_its_location() {
         let thread = std::thread::spawn(|| {
             let mut source = panicking_after(0);
             let mut frame = Frame::zeroed(source.waveform().shape());
@@ -156,6 +154,6 @@ pub mod tests {
         });
         let panicked = Panicked::new(thread.join().expect_err("a panic").as_ref());
         assert!(panicked.message == "frame 0 cannot be made", "{panicked}");
-        assert!(panicked.place.contains("panics.rs:"), "{panicked}");
+        assert!(panicked.location.contains("panics.rs:"), "{panicked}");
     }
 }

@@ -111,7 +111,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn what_is_no_shard_is_said() {
+        fn invalid_shards_are_refused_with_a_reason() {
             let said = |text, variables: &[_]| shard(text, variables).expect_err("no shard");
             assert!(said("8/8", &[]).contains("no shard 8 of 8"));
             assert!(said("0/0", &[]).contains("no shard 0 of 0"));

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | a path | a recording: MCAP file, Infineon folder or the vendor's text |
 //! | `SCENE.toml` | the simulator |
-//! | `serial:/dev/ttyACM0` | the board on that port, whatever it speaks |
+//! | `serial:/dev/ttyACM0` | the board on that port, of any protocol |
 //! | `deepcraft:/dev/ttyACM0` | a PSoC 6 kit with DEEPCRAFT firmware, without asking in other protocols first |
 //! | `usb:`, `usb:1-4`, `usb:SERIAL` | a board with bulk firmware: the only one, by bus and address, by serial number |
 //! | `auto` | the one board attached |
@@ -28,16 +28,16 @@ use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
+use crate::classifier::{self, BUILT_IN};
 use crate::exit::wrong_use;
-use crate::judge::{self, BUILT_IN};
-use crate::panics::Guarded;
+use crate::panics::PanicGuard;
 
 /// Default seed of a simulation.
 pub const DEFAULT_SEED: u64 = 1;
 /// Default number of frames of a simulation that a command reads to its end: a scene has no end.
 const SIMULATED_FRAMES: u64 = 100;
 
-/// Source of frames and its options, as every command that reads frames takes them.
+/// Source of frames and its options, for every command that reads frames.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct SourceArgs {
     /// Recording, SCENE.toml, serial:PORT, usb:, deepcraft:PORT, auto, or emulated:SOURCE
@@ -69,7 +69,7 @@ impl SourceArgs {
         Path::new(self.source.trim_start_matches("emulated:"))
     }
 
-    /// Paths that no output may have: of the source and of the waveform.
+    /// Paths that no output may have: those of the source and of the waveform.
     pub fn inputs(&self) -> [&Path; 2] {
         [self.input(), Path::new(self.waveform.as_deref().unwrap_or(""))]
     }
@@ -82,7 +82,7 @@ impl SourceArgs {
         let input = self.input();
         let schemes = ["serial:", "usb:", "deepcraft:"];
         let is_board = self.source == "auto" || schemes.iter().any(|scheme| self.source.starts_with(scheme));
-        // A device is no recording: opening it says how a board is named.
+        // A device is no recording. The error of opening it explains how to name the board.
         let is_recording = !is_board && !is_scene(input) && (input.is_file() || input.is_dir());
         let of_simulations = "it is for simulated scenes";
         for (option, is_given, is_unused, why) in [
@@ -158,17 +158,18 @@ pub struct Playback {
 
 pub struct Source {
     pub frames: Box<dyn FrameSource>,
-    /// Whether it cannot wait for slow consumers.
+    /// Whether the source cannot wait for slow consumers.
     pub is_live: bool,
     pub description: String,
-    /// Board of the source, if there is one; of a recording the board that made it.
+    /// Board of the source, if there is one. For a recording, the board that made it.
     pub board: Option<BoardIdentity>,
-    /// Whether the frames are those of a recording, so that the board is not at work now.
+    /// Whether the frames are those of a recording: the board is not at work now.
     pub is_recording: bool,
     pub registers: RegisterList,
-    /// Whether the board is away. Frames that are lost when the source is stopped meanwhile are no gap of the source.
+    /// State that shows whether the board is away. If the source is stopped meanwhile, the lost frames are not in a gap of the
+    /// source.
     pub outage: Outage,
-    /// Playback, if the source is a recording that can be sought.
+    /// Playback, if the source is a recording that can be played, paused and sought.
     pub playback: Option<Playback>,
 }
 
@@ -186,14 +187,14 @@ impl Source {
         }
     }
 
-    /// Frames of a recording, whose board is the one that made it.
+    /// Creates the source of a recording. Its board is the one that made the recording.
     fn of_recording(frames: Box<dyn FrameSource>, path: &Path, header: RecordingHeader) -> Self {
         let RecordingHeader { board, registers, .. } = header;
         let source = Source::without_board(frames, format!("recording {}", path.display()));
         Source { board, registers, is_recording: true, ..source }
     }
 
-    /// Header of a recording of these frames, and of the answers of a model to them.
+    /// Header for a recording of these frames, with the model that classifies them, if there is one.
     pub fn header(&self, judge: Option<Judge>) -> RecordingHeader {
         let (waveform, board) = (self.frames.waveform().clone(), self.board.clone());
         RecordingHeader { waveform, board, registers: self.registers.clone(), judge }
@@ -220,7 +221,7 @@ pub fn next_frame(source: &mut dyn FrameSource, frame: &mut Frame) -> anyhow::Re
 /// There is no such source, it cannot be read, or a board cannot be programmed.
 pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let source = open_unguarded(spec, options)?;
-    Ok(Source { frames: Box::new(Guarded::new(source.frames)), ..source })
+    Ok(Source { frames: Box::new(PanicGuard::new(source.frames)), ..source })
 }
 
 fn open_unguarded(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
@@ -242,7 +243,7 @@ fn open_unguarded(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         return board(Detected::Deepcraft(Box::new(DeepcraftBoard::open(Path::new(port))?)), port, options);
     }
     if spec == "auto" {
-        return board_at(&the_one_board()?, options);
+        return board_at(&only_board()?, options);
     }
     let path = Path::new(spec);
     ensure!(
@@ -250,7 +251,7 @@ fn open_unguarded(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         "{spec}: there is no such file or folder\n\nhint: a SOURCE is a recording, SCENE.toml, serial:PORT, deepcraft:PORT, \
          usb:, auto, or emulated:SOURCE; radome board list lists the boards"
     );
-    // Reading from a terminal would wait for somebody to type.
+    // Reading from a terminal would wait for keyboard input.
     if is_device(path) {
         bail!("{spec} is a device, and no recording or scene\n\nhint: name the board on it serial:{spec}");
     }
@@ -259,7 +260,7 @@ fn open_unguarded(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
     }
     let mut source = if is_scene(path) {
         let frames: Box<dyn FrameSource> = match &options.waveform {
-            Some(waveform) => simulation_in(path, waveform, Duration::ZERO, options)?,
+            Some(waveform) => simulate_in_waveform(path, waveform, Duration::ZERO, options)?,
             None => Box::new(simulator(&Scene::load(path)?, options)?),
         };
         let description = format!("simulation of {} with seed {}", path.display(), options.seed);
@@ -317,16 +318,16 @@ pub fn feed(spec: &str, options: &SourceOptions) -> anyhow::Result<(Feed, String
     let (path, options) = (PathBuf::from(spec), options.clone());
     let feed = match (path.exists(), is_scene(&path)) {
         (false, _) => Feed::from(frames),
-        (true, true) => {
-            Feed::of_any_waveform(frames, move |waveform, from| Ok(simulation_in(&path, waveform, from, &options)?))
-        }
+        (true, true) => Feed::of_any_waveform(frames, move |waveform, from| {
+            Ok(simulate_in_waveform(&path, waveform, from, &options)?)
+        }),
         (true, false) => Feed::reopenable(frames, move || Ok(Box::new(Recording::open(&path)?))),
     };
     Ok((feed, description))
 }
 
-/// Simulates a scene in another waveform than its own, from the first frame that begins at or after this time.
-fn simulation_in(
+/// Simulates a scene in another waveform than its own, from the first frame at or after this time.
+fn simulate_in_waveform(
     path: &Path,
     waveform: &Waveform,
     from: Duration,
@@ -369,7 +370,7 @@ fn board(detected: Detected, at: impl Display, options: &SourceOptions) -> anyho
 }
 
 /// Returns the only board that discovery finds.
-fn the_one_board() -> anyhow::Result<Address> {
+fn only_board() -> anyhow::Result<Address> {
     let mut boards: Vec<Address> = candidates().iter().filter_map(Candidate::address).collect();
     match (boards.pop(), boards.is_empty()) {
         (Some(board), true) => Ok(board),
@@ -389,8 +390,10 @@ fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let source = open_unguarded(inner, &SourceOptions { speed: None, as_playback: false, ..options.clone() })?;
     let speed = options.speed.filter(|speed| *speed > 0.0);
     let pace = speed.map_or(Pace::AsFastAsRead, Pace::RealTime);
-    let emulated =
-        EmulatedSource::start(Box::new(Guarded::new(source.frames)), EmulatorOptions { pace, ..Default::default() })?;
+    let emulated = EmulatedSource::start(
+        Box::new(PanicGuard::new(source.frames)),
+        EmulatorOptions { pace, ..Default::default() },
+    )?;
     let identity = emulated.identity().clone();
     let path = emulated.board().path().display().to_string();
     let description = format!("{} emulated on {path}, fed by a {}", identity.name, source.description);
@@ -436,8 +439,8 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
         return Ok(Waveform::realise(radome_dsp::WaveformRequest::paper())?);
     }
     let path = Path::new(spec);
-    if judge::is_built_in(path) {
-        return Ok(judge::network(path)?.card.waveform);
+    if classifier::is_built_in(path) {
+        return Ok(classifier::network(path)?.card.waveform);
     }
     if path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
         return Ok(radome_models::ModelCard::load(path)?.waveform);

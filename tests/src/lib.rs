@@ -73,7 +73,7 @@ pub fn write_file(folder: &Path, name: &str, content: impl AsRef<[u8]>) -> PathB
 ///
 /// # Panics
 /// If the scene cannot be written.
-pub fn walk(folder: &Path, from_m: f64, to_m: f64) -> PathBuf {
+pub fn write_walking_scene(folder: &Path, from_m: f64, to_m: f64) -> PathBuf {
     let corridor = fixture_text("scenes/corridor.toml");
     let head = &corridor[..corridor.find("[people").expect("a people table")];
     let people = format!(
@@ -124,7 +124,7 @@ pub fn maps_of(recording: &Path) -> Vec<u8> {
 ///
 /// # Panics
 /// If the recording cannot be read.
-pub fn frames(recording: &Path) -> (Vec<Frame>, Vec<Gap>) {
+pub fn frames_and_gaps(recording: &Path) -> (Vec<Frame>, Vec<Gap>) {
     let mut source = Recording::open(recording).unwrap_or_else(|e| panic!("{e}"));
     let mut frame = Frame::zeroed(source.waveform().shape());
     let (mut frames, mut gaps) = (Vec::new(), Vec::new());
@@ -207,7 +207,7 @@ pub fn live_command(source: impl AsRef<OsStr>, options: &str) -> Command {
 
 /// Command that may write this number of blocks to a file, which stands for a full disk. Blocks have 512 bytes or 1 KiB,
 /// depending on the shell.
-pub fn limited(blocks: u32, command: impl Borrow<Command>) -> Command {
+pub fn with_file_size_limit(blocks: u32, command: impl Borrow<Command>) -> Command {
     let command: &Command = command.borrow();
     let mut shell = Command::new("sh");
     shell.args(["-c", &format!("ulimit -f {blocks}; exec \"$@\""), "sh"]);
@@ -282,7 +282,7 @@ pub fn success_at_once(commands: impl IntoIterator<Item = Command>) {
 /// # Panics
 /// If the program succeeds or fails in another way.
 pub fn failure(command: impl BorrowMut<Command>) -> String {
-    ends_with(command, 1)
+    assert_status(command, 1)
 }
 
 /// Runs a command that must fail with exit status 1 and say all of this on stderr.
@@ -292,7 +292,7 @@ pub fn failure(command: impl BorrowMut<Command>) -> String {
 pub fn fails_with(mut command: impl BorrowMut<Command>, parts: &[&str]) {
     let command: &mut Command = command.borrow_mut();
     let said = failure(&mut *command);
-    says_all(command, &said, parts);
+    assert_contains_all(command, &said, parts);
 }
 
 /// Runs a command that must be refused as wrong use, with exit status 2; returns its stderr.
@@ -300,7 +300,7 @@ pub fn fails_with(mut command: impl BorrowMut<Command>, parts: &[&str]) {
 /// # Panics
 /// If the program succeeds or fails in another way.
 pub fn wrong_use(command: impl BorrowMut<Command>) -> String {
-    ends_with(command, 2)
+    assert_status(command, 2)
 }
 
 /// Runs a command that must be refused as wrong use, with exit status 2, and say all of this on stderr.
@@ -310,18 +310,18 @@ pub fn wrong_use(command: impl BorrowMut<Command>) -> String {
 pub fn wrong_use_with(mut command: impl BorrowMut<Command>, parts: &[&str]) {
     let command: &mut Command = command.borrow_mut();
     let said = wrong_use(&mut *command);
-    says_all(command, &said, parts);
+    assert_contains_all(command, &said, parts);
 }
 
 /// Runs a command that must end with this status; returns its stderr.
-fn ends_with(mut command: impl BorrowMut<Command>, expected: i32) -> String {
+fn assert_status(mut command: impl BorrowMut<Command>, expected: i32) -> String {
     let command: &mut Command = command.borrow_mut();
     let (status, _, said) = outcome(&mut *command);
     assert_eq!(status, Some(expected), "{command:?}: {said}");
     said
 }
 
-fn says_all(command: &Command, said: &str, parts: &[&str]) {
+fn assert_contains_all(command: &Command, said: &str, parts: &[&str]) {
     for part in parts {
         assert!(said.contains(part), "{command:?} does not say {part:?}: {said}");
     }
@@ -371,7 +371,7 @@ pub fn installed(name: &str) -> Option<PathBuf> {
 }
 
 /// NumPy file of codes.
-pub fn npy(shape: [usize; 4], codes: &[u16]) -> Vec<u8> {
+pub fn npy_bytes(shape: [usize; 4], codes: &[u16]) -> Vec<u8> {
     let [f, r, c, s] = shape;
     let text = format!("{{'descr': '<u2', 'fortran_order': False, 'shape': ({f}, {r}, {c}, {s}), }}");
     let text = format!("{text:<117}\n");

@@ -19,7 +19,7 @@ pub const PATIENCE: Duration = Duration::from_secs(120);
 pub struct Lines(Arc<Mutex<Vec<String>>>);
 
 impl Lines {
-    fn of(stream: impl Read + Send + 'static) -> Self {
+    fn from_stream(stream: impl Read + Send + 'static) -> Self {
         let lines = Lines::default();
         let kept = lines.clone();
         std::thread::spawn(move || {
@@ -73,7 +73,7 @@ pub fn wait_up_to<T>(patience: Duration, what: &str, mut look: impl FnMut() -> O
 }
 
 /// Sends these bytes to a server; returns as much of its answer as arrives.
-pub fn ask(address: impl ToSocketAddrs, request: impl AsRef<[u8]>) -> String {
+pub fn send_request(address: impl ToSocketAddrs, request: impl AsRef<[u8]>) -> String {
     let mut answer = Vec::new();
     if let Ok(mut socket) = TcpStream::connect(address) {
         // Whoever waits for an answer can ask again.
@@ -106,8 +106,8 @@ impl Running {
             .stderr(Stdio::piped())
             .spawn()
             .unwrap_or_else(|e| panic!("cannot run {command:?}: {e}"));
-        let stdout = child.stdout.take().map(Lines::of).unwrap_or_default();
-        let stderr = child.stderr.take().map(Lines::of).unwrap_or_default();
+        let stdout = child.stdout.take().map(Lines::from_stream).unwrap_or_default();
+        let stderr = child.stderr.take().map(Lines::from_stream).unwrap_or_default();
         Running { child, stdout, stderr }
     }
 

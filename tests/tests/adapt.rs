@@ -22,7 +22,7 @@ const TRAINING: &str = "epochs = 25\nlearning_rate = 0.01\nstarts = 1\nreference
 
 /// Folder with a small dataset of halls in `maps`, a model of it in `model.safetensors`, and recordings
 /// `PEOPLE-SEED.mcap`. They show 30 s of a hall with swaying objects; `1-1.mcap` has a label.
-fn made() -> &'static Path {
+fn adaptation_folder() -> &'static Path {
     static MADE: OnceLock<tempfile::TempDir> = OnceLock::new();
     let folder = MADE.get_or_init(|| {
         let folder = tempfile::tempdir().expect("a folder");
@@ -42,7 +42,11 @@ fn made() -> &'static Path {
         for (people, seed) in (0..3).flat_map(|people| (1..4).map(move |seed| (people, seed))) {
             let options = format!("--people {people} --seed {seed} --frames 300");
             simulate(&at("room.toml"), &options, &at("still.mcap"));
-            with_sway(&at("still.mcap"), &at(&format!("{people}-{seed}.mcap")), f64::from(10 * people + seed));
+            add_swaying_objects(
+                &at("still.mcap"),
+                &at(&format!("{people}-{seed}.mcap")),
+                f64::from(10 * people + seed),
+            );
         }
         json_lines(command!("recording label --json --span 0:30=one", at("1-1.mcap")));
         folder
@@ -52,7 +56,7 @@ fn made() -> &'static Path {
 
 /// Copies a recording without its truth, and adds three objects at 2.6 to 3.6 m. They sway by 2 cm about once a second,
 /// with an amplitude of 8 codes.
-fn with_sway(from: &Path, to: &Path, phase: f64) {
+fn add_swaying_objects(from: &Path, to: &Path, phase: f64) {
     add_signal(from, to, false, |waveform, time_s, in_chirp_s| {
         let slope = waveform.sampled_bandwidth_hz() * waveform.sample_rate_hz / waveform.shape().samples as f64;
         let start_hz = waveform.centre_frequency_hz() - 0.5 * waveform.sampled_bandwidth_hz();
@@ -70,9 +74,9 @@ fn adapt(recordings: &[&str]) -> Command {
     let recordings = recordings.iter().map(|recording| {
         let (name, label) =
             recording.split_once('=').map_or((*recording, String::new()), |(n, l)| (n, format!("={l}")));
-        format!("{}{label}", made().join(format!("{name}.mcap")).display())
+        format!("{}{label}", adaptation_folder().join(format!("{name}.mcap")).display())
     });
-    command!("model adapt --json", made().join("model.safetensors"), ..recordings)
+    command!("model adapt --json", adaptation_folder().join("model.safetensors"), ..recordings)
 }
 
 const ROOM: [&str; 6] = ["0-1=empty", "0-2=empty", "1-1", "1-2=one", "2-1=two", "2-2=two"];
@@ -86,13 +90,14 @@ fn score(answer: &Value) -> f64 {
 }
 
 #[test]
-fn labelled_recordings_of_a_room_help_on_others_of_it_and_halls_are_not_forgotten() {
+fn adaptation_improves_other_recordings_of_the_room_and_keeps_scores_in_halls() {
     let folder = tempfile::tempdir().expect("a folder");
-    let model = made().join("model.safetensors");
+    let model = adaptation_folder().join("model.safetensors");
     let run = |name: &str| {
         let output = folder.path().join(name);
         let answer =
-            json_lines(adapt(&ROOM).arg("--simulated").arg(made().join("maps")).arg("-o").arg(&output)).remove(0);
+            json_lines(adapt(&ROOM).arg("--simulated").arg(adaptation_folder().join("maps")).arg("-o").arg(&output))
+                .remove(0);
         (answer, std::fs::read(&output).expect("written"))
     };
     let ((answer, bytes), (_, again)) = (run("a.safetensors"), run("b.safetensors"));
@@ -116,11 +121,11 @@ fn labelled_recordings_of_a_room_help_on_others_of_it_and_halls_are_not_forgotte
     assert!(!String::from_utf8_lossy(&bytes).contains(".mcap"), "the card names files");
     fails_with(adapt(&ROOM).arg("-o").arg(&adapted), &["exists already"]);
 
-    let others = ["0-3.mcap=empty", "1-3.mcap=one", "2-3.mcap=two"].map(|name| made().join(name));
+    let others = ["0-3.mcap=empty", "1-3.mcap=one", "2-3.mcap=two"].map(|name| adaptation_folder().join(name));
     let of_room = |model: &Path| score(&evaluate(model, &["--no-smoothing"], &others));
     let (before, after) = (of_room(&model), of_room(&adapted));
     assert!(after > before + 0.08, "other recordings of the room: {before}, then {after}");
-    let of_halls = |model: &Path| score(&evaluate(model, &[], &[made().join("maps")]));
+    let of_halls = |model: &Path| score(&evaluate(model, &[], &[adaptation_folder().join("maps")]));
     let (before, after) = (of_halls(&model), of_halls(&adapted));
     assert!(after > before - 0.02, "halls: {before}, then {after}");
 }
@@ -130,25 +135,25 @@ fn the_empty_room_alone_lowers_false_alarms() {
     let folder = tempfile::tempdir().expect("a folder");
     let output = folder.path().join("a.safetensors");
     let mut command = adapt(&[]);
-    command.arg("--empty").arg(made().join("0-1.mcap")).arg("-o").arg(&output);
+    command.arg("--empty").arg(adaptation_folder().join("0-1.mcap")).arg("-o").arg(&output);
     let answer = json_lines(&mut command).remove(0);
     // A single recording leaves none to hold out, and without people no misses can be measured.
     assert_eq!(answer["not_measured"].as_array().map(Vec::len), Some(3), "{answer}");
     assert!(answer["adapted"]["held_out"].is_null() && answer["file"].is_string(), "{answer}");
-    let of = |model: &Path| score(&evaluate(model, &["--no-smoothing"], &[made().join("0-3.mcap=empty")]));
-    let (before, after) = (of(&made().join("model.safetensors")), of(&output));
+    let of = |model: &Path| score(&evaluate(model, &["--no-smoothing"], &[adaptation_folder().join("0-3.mcap=empty")]));
+    let (before, after) = (of(&adaptation_folder().join("model.safetensors")), of(&output));
     assert!(after > before + 0.3, "frames of the empty room that are called empty: {before}, then {after}");
 }
 
 /// Asserts that the curve has a point for each labelled time, for the room itself and for the other room.
 #[test]
-fn a_curve_tells_accuracy_against_minutes_of_labels() {
+fn a_curve_gives_accuracy_against_minutes_of_labels() {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = fixture("scenes/hall.toml").canonicalize().expect("a scene");
     let room = |name: &str, seed: u64| format!("[[room]]\nname = \"{name}\"\nscene = {scene:?}\nseed = {seed}\n");
     let times = "format = 1\nminutes = [0.1, 0.2]\nrecording_s = 1.0\ntest_s = 2.0\n";
     let rooms = write_file(folder.path(), "rooms.toml", format!("{times}{}{}", room("a", 800_001), room("b", 800_002)));
-    let curve = || command!("model adapt --json", made().join("model.safetensors"), "--curve", &rooms);
+    let curve = || command!("model adapt --json", adaptation_folder().join("model.safetensors"), "--curve", &rooms);
     let answer = json_lines(curve()).remove(0);
     let curves = answer["curves"].as_array().expect("curves");
     assert_eq!(curves.iter().map(|curve| &curve["room"]).collect::<Vec<_>>(), ["a", "b"], "{answer}");
@@ -179,7 +184,7 @@ mod hard_cases {
     /// Regression test: labels of the empty room and of one person made models call two people one person. The truth of recordings
     /// of two people, with one person for the few seconds between their arrivals, made them call one person two.
     #[test]
-    fn a_class_without_labels_is_still_told_from_its_neighbour() {
+    fn a_class_without_labels_is_still_distinguished_from_its_neighbour() {
         let folder = tempfile::tempdir().expect("a folder");
         let recordings = |people: usize, seeds: [u64; 2]| {
             seeds.map(|seed| {
@@ -218,14 +223,14 @@ mod hard_cases {
 
     /// The warning said that the class stays about as before.
     #[test]
-    fn a_class_that_only_simulated_maps_show_is_said_to_be_learnt_from_them() {
+    fn a_class_that_only_simulated_maps_show_is_reported_as_learnt_from_them() {
         let why = |command: &mut Command| {
             let answer = json_lines(command).remove(0);
             let two = answer["not_measured"].as_array().and_then(|all| all.iter().find(|of| of["class"] == "two"));
             two.unwrap_or_else(|| panic!("{answer}"))["why"].as_str().expect("a reason").to_owned()
         };
         let shown = ["0-1=empty", "0-2=empty", "1-1", "1-2=one"];
-        let simulated = why(adapt(&shown).arg("--simulated").arg(made().join("maps")));
+        let simulated = why(adapt(&shown).arg("--simulated").arg(adaptation_folder().join("maps")));
         assert_eq!(simulated, "no recording shows it; it is learnt from simulated maps only");
         assert_eq!(why(&mut adapt(&shown)), "no recording shows it; it is told from its neighbour about as before");
     }
@@ -233,8 +238,8 @@ mod hard_cases {
     /// With `--no-smoothing` the reliability was that of the filter, beside scores of single frames.
     #[test]
     fn reliability_is_of_the_predictions_that_are_scored() {
-        let model = made().join("model.safetensors");
-        let recordings = ["0-3.mcap=empty", "1-3.mcap=one"].map(|name| made().join(name));
+        let model = adaptation_folder().join("model.safetensors");
+        let recordings = ["0-3.mcap=empty", "1-3.mcap=one"].map(|name| adaptation_folder().join(name));
         let [alone, filtered] = [&["--no-smoothing"][..], &[]].map(|args| {
             let answer = evaluate(&model, args, &recordings);
             let right = |of: &Value| of["right"].as_f64().unwrap_or(0.0) * of["frames"].as_f64().expect("a number");
@@ -270,12 +275,12 @@ mod hard_cases {
         wrong_use_with(adapt(&["0-1=three"]), &["not empty, one or two"]);
         let folder = tempfile::tempdir().expect("a folder");
         let none = folder.path().join("none.mcap");
-        let header = Recording::open(&made().join("0-1.mcap")).expect("opens").header();
+        let header = Recording::open(&adaptation_folder().join("0-1.mcap")).expect("opens").header();
         RecordingWriter::create(&none, Format::Mcap, &header).and_then(RecordingWriter::finish).expect("writes");
         let labelled = format!("{}=empty", none.display());
         fails_with(adapt(&[]).arg(labelled), &["none.mcap: no frame of it can be judged"]);
         // Frames that count twice would give a wrong score.
-        let twice = [made().join("0-1.mcap=empty"), made().join("./0-1.mcap=one")];
+        let twice = [adaptation_folder().join("0-1.mcap=empty"), adaptation_folder().join("./0-1.mcap=one")];
         fails_with(command!("model evaluate cfar", ..twice), &["0-1.mcap is named twice", "hint: "]);
         fails_with(command!("model adapt cfar", text.path()), &["cannot be adapted"]);
         assert_eq!(outcome(subcommand("model adapt a.safetensors")).0, Some(2));

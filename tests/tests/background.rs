@@ -10,14 +10,14 @@ use radome_tests::{
 use serde_json::Value;
 
 /// Simulates thirty seconds of a corridor with this number of people.
-fn simulated(path: &Path, people: &str, seed: &str) {
+fn simulate_corridor(path: &Path, people: &str, seed: &str) {
     let options = format!("--people {people} --seed {seed} --frames 300");
     simulate(&fixture("scenes/corridor.toml"), &options, path);
 }
 
 /// Copies a recording and adds a fan at 3 m: three blades that move by 6 cm 2.3 times a second, with an amplitude of 3
 /// codes.
-fn with_fan(from: &Path, to: &Path, phase: f64) {
+fn add_fan(from: &Path, to: &Path, phase: f64) {
     add_signal(from, to, true, |waveform, time_s, in_chirp_s| {
         let slope = waveform.sampled_bandwidth_hz() * waveform.sample_rate_hz / waveform.shape().samples as f64;
         let frequency_hz = waveform.centre_frequency_hz() + slope * in_chirp_s;
@@ -30,7 +30,7 @@ fn with_fan(from: &Path, to: &Path, phase: f64) {
     });
 }
 
-fn live(recording: &Path, background: Option<&Path>) -> Vec<Value> {
+fn classify(recording: &Path, background: Option<&Path>) -> Vec<Value> {
     let mut command = live_command(recording, "--json");
     if let Some(background) = background {
         command.arg("--background").arg(background);
@@ -40,17 +40,17 @@ fn live(recording: &Path, background: Option<&Path>) -> Vec<Value> {
     lines
 }
 
-fn share(frames: &[Value], of: impl Fn(&Value) -> bool) -> f64 {
+fn fraction(frames: &[Value], of: impl Fn(&Value) -> bool) -> f64 {
     frames.iter().filter(|frame| of(frame)).count() as f64 / frames.len().max(1) as f64
 }
 
 #[test]
 #[allow(clippy::print_stderr)]
-fn a_fan_is_nobody_once_the_empty_room_is_known_and_people_before_it_are_people() {
+fn a_fan_does_not_count_after_a_background_measurement_and_people_still_do() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    simulated(&at("capture.mcap"), "0", "1");
-    with_fan(&at("capture.mcap"), &at("capture-fan.mcap"), 0.0);
+    simulate_corridor(&at("capture.mcap"), "0", "1");
+    add_fan(&at("capture.mcap"), &at("capture-fan.mcap"), 0.0);
     let model = fixture("models/paper-hqnn.safetensors");
     let capture =
         command!("model background --json", at("capture-fan.mcap"), "--model", &model, "-o", at("empty.json"));
@@ -60,24 +60,24 @@ fn a_fan_is_nobody_once_the_empty_room_is_known_and_people_before_it_are_people(
     let is_occupied = |frame: &Value| frame["occupied"] == true;
     for seed in ["100007", "100008"] {
         // Another recording, with another phase of the fan.
-        simulated(&at("empty.mcap"), "0", seed);
-        with_fan(&at("empty.mcap"), &at("empty-fan.mcap"), 1.0);
-        let before = share(&live(&at("empty-fan.mcap"), None), is_occupied);
-        let after = share(&live(&at("empty-fan.mcap"), Some(&at("empty.json"))), is_occupied);
+        simulate_corridor(&at("empty.mcap"), "0", seed);
+        add_fan(&at("empty.mcap"), &at("empty-fan.mcap"), 1.0);
+        let before = fraction(&classify(&at("empty-fan.mcap"), None), is_occupied);
+        let after = fraction(&classify(&at("empty-fan.mcap"), Some(&at("empty.json"))), is_occupied);
         eprintln!(
             "seed {seed}: the empty room with a fan counts as occupied in {before:.3} of frames, then {after:.3}"
         );
         assert!(before > 0.9 && after == 0.0, "{before} {after}");
 
-        simulated(&at("one.mcap"), "1", seed);
-        with_fan(&at("one.mcap"), &at("one-fan.mcap"), 1.0);
+        simulate_corridor(&at("one.mcap"), "1", seed);
+        add_fan(&at("one.mcap"), &at("one-fan.mcap"), 1.0);
         let there = |lines: Vec<Value>| -> f64 {
             let there: Vec<Value> =
                 lines.into_iter().filter(|frame| frame["truth"] != "empty" && frame["transition"] == false).collect();
-            share(&there, |frame| frame["label"] != "empty")
+            fraction(&there, |frame| frame["label"] != "empty")
         };
-        let without_fan = there(live(&at("one.mcap"), None));
-        let with_both = there(live(&at("one-fan.mcap"), Some(&at("empty.json"))));
+        let without_fan = there(classify(&at("one.mcap"), None));
+        let with_both = there(classify(&at("one-fan.mcap"), Some(&at("empty.json"))));
         eprintln!(
             "seed {seed}: who is there is seen in {without_fan:.3} without a fan, {with_both:.3} with fan and capture"
         );
@@ -89,11 +89,11 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn a_room_that_is_not_empty_a_short_look_and_another_models_capture_are_refused() {
+    fn an_occupied_room_a_short_measurement_and_another_models_background_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
-        simulated(&at("one.mcap"), "1", "100007");
-        simulated(&at("empty.mcap"), "0", "1");
+        simulate_corridor(&at("one.mcap"), "1", "100007");
+        simulate_corridor(&at("empty.mcap"), "0", "1");
         let model = fixture("models/paper-hqnn.safetensors");
         let capture = |source: &Path, seconds: &str| {
             command!("model background", source, "--model", &model, "--seconds", seconds, "-o", at("room.json"))
@@ -109,12 +109,12 @@ mod hard_cases {
         // With a greatest range, cells beyond it hold other noise.
         let near = command!("model background --max-range-m 3", at("empty.mcap"), "-o", at("near.json"));
         success(near);
-        let live = |range: &str| {
+        let classify = |range: &str| {
             command!("live", at("empty.mcap"), "--background", at("near.json"), ..range.split_whitespace())
         };
-        success(live("--max-range-m 3"));
-        fails_with(live("--max-range-m 2"), &["--max-range-m 3", "--max-range-m 2", "hint:"]);
-        fails_with(live(""), &["--max-range-m 3", "no --max-range-m"]);
+        success(classify("--max-range-m 3"));
+        fails_with(classify("--max-range-m 2"), &["--max-range-m 3", "--max-range-m 2", "hint:"]);
+        fails_with(classify(""), &["--max-range-m 3", "no --max-range-m"]);
         std::fs::write(at("nonsense.json"), "{\"format\":1}").expect("writable");
         assert!(with(&at("nonsense.json"), model.to_str().expect("text")).contains("nonsense.json"));
     }

@@ -14,13 +14,13 @@ use radome_tests::{
 
 const FRAMES: usize = 60;
 
-fn codes(folder: &Path) -> Vec<u16> {
+fn read_codes(folder: &Path) -> Vec<u16> {
     let file = std::fs::File::open(folder.join("RadarIfxAvian_00/radar.npy")).expect("a recording folder");
     npyz::NpyFile::new(BufReader::new(file)).expect("npy").into_vec().expect("u16")
 }
 
 /// Folder with a recording of a simulated desk, and the path of the recording.
-fn fed(frames: usize) -> (tempfile::TempDir, PathBuf) {
+fn desk_recording(frames: usize) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let fed = folder.path().join("fed.mcap");
     simulate(&fixture("scenes/desk.toml"), &format!("--frames {frames}"), &fed);
@@ -34,11 +34,11 @@ fn record(_board: Running, source: &str, frames: usize, recorded: &Path) -> Outp
 }
 
 #[test]
-fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
-    let (folder, fed) = fed(FRAMES + 20);
+fn samples_of_an_emulated_board_are_recorded_unchanged() {
+    let (folder, fed) = desk_recording(FRAMES + 20);
     let source = folder.path().join("fed");
     convert(&fed, &source);
-    let expected = codes(&source);
+    let expected = read_codes(&source);
     let check = |protocol: &str, scheme: &str| {
         let link = folder.path().join(format!("{protocol}-board")).display().to_string();
         let (board, port) = emulated_board(&source, &["--protocol", protocol, "--link", &link]);
@@ -48,7 +48,7 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
         let output = record(board, &format!("{scheme}:{port}"), FRAMES, &recorded);
         assert!(output.status.success(), "{protocol}: {}", String::from_utf8_lossy(&output.stderr));
         convert(&recorded, &copy);
-        let got = codes(&copy);
+        let got = read_codes(&copy);
         let frame = expected.len() / (FRAMES + 20);
         assert_eq!(got.len(), frame * FRAMES, "{protocol}");
         // A busy machine may read late, and the board does not wait. Lost frames are then reported, and nothing else
@@ -83,7 +83,7 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
 /// Asserts that a PSoC 6 kit reports its waveform, so that no option has to name one.
 #[test]
 fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
-    let (folder, fed) = fed(40);
+    let (folder, fed) = desk_recording(40);
     let (_board, port) = emulated_board(&fed, &["--protocol", "deepcraft"]);
     let recorded = folder.path().join("recorded.mcap");
     let summary = json_lines(command!("record --json", format!("deepcraft:{port}"), "--frames 20 -o", &recorded));
@@ -93,8 +93,8 @@ fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
 /// Asserts that the axes are those of the waveform that an ESP32 reports. It takes no requests, so that no model can
 /// program it.
 #[test]
-fn frames_of_an_esp32_are_judged_on_the_axes_that_it_states() {
-    let (_folder, fed) = fed(40);
+fn frames_of_an_esp32_are_classified_on_the_axes_that_it_states() {
+    let (_folder, fed) = desk_recording(40);
     let (_board, port) = emulated_board(&fed, &["--protocol", "esp32"]);
     let judged = json_lines(command!("live --json", format!("serial:{port}"), "--frames 10"));
     assert!(judged.iter().filter(|line| line["probabilities"].is_object()).count() >= 10, "{judged:?}");
@@ -107,7 +107,7 @@ mod hard_cases {
 
     /// Pauses a recorder of an emulated board for longer than its patience with a silent board. Returns the lines that
     /// it wrote to stderr, and the number of frames lost.
-    fn paused(protocol: &str, pause: Duration) -> (Vec<String>, Option<u64>) {
+    fn record_with_pause(protocol: &str, pause: Duration) -> (Vec<String>, Option<u64>) {
         let folder = tempfile::tempdir().expect("a folder");
         // A frame is longer than one read of the port, and the board holds those of some seconds.
         let text = "start_frequency_hz = 60e9\nend_frequency_hz = 62e9\nsamples_per_chirp = 64\nchirps_per_frame = 32\n\
@@ -132,7 +132,7 @@ mod hard_cases {
     /// Regression test: the board counted as stalled, and the frames that it still held were lost.
     #[test]
     fn a_recorder_that_is_paused_loses_no_frame_that_the_board_holds() {
-        let (said, lost) = paused("mcu7-4", Duration::from_millis(2500));
+        let (said, lost) = record_with_pause("mcu7-4", Duration::from_millis(2500));
         assert!(!said.iter().any(|line| line.contains("the board is")), "{said:?}");
         assert_eq!(lost, Some(0), "{said:?}");
     }
@@ -140,15 +140,15 @@ mod hard_cases {
     /// Regression test: a board that its watchdog had stopped was started anew, and counted as stalled at once.
     #[test]
     fn a_board_that_stopped_while_its_recorder_was_paused_is_started_once() {
-        let (said, _) = paused("deepcraft", Duration::from_millis(3500));
+        let (said, _) = record_with_pause("deepcraft", Duration::from_millis(3500));
         assert_eq!(said.iter().filter(|line| line.contains("the board is started anew")).count(), 1, "{said:?}");
         assert!(!said.iter().any(|line| line.contains("the board is lost")), "{said:?}");
     }
 
     /// Regression test: each line was told, several a second, until the deadline.
     #[test]
-    fn lines_of_another_waveform_are_told_once() {
-        let (folder, fed) = fed(60);
+    fn lines_of_another_waveform_are_reported_once() {
+        let (folder, fed) = desk_recording(60);
         let (_board, port) = emulated_board(&fed, &["--protocol", "esp32"]);
         let (_, other) = other_waveform(folder.path());
         let none = folder.path().join("none.mcap");
@@ -158,8 +158,8 @@ mod hard_cases {
     }
 
     #[test]
-    fn what_a_script_of_faults_costs_is_counted_and_recorded_and_the_rest_is_whole() {
-        let (folder, fed) = fed(80);
+    fn losses_by_scripted_faults_are_counted_and_recorded_and_other_frames_are_whole() {
+        let (folder, fed) = desk_recording(80);
         let link = folder.path().join("board").display().to_string();
         let (board, port) =
             emulated_board(&fed, &["--speed", "0", "--faults", "drop 5, double 9, flip 12:345", "--link", &link]);
@@ -175,7 +175,7 @@ mod hard_cases {
     }
 
     #[test]
-    fn a_fault_that_nobody_can_follow_is_wrong_use() {
+    fn an_unknown_kind_of_fault_is_wrong_use() {
         let mut emulate = subcommand("board emulate --from nowhere.mcap --faults");
         let (status, _, said) = outcome(emulate.arg("explode 3"));
         assert!(status == Some(2) && said.contains("no such kind"), "{said}");
@@ -184,7 +184,7 @@ mod hard_cases {
 
 /// Asserts that a named waveform programs a board without one, for a detector that needs no particular waveform.
 #[test]
-fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
+fn a_board_without_a_waveform_is_programmed_with_the_named_one() {
     let (_board, port) = emulated_board(&fixture("scenes/corridor.toml"), &[]);
     // Opening the board resets its chip.
     drop(Mcu7Board::open(&Address::Serial((&port).into())).expect("a board"));
@@ -245,7 +245,7 @@ fn a_scene_is_simulated_in_the_waveform_that_the_client_programs() {
         record_frames(&port, 10, waveform.map(PathBuf::as_path), &recorded);
         let copy = folder.path().join(number.to_string());
         convert(&recorded, &copy);
-        let codes = codes(&copy);
+        let codes = read_codes(&copy);
         assert_eq!(codes.len(), 10 * frame, "recording {number}");
         assert!(codes.iter().any(|code| *code != codes[0]), "there is something in it");
     }
@@ -254,8 +254,8 @@ fn a_scene_is_simulated_in_the_waveform_that_the_client_programs() {
 }
 
 #[test]
-fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
-    let (folder, fed) = fed(60);
+fn an_emulated_recording_is_not_sent_in_another_waveform_and_stderr_names_both() {
+    let (folder, fed) = desk_recording(60);
     let (board, port) = emulated_board(&fed, &["--speed", "0"]);
     let (other, _) = other_waveform(folder.path());
     let client = Mcu7Board::open(&Address::Serial((&port).into())).expect("a board");
@@ -271,8 +271,8 @@ fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
 }
 
 #[test]
-fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
-    let (folder, fed) = fed(30);
+fn the_end_of_a_recording_is_reported_once_and_a_loop_has_none() {
+    let (folder, fed) = desk_recording(30);
 
     let (board, port) = emulated_board(&fed, &["--speed", "0"]);
     let mut client = Running::start(command!("record", format!("serial:{port}"), "-o", folder.path().join("all.mcap")));
@@ -291,7 +291,7 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
     let copies = [(&fed, "fed"), (&recorded, "loop")].map(|(recording, name)| {
         let copy = folder.path().join(name);
         convert(recording, &copy);
-        codes(&copy)
+        read_codes(&copy)
     });
     let frame = copies[0].len() / 30;
     for (number, got) in copies[1].chunks(frame).enumerate() {
@@ -301,8 +301,8 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
 }
 
 #[test]
-fn a_link_is_one_boards_and_goes_with_it() {
-    let (folder, fed) = fed(30);
+fn a_link_belongs_to_one_board_and_is_removed_with_it() {
+    let (folder, fed) = desk_recording(30);
     let link = folder.path().join("board");
     let link_text = link.display().to_string();
     let arguments = ["--speed", "0", "--loop", "--link", &link_text];
@@ -328,7 +328,7 @@ fn a_link_is_one_boards_and_goes_with_it() {
 
 #[test]
 fn a_recorder_that_is_killed_leaves_a_board_for_the_next() {
-    let (folder, fed) = fed(60);
+    let (folder, fed) = desk_recording(60);
     let (_board, port) = emulated_board(&fed, &["--speed", "0", "--loop"]);
     for number in 0..5 {
         let recorded = folder.path().join(format!("killed-{number}.mcap"));

@@ -14,7 +14,7 @@ fn number(value: &Value) -> f64 {
 /// Asserts that a receiver fitted to the first half of a real recording, of a breathing person, describes the second
 /// half.
 #[test]
-fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
+fn a_receiver_fitted_to_half_a_recording_matches_the_other_half() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("receiver.toml");
@@ -97,7 +97,7 @@ fn corridor(folder: &Path, seed: u64, frames: u32) -> std::path::PathBuf {
 
 /// Asserts that static echoes determine the echo strength, and its deviation from constant.
 #[test]
-fn levels_and_jitter_of_what_stands_still_are_found_again() {
+fn levels_and_jitter_of_static_echoes_are_recovered() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = corridor(folder.path(), 3, 130);
     let (scene, base) = (fixture("scenes/corridor.toml"), fixture("receivers/typical.toml"));
@@ -114,7 +114,7 @@ fn levels_and_jitter_of_what_stands_still_are_found_again() {
 }
 
 #[test]
-fn several_recordings_are_fitted_together_and_drawn_anew() {
+fn several_recordings_are_fitted_together_and_resampled() {
     let folder = tempfile::tempdir().expect("a folder");
     let recordings = [1, 2, 3].map(|seed| corridor(folder.path(), seed, 40));
     let file = folder.path().join("receiver.toml");
@@ -133,7 +133,7 @@ fn several_recordings_are_fitted_together_and_drawn_anew() {
 }
 
 #[test]
-fn recordings_are_judged_by_their_labels() {
+fn recordings_are_evaluated_by_their_labels() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let model = fixture("models/desk-hqnn.safetensors");
     let labelled = |label: &str| format!("{}={label}", recording.display());

@@ -2,7 +2,7 @@
 
 use radome_tests::{command, json_lines, outcome, subcommand, wrong_use_with};
 
-fn circuit(arguments: &str) -> serde_json::Value {
+fn evaluate_circuit(arguments: &str) -> serde_json::Value {
     json_lines(command!("bench circuit --json", ..arguments.split(' '))).remove(0)
 }
 
@@ -12,13 +12,14 @@ fn numbers(value: &serde_json::Value) -> Vec<f64> {
 
 /// Asserts cosines for circuits without entangler; the first output belongs to the highest qubit.
 #[test]
-fn angles_that_add_up_are_cosines() {
-    let got = circuit("--qubits 3 --encoding angle --depth 0 --x 0.1,0.2,0.3 --theta 1,-2,0.5");
+fn circuits_without_entangler_give_cosines_of_summed_angles() {
+    let got = evaluate_circuit("--qubits 3 --encoding angle --depth 0 --x 0.1,0.2,0.3 --theta 1,-2,0.5");
     for (key, angle) in [("zii", 0.8f64), ("izi", -1.8), ("iiz", 1.1)] {
         assert!((got[key].as_f64().expect("number") - angle.cos()).abs() < 1e-14, "{key}");
     }
     assert!((numbers(&got["zii_grad_x"])[2] + 0.8f64.sin()).abs() < 1e-14);
-    let noisy = circuit("--qubits 3 --encoding angle --depth 0 --x 0.1,0.2,0.3 --theta 1,-2,0.5 --readout-flip 0.25");
+    let noisy =
+        evaluate_circuit("--qubits 3 --encoding angle --depth 0 --x 0.1,0.2,0.3 --theta 1,-2,0.5 --readout-flip 0.25");
     assert!((noisy["iiz"].as_f64().expect("number") - 0.5 * 1.1f64.cos()).abs() < 1e-14);
 }
 
@@ -42,7 +43,7 @@ fn gradients_shrink_with_qubits() {
 
 #[test]
 fn shots_are_seeded_and_defaults_are_those_of_the_paper() {
-    let at = |rest: &str| circuit(&format!("--x 0.8,2.1 --theta 0.4,-1.2,2,0.7 {rest}"));
+    let at = |rest: &str| evaluate_circuit(&format!("--x 0.8,2.1 --theta 0.4,-1.2,2,0.7 {rest}"));
     let exact = at("--depth 1");
     assert_eq!(exact, at("--qubits 2 --encoding zz --repetitions 1"));
     assert_ne!(exact, at("--repetitions 2"));
@@ -61,7 +62,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn what_no_circuit_is_is_said() {
+    fn invalid_circuits_are_refused_with_their_reason() {
         for (arguments, part) in [
             ("--x 1,2,3 --theta 1,2,3,4,5,6", "--x takes two numbers and --theta four, got 3 and 6"),
             ("--qubits 3 --x 1,2,3 --theta 1,2,3,4", "--x takes three numbers and --theta six, got 3 and 4"),

@@ -19,7 +19,7 @@ fn hall_without_reverberation(folder: &Path) -> std::path::PathBuf {
 /// Asserts that the detector calls empty halls empty and walkers occupied, with the same filter and metrics as a
 /// network.
 #[test]
-fn the_detector_judges_recordings_in_place_of_a_model() {
+fn the_detector_classifies_recordings_in_place_of_a_model() {
     let folder = tempfile::tempdir().expect("a folder");
     let hall = hall_without_reverberation(folder.path());
     let labelled = [(0, "empty"), (1, "one")].map(|(people, label)| {
@@ -36,7 +36,7 @@ fn the_detector_judges_recordings_in_place_of_a_model() {
 
 /// Asserts that the detector accepts any waveform, also live.
 #[test]
-fn the_detector_watches_any_source() {
+fn the_detector_classifies_any_source() {
     let args = ["live", "--model", "cfar", "--frames", "60", "--people", "0", "--json"];
     let lines = json_lines(radome().args(args).arg(fixture("scenes/corridor.toml")));
     let (summary, frames) = lines.split_last().expect("some lines");
@@ -45,13 +45,13 @@ fn the_detector_watches_any_source() {
 }
 
 #[test]
-fn the_detector_wants_frames_and_not_maps() {
+fn the_detector_needs_frames_and_not_maps() {
     let folder = tempfile::tempdir().expect("a folder");
     wrong_use_with(command!("model evaluate --model cfar", folder.path()), &["raw frames", "hint:"]);
 }
 
 /// Writes the corridor scene with `rest` after its furniture, in place of its people or before them.
-fn scene(folder: &Path, name: &str, rest: &str) -> std::path::PathBuf {
+fn write_corridor(folder: &Path, name: &str, rest: &str) -> std::path::PathBuf {
     let corridor = fixture_text("scenes/corridor.toml");
     let (head, people) = corridor.split_at(corridor.find("[people").expect("a people table"));
     let people = if rest.contains("[people") { "" } else { people };
@@ -67,7 +67,7 @@ fn azimuth_is_on_the_side_on_which_somebody_walks() {
         let walk = format!(
             "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [2.0, {y_m}] }}, {{ walk_to_m = [5.0, {y_m}], speed_m_per_s = 1.0 }}]\n"
         );
-        let path = scene(folder.path(), "walk.toml", &walk);
+        let path = write_corridor(folder.path(), "walk.toml", &walk);
         let frames = json_lines(command!("recording echoes --frames 30 --json", path));
         let strongest = frames.iter().filter_map(|frame| frame["echoes"].get(0));
         let sides: Vec<f64> = strongest.filter_map(|echo| echo["azimuth_deg"].as_f64()).collect();
@@ -78,7 +78,7 @@ fn azimuth_is_on_the_side_on_which_somebody_walks() {
 
 /// Regression test: without `--frames` the echoes of a recording ended after 100 frames, without a word.
 #[test]
-fn echoes_of_a_recording_go_on_to_its_end() {
+fn echoes_are_measured_up_to_the_end_of_a_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("long.mcap");
     simulate(&fixture("scenes/desk.toml"), "--frames 110", &path);
@@ -89,10 +89,10 @@ fn echoes_of_a_recording_go_on_to_its_end() {
 /// Asserts phase offsets near zero: the simulator's receivers are equal and the reflector's position is known. The
 /// written file can be read again.
 #[test]
-fn a_reflector_tells_what_receivers_are_unlike_in() {
+fn a_reflector_gives_the_phase_offsets_between_receivers() {
     let folder = tempfile::tempdir().expect("a folder");
     let thing = "[[furniture]]\nname = \"corner\"\nposition_m = [2.85, 0.99, 1.49]\nsize_m = [0.02, 0.02, 0.02]\ncross_section_dbsm = 5.0\n";
-    let path = scene(folder.path(), "corner.toml", thing);
+    let path = write_corridor(folder.path(), "corner.toml", thing);
     let angles = folder.path().join("angles.toml");
     let args = ["recording", "echoes", "--people", "0", "--reflector", "2.5,0,0", "--json", "-o"];
     let told: Value = json_lines(radome().args(args).arg(&angles).arg(&path)).remove(0);
@@ -122,7 +122,7 @@ fn without_a_reflector_nothing_is_measured() {
 }
 
 #[test]
-fn a_source_without_echoes_is_said_to_have_none() {
+fn a_source_without_echoes_is_reported_to_have_none() {
     let empty = fixture("scenes/corridor.toml");
     let (told, said) = success(command!("recording echoes --frames 5 --people 0", empty));
     assert!(told.is_empty() && said.contains("no echo stands out of the noise in 5 frames"), "{told}{said}");

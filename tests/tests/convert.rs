@@ -9,18 +9,18 @@ use radome_driver::LabelSpan;
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason};
 use radome_tests::{
-    command, convert, fails_with, failure, fixture, frames, json_lines_of, labels_of, limited, radome, shared,
-    simulate, subcommand, success, wrong_use_with,
+    command, convert, fails_with, failure, fixture, frames_and_gaps, json_lines_of, labels_of, radome, shared,
+    simulate, subcommand, success, with_file_size_limit, wrong_use_with,
 };
 use serde_json::Value;
 
 /// All frames of a recording, and the number of lost frames.
-fn read(path: &Path) -> (Vec<Frame>, u64) {
-    let (frames, gaps) = frames(path);
+fn read_frames(path: &Path) -> (Vec<Frame>, u64) {
+    let (frames, gaps) = frames_and_gaps(path);
     (frames, gaps.iter().map(|gap| gap.frames).sum())
 }
 
-fn simulated(path: &Path, frames: &str) {
+fn simulate_desk(path: &Path, frames: &str) {
     simulate(&fixture("scenes/corridor.toml"), &format!("--frames {frames} --seed 5"), path);
 }
 
@@ -32,13 +32,13 @@ fn codes(frames: &[Frame]) -> Vec<&[u16]> {
 fn a_simulation_becomes_a_folder_and_a_text_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    simulated(&at("x.mcap"), "15");
+    simulate_desk(&at("x.mcap"), "15");
     let (told, said) = success(command!("recording convert --json", at("x.mcap"), at("session/")));
     assert!(said.contains("truth of 15 frames"), "{said}");
     let report: Value = serde_json::from_str(&told).expect("JSON");
     assert_eq!((&report["frames"], &report["gaps"], &report["lost"]), (&15.into(), &0.into(), &0.into()));
 
-    let (frames, _) = read(&at("x.mcap"));
+    let (frames, _) = read_frames(&at("x.mcap"));
     let bytes = std::fs::read(at("session/RadarIfxAvian_00/radar.npy")).expect("an array");
     let array = npyz::NpyFile::new(bytes.as_slice()).expect("an array");
     assert_eq!(array.shape(), [15, 3, 128, 256]);
@@ -48,13 +48,13 @@ fn a_simulation_becomes_a_folder_and_a_text_file() {
 
     convert(&at("session"), &at("y.txt"));
     convert(&at("y.txt"), &at("z.mcap"));
-    assert!(codes(&read(&at("z.mcap")).0) == codes(&frames));
+    assert!(codes(&read_frames(&at("z.mcap")).0) == codes(&frames));
     let waveform = |name: &str| Recording::open(&at(name)).expect("opens").waveform().clone();
     assert_eq!(waveform("z.mcap"), waveform("x.mcap"));
 }
 
 #[test]
-fn the_real_recording_survives_the_way_there_and_back() {
+fn the_real_recording_is_unchanged_after_conversion_there_and_back() {
     let Some(real) = shared("data/recordings/breathing-person-20260106") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
@@ -65,19 +65,19 @@ fn the_real_recording_survives_the_way_there_and_back() {
     assert!(file(&real, "radar.npy") == file(&at("back"), "radar.npy"));
     let config = |root: &Path| serde_json::from_slice::<Value>(&file(root, "config.json")).expect("JSON");
     assert_eq!(config(&real), config(&at("back")));
-    assert_eq!(read(&real), read(&at("back")));
+    assert_eq!(read_frames(&real), read_frames(&at("back")));
 }
 
 #[test]
 fn a_recording_cut_in_two_is_repaired() {
     let folder = tempfile::tempdir().expect("a folder");
     let (cut, fixed) = (folder.path().join("cut.mcap"), folder.path().join("fixed.mcap"));
-    simulated(&cut, "35");
-    let (whole, _) = read(&cut);
+    simulate_desk(&cut, "35");
+    let (whole, _) = read_frames(&cut);
     let bytes = std::fs::read(&cut).expect("reads");
     std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("writes");
     let report = json_lines_of(command!("recording repair --json", &cut, "-o", &fixed), &[3]).remove(0);
-    let (frames, _) = read(&fixed);
+    let (frames, _) = read_frames(&fixed);
     assert!(frames.len() >= 10 && frames == whole[..frames.len()]);
     assert_eq!((&report["frames"], &report["was_finished"]), (&frames.len().into(), &false.into()));
     assert!(report["lost_bytes"].as_u64().is_some_and(|bytes| bytes > 0));
@@ -86,7 +86,7 @@ fn a_recording_cut_in_two_is_repaired() {
     let copy = folder.path().join("copy.mcap");
     let report = json_lines_of(command!("recording convert --json", &cut, &copy), &[3]).remove(0);
     assert_eq!((&report["frames"], &report["gaps_of_unknown_length"]), (&frames.len().into(), &1.into()));
-    let (frames, gaps) = radome_tests::frames(&copy);
+    let (frames, gaps) = radome_tests::frames_and_gaps(&copy);
     assert!(frames == whole[..frames.len()], "{} frames", frames.len());
     let end = Gap { first_sequence: frames.len() as u64, frames: 0, reason: GapReason::Recorded };
     assert_eq!(gaps, [end]);
@@ -94,7 +94,7 @@ fn a_recording_cut_in_two_is_repaired() {
 
 /// Only the first radar of a session was converted, and data behind its frames were left out, without a word.
 #[test]
-fn what_is_left_out_of_a_session_is_told() {
+fn parts_of_a_session_that_are_left_out_are_reported() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     for radar in ["session/RadarIfxAvian_00", "session/RadarIfxAvian_01"] {
@@ -116,7 +116,7 @@ fn what_is_left_out_of_a_session_is_told() {
 /// Kills a recorder at a random moment; returns the numbers of frames that it was given and that can be read.
 ///
 /// The recorder says on stderr which frames it has, so that no clock is needed to know what must be there.
-fn kill_one(arguments: &[&str], path: &Path, draw: &mut dyn FnMut(u64) -> u64, whole: &[Frame]) -> (usize, usize) {
+fn kill_recorder(arguments: &[&str], path: &Path, draw: &mut dyn FnMut(u64) -> u64, whole: &[Frame]) -> (usize, usize) {
     let mut child = radome()
         .args(arguments)
         .arg(path)
@@ -140,7 +140,7 @@ fn kill_one(arguments: &[&str], path: &Path, draw: &mut dyn FnMut(u64) -> u64, w
     stderr.read_to_string(&mut said).expect("reads");
     let given = said.matches("frame recorded").count();
     let (frames, lost) = match path.exists() && std::fs::metadata(path).expect("there").len() > 0 {
-        true => read(path),
+        true => read_frames(path),
         // The file has no content yet.
         false => (Vec::new(), 0),
     };
@@ -162,8 +162,8 @@ fn kill_one(arguments: &[&str], path: &Path, draw: &mut dyn FnMut(u64) -> u64, w
 fn a_killed_recorder_leaves_all_but_the_last_second() {
     let folder = tempfile::tempdir().expect("a folder");
     let reference = folder.path().join("whole.mcap");
-    simulated(&reference, "60");
-    let (whole, _) = read(&reference);
+    simulate_desk(&reference, "60");
+    let (whole, _) = read_frames(&reference);
     let scene = fixture("scenes/corridor.toml").display().to_string();
     let emulated = format!("emulated:{scene}");
     let mut state = 0x2026_1121_u64;
@@ -179,7 +179,7 @@ fn a_killed_recorder_leaves_all_but_the_last_second() {
         let simulate = ["scene", "simulate", &scene, "--frames", "60", "--seed", "5", "-o"];
         let record = ["record", &emulated, "--frames", "60", "--seed", "5", "-o"];
         let arguments: &[&str] = if round % 2 == 0 { &simulate } else { &record };
-        let (given, read) = kill_one(arguments, &path, &mut draw, &whole);
+        let (given, read) = kill_recorder(arguments, &path, &mut draw, &whole);
         worst = worst.max(given.saturating_sub(read));
         frames_given += given;
         // The file does not exist if the recorder was killed before it created it.
@@ -194,7 +194,7 @@ fn a_killed_recorder_leaves_all_but_the_last_second() {
 mod hard_cases {
     use super::*;
 
-    fn left_over(folder: &Path) -> Vec<PathBuf> {
+    fn partial_files(folder: &Path) -> Vec<PathBuf> {
         std::fs::read_dir(folder).expect("lists").flatten().map(|entry| entry.path()).collect()
     }
 
@@ -203,7 +203,7 @@ mod hard_cases {
     fn labels_beside_a_recording_are_converted_with_it() {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
-        simulated(&at("x.mcap"), "6");
+        simulate_desk(&at("x.mcap"), "6");
         for input in ["session", "y.txt"] {
             convert(&at("x.mcap"), &at(input));
             let mut label = subcommand("recording label --span 0:0.2=empty --span 0.2:0.5=one");
@@ -224,7 +224,7 @@ mod hard_cases {
     fn labels_beside_a_recording_are_checked() {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
-        simulated(&at("x.mcap"), "6");
+        simulate_desk(&at("x.mcap"), "6");
         convert(&at("x.mcap"), &at("y.txt"));
         let converted = || command!("recording convert", at("y.txt"), at("z.mcap"));
         std::fs::write(at("y.label"), "no labels").expect("writes");
@@ -255,7 +255,7 @@ mod hard_cases {
         let later = at("later.mcap");
         let header = Recording::open(&whole).expect("opens").header();
         let mut writer = RecordingWriter::create(&later, Format::Mcap, &header).expect("creates");
-        read(&whole).0.iter().skip(1).for_each(|frame| writer.frame(frame).expect("writes"));
+        read_frames(&whole).0.iter().skip(1).for_each(|frame| writer.frame(frame).expect("writes"));
         writer.label(&LabelSpan::new(0.4, 1.6, "one")).expect("writes");
         writer.finish().expect("finishes");
         let moved = said(&later, "later");
@@ -274,7 +274,7 @@ mod hard_cases {
         std::fs::write(at("y.label"), "").expect("writes");
         let converted = command!("recording convert", fixture("formats/recording.mcap"), at("y.txt"));
         fails_with(converted, &["y.label holds the labels of", "hint: move it away"]);
-        assert_eq!(left_over(folder.path()), [at("y.label")]);
+        assert_eq!(partial_files(folder.path()), [at("y.label")]);
     }
 
     /// A text recording or a folder that is cut was said to be finished, and a folder to have the frames that it lacks.
@@ -282,7 +282,7 @@ mod hard_cases {
     fn recordings_of_other_formats_that_are_cut_are_not_finished() {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
-        simulated(&at("x.mcap"), "4");
+        simulate_desk(&at("x.mcap"), "4");
         for (name, samples) in [("y.txt", "y.txt"), ("session", "session/RadarIfxAvian_00/radar.npy")] {
             convert(&at("x.mcap"), &at(name));
             let info = || {
@@ -298,7 +298,7 @@ mod hard_cases {
             // Nothing is converted by halves, but the frames before the cut are not lost.
             fails_with(command!("recording convert", at(name), at("z.mcap")), &["cut short", "hint: radome record"]);
             failure(command!("record --overwrite -o", at("kept.mcap"), at(name)));
-            assert_eq!(read(&at("kept.mcap")).0.len(), 3, "{name}");
+            assert_eq!(read_frames(&at("kept.mcap")).0.len(), 3, "{name}");
         }
     }
 
@@ -307,13 +307,13 @@ mod hard_cases {
     fn a_full_disk_leaves_nothing_that_looks_whole() {
         let source = tempfile::tempdir().expect("a folder");
         let input = source.path().join("x.mcap");
-        simulated(&input, "12");
+        simulate_desk(&input, "12");
         for name in ["session", "y.txt", "y.mcap"] {
             let folder = tempfile::tempdir().expect("a folder");
             let output = folder.path().join(name);
-            let mut convert = limited(1000, subcommand("recording convert").arg(&input).arg(output));
+            let mut convert = with_file_size_limit(1000, subcommand("recording convert").arg(&input).arg(output));
             fails_with(&mut convert, &[name, "cannot be"]);
-            assert!(left_over(folder.path()).is_empty());
+            assert!(partial_files(folder.path()).is_empty());
         }
     }
 
@@ -323,16 +323,17 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let output = folder.path().join("v.mcap");
         let input = fixture("formats/judged.mcap");
-        let said = failure(limited(0, subcommand("recording convert --to viewers").arg(input).arg(&output)));
+        let said =
+            failure(with_file_size_limit(0, subcommand("recording convert --to viewers").arg(input).arg(&output)));
         assert!(said.contains("cannot write the file for viewers") && !said.contains("internal error"), "{said}");
-        assert!(left_over(folder.path()).is_empty());
+        assert!(partial_files(folder.path()).is_empty());
     }
 
     #[test]
     fn wrong_inputs_and_outputs_are_refused_and_nothing_is_left() {
         let folder = tempfile::tempdir().expect("a folder");
         let at = |name: &str| folder.path().join(name);
-        simulated(&at("x.mcap"), "25");
+        simulate_desk(&at("x.mcap"), "25");
         let convert = |from: &str, to: &str| command!("recording convert", at(from), at(to));
         wrong_use_with(convert("x.mcap", "x.mcap"), &["input and output"]);
         wrong_use_with(convert("x.mcap", "y.wav"), &["--to"]);
@@ -354,7 +355,7 @@ mod hard_cases {
         let said = refused("x.mcap", "session");
         assert!(said.contains("at byte") && said.contains("radome recording repair"), "{said}");
         fails_with(command!("recording repair", at("full/thesis.tex"), "-o", at("y.mcap")), &["not an MCAP file"]);
-        let mut left = left_over(folder.path());
+        let mut left = partial_files(folder.path());
         left.sort();
         assert_eq!(left, [at("full"), at("x.mcap")]);
     }

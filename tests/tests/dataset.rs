@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::running::{Running, wait_for};
 use radome_tests::{
-    add_signal, command, convert, fails_with, failure, fixture, fixture_text, frames, json_lines, labels_of,
-    model_of_one_waveform, npy, outcome, simulate, subcommand, success, write_file, wrong_use_with,
+    add_signal, command, convert, fails_with, failure, fixture, fixture_text, frames_and_gaps, json_lines, labels_of,
+    model_of_one_waveform, npy_bytes, outcome, simulate, subcommand, success, write_file, wrong_use_with,
 };
 
 /// TOML section for maps of one channel in decibels.
@@ -50,12 +50,12 @@ every = 100
     write_file(folder, "spec.toml", text)
 }
 
-fn build(spec: &Path, output: &Path) -> Command {
+fn build_command(spec: &Path, output: &Path) -> Command {
     command!("dataset build --json", spec, "-o", output)
 }
 
 /// Contents of all files of a dataset, by name.
-fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+fn read_files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
     let entries = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry"));
     entries.map(|e| (e.file_name().to_string_lossy().into_owned(), std::fs::read(e.path()).expect("reads"))).collect()
 }
@@ -84,29 +84,29 @@ fn a_build_killed_over_and_over_gives_the_bytes_of_one_that_was_not() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     let spec = spec(folder.path(), 8, "");
-    let said = json_lines(build(&spec, &path("whole"))).remove(0);
+    let said = json_lines(build_command(&spec, &path("whole"))).remove(0);
     assert_eq!(
         (said["maps"].as_u64(), said["units"].as_u64(), said["units_found"].as_u64()),
         (Some(38), Some(10), Some(0))
     );
 
     for after in [1, 3, 6] {
-        kill_midway(&mut build(&spec, &path("again")), &path("again.parts"), after);
+        kill_midway(&mut build_command(&spec, &path("again")), &path("again.parts"), after);
         assert!(!path("again").exists() || after == 6);
     }
     if !path("again").exists() {
         // A changed spec is refused with an error, and no unit is lost.
         let text = std::fs::read_to_string(&spec).expect("reads");
         std::fs::write(&spec, text.replace("every = 50", "every = 25")).expect("writable");
-        let said = failure(build(&spec, &path("again")));
+        let said = failure(build_command(&spec, &path("again")));
         assert!(said.contains("again.parts holds the beginning of another build, made from another spec"), "{said}");
         std::fs::write(&spec, text).expect("writable");
-        let said = json_lines(build(&spec, &path("again"))).remove(0);
+        let said = json_lines(build_command(&spec, &path("again"))).remove(0);
         assert!(said["units_found"].as_u64() >= Some(3), "{said}");
     }
-    assert_eq!(files(&path("again")), files(&path("whole")));
+    assert_eq!(read_files(&path("again")), read_files(&path("whole")));
     assert_eq!(names(folder.path()), ["again", "spec.toml", "whole"], "nothing else is left");
-    fails_with(build(&spec, &path("again")), &["again exists already"]);
+    fails_with(build_command(&spec, &path("again")), &["again exists already"]);
 }
 
 #[test]
@@ -114,9 +114,9 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     let spec = spec(folder.path(), 16, "split = { by = \"sequence\", test = 0.25, validation = 0.25 }");
-    json_lines(build(&spec, &path("single")));
+    json_lines(build_command(&spec, &path("single")));
     let shard = |index: usize| {
-        let mut command = build(&spec, &path("shards"));
+        let mut command = build_command(&spec, &path("shards"));
         command.args(["--shard", "auto/8"]).env("SLURM_ARRAY_TASK_ID", index.to_string());
         command
     };
@@ -137,7 +137,7 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
     json_lines(shard(4));
     assert_eq!(json_lines(shard(2)).remove(0)["units_found"], 2, "a shard that is there is not made again");
     json_lines(merge(&all(None), "merged"));
-    assert_eq!(files(&path("merged")), files(&path("single")));
+    assert_eq!(read_files(&path("merged")), read_files(&path("single")));
     let report = json_lines(command!("dataset verify --json", path("merged"))).remove(0);
     assert!(
         report["maps"] == 70 && report["split_maps"].as_array().is_some_and(|n| n.iter().all(|n| *n != 0)),
@@ -151,7 +151,7 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
     fails_with(merge(&doubled, "no"), &["copy are both shard 6/8"]);
     let text = std::fs::read_to_string(&spec).expect("reads");
     let other = write_file(folder.path(), "other.toml", text.replace("seeds = [5, 6]", "seeds = [6, 7]"));
-    json_lines(build(&other, &path("other")).args(["--shard", "6/8"]));
+    json_lines(build_command(&other, &path("other")).args(["--shard", "6/8"]));
     let mut foreign = all(Some(6));
     foreign.push(path("other/shard-00006-of-00008"));
     fails_with(merge(&foreign, "no"), &["shard-00006-of-00008 is no shard of the build of", "another spec"]);
@@ -163,9 +163,9 @@ fn two_builds_at_once_in_one_place_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     let spec = spec(folder.path(), 400, "");
-    let _first = Running::start(build(&spec, &path("set")));
+    let _first = Running::start(build_command(&spec, &path("set")));
     wait_for("a plan", || path("set.parts/plan.json").exists().then_some(()));
-    fails_with(build(&spec, &path("set")), &["set.parts: another process is at work here"]);
+    fails_with(build_command(&spec, &path("set")), &["set.parts: another process is at work here"]);
 }
 
 /// The folder was taken for that of an unfinished build, and removed when the build was done.
@@ -177,21 +177,21 @@ fn a_folder_of_the_user_with_the_name_of_an_unfinished_build_stays() {
     for taken in ["set.parts", "set.partial"] {
         std::fs::create_dir(path(taken)).expect("a folder");
         write_file(&path(taken), "notes.txt", "mine");
-        fails_with(build(&spec, &path("set")), &[taken, "holds notes.txt", "hint: move the folder away"]);
+        fails_with(build_command(&spec, &path("set")), &[taken, "holds notes.txt", "hint: move the folder away"]);
         assert_eq!(names(&path(taken)), ["notes.txt"]);
         assert!(!path("set").exists());
         std::fs::remove_dir_all(path(taken)).expect("removed");
     }
     // The units that were made are used.
-    assert_eq!(json_lines(build(&spec, &path("set"))).remove(0)["units_found"], 3);
+    assert_eq!(json_lines(build_command(&spec, &path("set"))).remove(0)["units_found"], 3);
     assert_eq!(names(folder.path()), ["set", "spec.toml"]);
 }
 
 #[test]
-fn a_zero_sigma_is_not_hidden() {
+fn a_zero_sigma_is_reported() {
     let folder = tempfile::tempdir().expect("a folder");
     let spec = spec(folder.path(), 4, "");
-    json_lines(build(&spec, &folder.path().join("set")));
+    json_lines(build_command(&spec, &folder.path().join("set")));
     let stats = |set: &Path| command!("dataset stats --json", set);
     let table = json_lines(stats(&folder.path().join("set"))).remove(0);
     let row = |scene: &str, class: &str| {
@@ -214,7 +214,7 @@ fn a_zero_sigma_is_not_hidden() {
     // Without receiver noise, as in the paper, every cell of an empty map lies at the floor.
     let text = std::fs::read_to_string(&spec).expect("reads");
     std::fs::write(&spec, text.replace("floor_db = -200.0", "floor_db = 50.0")).expect("writable");
-    json_lines(build(&spec, &folder.path().join("flat")));
+    json_lines(build_command(&spec, &folder.path().join("flat")));
     let (status, table, said) = outcome(stats(&folder.path().join("flat")));
     assert!(status == Some(1) && table.contains("\"sigma_db\":0.0"), "{table}");
     assert!(said.contains("sigma is zero in sim corridor empty (all cells at 50.00 dB)"), "{said}");
@@ -227,7 +227,7 @@ fn a_zero_sigma_is_not_hidden() {
 fn statistics_ask_for_splits_only_where_one_is_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let set = folder.path().join("set");
-    json_lines(build(&spec(folder.path(), 4, ""), &set));
+    json_lines(build_command(&spec(folder.path(), 4, ""), &set));
     let stats = |more: &[&str]| command!("dataset stats --json", &set, ..more);
     let rule =
         "no split of their own: their sequences are divided by the default rule of trainings, 15 % for validation";
@@ -248,19 +248,19 @@ fn statistics_ask_for_splits_only_where_one_is_named() {
 }
 
 /// Writes a session with a few simulated frames in the format of Radar Fusion GUI.
-fn session(folder: &Path, frames: u32) -> PathBuf {
+fn write_session(folder: &Path, frames: u32) -> PathBuf {
     let (recording, session) = (folder.join("made.mcap"), folder.join("made"));
     simulate(&fixture("scenes/corridor.toml"), &format!("--frames {frames}"), &recording);
     json_lines(command!("recording convert --json", &recording, &session, "--to infineon"));
     session
 }
 
-fn copy(from: &Path, to: &Path) {
+fn copy_folder(from: &Path, to: &Path) {
     std::fs::create_dir_all(to.parent().expect("a parent")).expect("writable");
     assert!(Command::new("cp").arg("-r").args([from, to]).status().expect("cp").success());
 }
 
-fn edit(file: &Path, change: impl FnOnce(&mut serde_json::Value)) {
+fn edit_json(file: &Path, change: impl FnOnce(&mut serde_json::Value)) {
     let mut value = serde_json::from_str(&std::fs::read_to_string(file).expect("reads")).expect("JSON");
     change(&mut value);
     std::fs::write(file, serde_json::to_string_pretty(&value).expect("JSON")).expect("writable");
@@ -273,22 +273,22 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     let frames = 12;
-    let made = session(folder.path(), frames);
+    let made = write_session(folder.path(), frames);
     let single_shape = |value: &mut serde_json::Value| value["device_config"]["fmcw_single_shape"].take();
     let put = |value: &mut serde_json::Value, shape| value["device_config"]["fmcw_single_shape"] = shape;
 
     // Folders of the present recorder, and a GUI export with the board's own values, CRLF and a session without keys.
-    copy(&made, &path("data/home/empty_20260106-151615"));
-    copy(&made, &path("data/home/empty_gui"));
+    copy_folder(&made, &path("data/home/empty_20260106-151615"));
+    copy_folder(&made, &path("data/home/empty_gui"));
     let radar = path("data/home/empty_gui/RadarIfxAvian_00");
-    edit(&radar.join("config.json"), |value| value["device_info"] = "Radar Baseboard MCU7 (MCU A)".into());
-    edit(&path("data/home/empty_gui/meta.json"), |value| {
+    edit_json(&radar.join("config.json"), |value| value["device_info"] = "Radar Baseboard MCU7 (MCU A)".into());
+    edit_json(&path("data/home/empty_gui/meta.json"), |value| {
         *value = serde_json::json!({ "_comment": null, "os_release": null })
     });
     std::fs::write(radar.join("format.version"), "1.0.0\r\n").expect("writable");
     // SDK 3.4 and before use other names for the band and have no filters.
-    copy(&made, &path("data/home/ann/one_old"));
-    edit(&path("data/home/ann/one_old/RadarIfxAvian_00/config.json"), |value| {
+    copy_folder(&made, &path("data/home/ann/one_old"));
+    edit_json(&path("data/home/ann/one_old/RadarIfxAvian_00/config.json"), |value| {
         let mut shape = single_shape(value);
         let object = shape.as_object_mut().expect("an object");
         for (new, old) in [("start_frequency_Hz", "lower_frequency_Hz"), ("end_frequency_Hz", "upper_frequency_Hz")] {
@@ -300,7 +300,7 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
         put(value, shape);
     });
     // ifxdaq 3.0.1 of 2022 has time stamps, temperatures, numbers with exponents, and frames at uneven times.
-    copy(&made, &path("data/home/ann/one_2022"));
+    copy_folder(&made, &path("data/home/ann/one_2022"));
     let radar = path("data/home/ann/one_2022/RadarIfxAvian_00");
     let text = std::fs::read_to_string(radar.join("config.json")).expect("reads");
     std::fs::write(radar.join("config.json"), text.replace("59558825000", "59.558825e9")).expect("writable");
@@ -312,34 +312,34 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
     temperature.extend(format!("{:<117}\n", "{'descr': '<f8', 'fortran_order': False, 'shape': (1,), }").bytes());
     temperature.extend(41.5f64.to_le_bytes());
     std::fs::write(radar.join("temperature.npy"), temperature).expect("writable");
-    edit(&path("data/home/ann/one_2022/meta.json"), |value| {
+    edit_json(&path("data/home/ann/one_2022/meta.json"), |value| {
         *value = serde_json::json!({ "ifxdaq": "3.0.1", "user": "x" })
     });
     // Two boards of one session form one sequence.
-    copy(&made, &path("data/home/bob/two_boards"));
+    copy_folder(&made, &path("data/home/bob/two_boards"));
     let second = path("data/home/bob/two_boards/RadarIfxAvian_01");
-    copy(&made.join("RadarIfxAvian_00"), &second);
+    copy_folder(&made.join("RadarIfxAvian_00"), &second);
     let bytes = std::fs::read(second.join("radar.npy")).expect("reads");
     let codes: Vec<u16> = npyz::NpyFile::new(bytes.as_slice()).expect("an array").into_vec().expect("codes");
     let other: Vec<u16> = codes.iter().map(|code| (code + 1).min(4095)).collect();
-    std::fs::write(second.join("radar.npy"), npy([frames as usize, 3, 128, 256], &other)).expect("writable");
+    std::fs::write(second.join("radar.npy"), npy_bytes([frames as usize, 3, 128, 256], &other)).expect("writable");
     // One receiver alone, without a session's folder. Its maps have the same cells, but another waveform and therefore
     // a dataset of their own.
-    copy(&made.join("RadarIfxAvian_00"), &path("single/bob/two_rx1"));
-    edit(&path("single/bob/two_rx1/config.json"), |value| {
+    copy_folder(&made.join("RadarIfxAvian_00"), &path("single/bob/two_rx1"));
+    edit_json(&path("single/bob/two_rx1/config.json"), |value| {
         value["device_config"]["fmcw_single_shape"]["rx_antennas"] = serde_json::json!([1]);
     });
     let first_rx: Vec<u16> = codes.chunks(3 * 128 * 256).flat_map(|frame| frame[..128 * 256].to_vec()).collect();
-    std::fs::write(path("single/bob/two_rx1/radar.npy"), npy([frames as usize, 1, 128, 256], &first_rx))
+    std::fs::write(path("single/bob/two_rx1/radar.npy"), npy_bytes([frames as usize, 1, 128, 256], &first_rx))
         .expect("writable");
     // The SDK's text recording, a native recording, and a recording that contains its labels.
     convert(&made, &path("data/home/bob/two_sdk.txt"));
-    copy(&path("made.mcap"), &path("data/home/bob/two_native.mcap"));
-    copy(&made, &path("data/home/mixed_1"));
+    copy_folder(&path("made.mcap"), &path("data/home/bob/two_native.mcap"));
+    copy_folder(&made, &path("data/home/mixed_1"));
     let header = "Time(Seconds),Length(Seconds),Label(string),Confidence(double),Comment(string)";
     std::fs::write(path("data/home/mixed_1/labels.label"), format!("{header}\n0,0.5,empty,1,\n0.5,0.4,one,1,\n"))
         .expect("writable");
-    copy(&made, &path("data/home/calibration"));
+    copy_folder(&made, &path("data/home/calibration"));
 
     let text = format!(
         r#"format = 1
@@ -351,7 +351,7 @@ scene = "home"
 "#
     );
     let spec = write_file(folder.path(), "spec.toml", &text);
-    let said = json_lines(build(&spec, &path("set"))).remove(0);
+    let said = json_lines(build_command(&spec, &path("set"))).remove(0);
     let frames = u64::from(frames);
     let counts = ["empty", "one", "two", "maps", "units"].map(|key| said[key].as_u64().expect("a number"));
     assert_eq!(counts, [2 * frames + 5, 2 * frames + 4, 4 * frames, 8 * frames + 9, 9], "{said}");
@@ -372,18 +372,18 @@ scene = "home"
         "alone.toml",
         text.replace("folders = \"data\"", "folders = \"single\"").replace("{scene}/", ""),
     );
-    assert_eq!(json_lines(build(&alone, &path("alone"))).remove(0)["two"], frames);
+    assert_eq!(json_lines(build_command(&alone, &path("alone"))).remove(0)["two"], frames);
     let manifest = std::fs::read_to_string(path("alone/manifest.jsonl")).expect("reads");
     let row: serde_json::Value =
         manifest.lines().next().and_then(|line| serde_json::from_str(line).ok()).expect("a row");
     assert_eq!((&row["hash"], &row["subject"]), (&of("home/ann/one_old")["hash"], &"bob".into()));
 
     // Folders that match no rule, or two, are named in the error.
-    copy(&made, &path("data/home/nobody_knows"));
-    fails_with(build(&spec, &path("set2")), &["'home/nobody_knows' fits none of the patterns"]);
+    copy_folder(&made, &path("data/home/nobody_knows"));
+    fails_with(build_command(&spec, &path("set2")), &["'home/nobody_knows' fits none of the patterns"]);
     std::fs::write(&spec, text.replace("\"calibration\" =", "\"*y_*\" = \"empty\", \"calibration\" ="))
         .expect("writable");
-    let said = failure(build(&spec, &path("set2")));
+    let said = failure(build_command(&spec, &path("set2")));
     assert!(said.contains("'home/empty_20260106-151615' fits two patterns") || said.contains("empty_gui"), "{said}");
     assert_eq!(names(folder.path()).iter().filter(|name| name.starts_with("set2")).count(), 0);
 }
@@ -429,7 +429,7 @@ fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
     json_lines(label("one.mcap").args(["--span", "1:2=somebody coughs", "--who", "a test"]));
 
     // A folder keeps its labels beside the samples; a label file is imported.
-    let session = session(folder.path(), 12);
+    let session = write_session(folder.path(), 12);
     std::fs::write(path("track.txt"), "0.0\t0.6\tempty\n").expect("writable");
     json_lines(label("made").args(["--span", "0.6:1.2=one", "--from"]).arg(path("track.txt")));
     let text = std::fs::read_to_string(session.join("radome.label")).expect("written");
@@ -447,7 +447,7 @@ fn a_spec_that_contradicts_itself_is_refused_before_units_are_made() {
     let sound = std::fs::read_to_string(spec(folder.path(), 2, "")).expect("reads");
     let refused = |text: &str, expected: &str| {
         std::fs::write(path("odd.toml"), text).expect("writable");
-        fails_with(build(&path("odd.toml"), &path("set")), &[expected]);
+        fails_with(build_command(&path("odd.toml"), &path("set")), &[expected]);
         assert!(!path("set.parts").exists(), "{expected}");
     };
     let split = |rule: &str| sound.replacen("format = 1", &format!("format = 1\nsplit = {rule}"), 1);
@@ -473,11 +473,11 @@ fn a_build_without_labels_says_what_is_missing_and_can_be_repeated() {
         std::fs::write(path("spec.toml"), text.replace("LABEL", label)).expect("writable");
         path("spec.toml")
     };
-    let said = failure(build(&spec("spans"), &path("set")));
+    let said = failure(build_command(&spec("spans"), &path("set")));
     assert!(said.contains("no source gave a map") && said.contains("hint: frames need a label"), "{said}");
     assert!(said.contains("none: no frame, and so no map"), "{said}");
     assert!(!path("set.parts").exists(), "{said}");
-    assert_eq!(json_lines(build(&spec("empty"), &path("set"))).remove(0)["empty"], 3);
+    assert_eq!(json_lines(build_command(&spec("empty"), &path("set"))).remove(0)["empty"], 3);
 }
 
 #[test]
@@ -493,7 +493,7 @@ fn a_build_by_subjects_names_recordings_of_people_without_one() {
     let text = "format = 1\nsplit = { by = \"subject\" }\n[[recorded]]\nfolders = \"captures\"\n\
                 labels = { \"{subject}/one*\" = \"one\", \"one_x\" = \"one\", \"empty*\" = \"empty\" }\n";
     std::fs::write(path("spec.toml"), text).expect("writable");
-    let (_, said) = success(build(&path("spec.toml"), &path("set")));
+    let (_, said) = success(build_command(&path("spec.toml"), &path("set")));
     assert!(said.contains("warning: 1 sequences with people have no subject: 'one_x'"), "{said}");
 }
 
@@ -509,15 +509,16 @@ fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
     let said: Vec<u64> = (0..3).map(|i| simulate(&format!("--shard {i}/3"))["frames"].as_u64().expect("n")).collect();
     assert_eq!(said, [6, 7, 7]);
     assert_eq!(simulate("--shard 1/3")["found"], true);
-    let pieces: Vec<_> = (0..3).flat_map(|i| frames(&path(&format!("run-shard-{i:05}-of-00003.mcap"))).0).collect();
+    let pieces: Vec<_> =
+        (0..3).flat_map(|i| frames_and_gaps(&path(&format!("run-shard-{i:05}-of-00003.mcap"))).0).collect();
     assert!(
-        pieces == frames(&path("run.mcap")).0,
+        pieces == frames_and_gaps(&path("run.mcap")).0,
         "the frames of the shards are those of the whole, numbers, times and truth too"
     );
 }
 
 /// Writes the hall scene with other values for these keys of its waveform.
-fn hall_in(path: &Path, changes: &[(&str, &str)]) {
+fn write_hall(path: &Path, changes: &[(&str, &str)]) {
     let mut text = fixture_text("scenes/hall.toml");
     for (key, value) in changes {
         let line = text.lines().find(|line| line.starts_with(key)).expect("a key of the waveform").to_owned();
@@ -530,8 +531,8 @@ fn hall_in(path: &Path, changes: &[(&str, &str)]) {
 fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    hall_in(&path("own.toml"), &[]);
-    hall_in(
+    write_hall(&path("own.toml"), &[]);
+    write_hall(
         &path("short.toml"),
         &[
             ("samples_per_chirp", "64"),
@@ -540,8 +541,8 @@ fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
             ("rx_antennas", "[1, 3]"),
         ],
     );
-    hall_in(&path("slow.toml"), &[("chirp_interval_s", "500e-6"), ("end_frequency_hz", "61.1e9")]);
-    hall_in(&path("narrow.toml"), &[("end_frequency_hz", "60.75e9")]);
+    write_hall(&path("slow.toml"), &[("chirp_interval_s", "500e-6"), ("end_frequency_hz", "61.1e9")]);
+    write_hall(&path("narrow.toml"), &[("end_frequency_hz", "60.75e9")]);
     let axes =
         "physical_axes = { range_step_m = 0.15, range_bins = 64, velocity_step_m_per_s = 0.098, velocity_bins = 64 }";
     let write = |axes: &str, scenes: &[&str]| {
@@ -552,7 +553,7 @@ fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
         std::fs::write(path("spec.toml"), format!("format = 1\n[map]\n{axes}\n{sources}")).expect("writable");
         path("spec.toml")
     };
-    let said = json_lines(build(&write(axes, &["own", "short", "slow"]), &path("set"))).remove(0);
+    let said = json_lines(build_command(&write(axes, &["own", "short", "slow"]), &path("set"))).remove(0);
     assert_eq!((said["maps"].as_u64(), said["units"].as_u64()), (Some(24), Some(12)), "{said}");
     let header = std::fs::read_to_string(path("set/dataset.json")).expect("reads");
     let header: serde_json::Value = serde_json::from_str(&header).expect("JSON");
@@ -560,8 +561,11 @@ fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
     assert_eq!(header["rdm_spec"]["physical_axes"]["velocity_bins"], 64);
     assert_eq!(header["shape"], serde_json::json!({ "rx": 1, "doppler": 64, "range": 64 }));
 
-    fails_with(build(&write(axes, &["own", "narrow"]), &path("no")), &["the sampled band is 0.2", "0.300 GHz or more"]);
-    let said = failure(build(&write("", &["own", "short"]), &path("no")));
+    fails_with(
+        build_command(&write(axes, &["own", "narrow"]), &path("no")),
+        &["the sampled band is 0.2", "0.300 GHz or more"],
+    );
+    let said = failure(build_command(&write("", &["own", "short"]), &path("no")));
     assert!(
         said.contains("sources of one dataset must agree")
             && said.contains("waveforms differ in map size")
@@ -575,8 +579,8 @@ fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
 fn a_spec_gives_a_scene_another_waveform() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    hall_in(&path("own.toml"), &[]);
-    hall_in(&path("short.toml"), &[("samples_per_chirp", "64"), ("chirps_per_frame", "16")]);
+    write_hall(&path("own.toml"), &[]);
+    write_hall(&path("short.toml"), &[("samples_per_chirp", "64"), ("chirps_per_frame", "16")]);
     let built = |scene: &str, waveform: &str, name: &str| {
         let axes =
             "physical_axes = { range_step_m = 0.15, range_bins = 64, velocity_step_m_per_s = 0.1, velocity_bins = 64 }";
@@ -584,11 +588,11 @@ fn a_spec_gives_a_scene_another_waveform() {
             format!("scene = \"{scene}.toml\"\n{waveform}\nseeds = [1, 2]\npeople = [1]\nframes = 8\nevery = 4\n");
         std::fs::write(path("spec.toml"), format!("format = 1\n[map]\n{axes}\n[[simulated]]\n{source}"))
             .expect("writable");
-        build(&path("spec.toml"), &path(name))
+        build_command(&path("spec.toml"), &path(name))
     };
     json_lines(built("short", "", "expected"));
     json_lines(built("own", "waveform = { samples_per_chirp = 64, chirps_per_frame = 16 }", "given"));
-    let (expected, given) = (files(&path("expected")), files(&path("given")));
+    let (expected, given) = (read_files(&path("expected")), read_files(&path("given")));
     assert_eq!(expected.keys().collect::<Vec<_>>(), given.keys().collect::<Vec<_>>());
     let maps = expected.keys().find(|name| name.starts_with("maps")).expect("maps");
     assert!(!expected[maps].is_empty() && expected[maps] == given[maps], "{maps}");
@@ -599,10 +603,13 @@ fn a_spec_gives_a_scene_another_waveform() {
 }
 
 #[test]
-fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_lost() {
+fn a_model_on_physical_axes_classifies_frames_of_another_waveform_and_reports_what_is_lost() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    hall_in(&path("short.toml"), &[("samples_per_chirp", "64"), ("chirps_per_frame", "16"), ("rx_antennas", "[1, 3]")]);
+    write_hall(
+        &path("short.toml"),
+        &[("samples_per_chirp", "64"), ("chirps_per_frame", "16"), ("rx_antennas", "[1, 3]")],
+    );
     simulate(&path("short.toml"), "--people 1 --frames 6", &path("short.mcap"));
     let evaluate = |model: &Path| {
         let input = format!("{}=one", path("short.mcap").display());

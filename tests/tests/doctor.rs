@@ -10,20 +10,20 @@ use std::process::Command;
 use radome_driver::{Recorder, RecordingHeader};
 use radome_dsp::{Frame, Gap, GapReason, Waveform, WaveformRequest};
 use radome_tests::{
-    command, convert, fixture, help, json_lines, limited, outcome, radome, subcommand, success, write_file,
+    command, convert, fixture, help, json_lines, outcome, radome, subcommand, success, with_file_size_limit, write_file,
 };
 use serde_json::Value;
 
-fn doctor() -> Command {
+fn doctor_command() -> Command {
     command!("doctor --json --record-to", std::env::temp_dir())
 }
 
-fn named<'a>(checks: &'a [Value], name: &str) -> &'a Value {
+fn find_check<'a>(checks: &'a [Value], name: &str) -> &'a Value {
     checks.iter().find(|check| check["check"] == name).unwrap_or_else(|| panic!("no {name} in {checks:?}"))
 }
 
 /// Checks of a run that fails, and its stderr.
-fn failing(command: impl BorrowMut<Command>) -> (Vec<Value>, String) {
+fn failed_checks(command: impl BorrowMut<Command>) -> (Vec<Value>, String) {
     let (status, told, said) = outcome(command);
     assert_eq!(status, Some(1), "{said}");
     (told.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect(), said)
@@ -33,19 +33,19 @@ fn failing(command: impl BorrowMut<Command>) -> (Vec<Value>, String) {
 fn a_source_that_works_is_examined_and_packed() {
     let folder = tempfile::tempdir().expect("a folder");
     let bundle = folder.path().join("report.zip");
-    let mut command = doctor();
+    let mut command = doctor_command();
     command.arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
     command.arg("--model").arg(fixture("models/paper-hqnn.safetensors")).arg("--bundle").arg(&bundle);
     command.env("RADOME_MQTT_PASSWORD", "hunter2");
     let checks = json_lines(&mut command);
     for name in ["program", "model", "source", "fit", "frames", "speed"] {
-        assert_eq!(named(&checks, name)["verdict"], "ok", "{checks:?}");
+        assert_eq!(find_check(&checks, name)["verdict"], "ok", "{checks:?}");
     }
-    assert!(named(&checks, "frames")["found"].as_str().is_some_and(|found| found.starts_with("20 frames")));
+    assert!(find_check(&checks, "frames")["found"].as_str().is_some_and(|found| found.starts_with("20 frames")));
     let summary = &checks.last().expect("a summary")["summary"];
     assert_eq!((&summary["failures"], &summary["checks"]), (&0.into(), &(checks.len() - 1).into()));
 
-    let parts = unpacked(&bundle);
+    let parts = unpack(&bundle);
     let packed = "README.txt checks.json program.json devices.json source.json registers.txt frames.mcap model.json";
     for name in packed.split(' ').chain(["wire.txt"]) {
         assert!(parts.get(name).is_some_and(|part| !part.is_empty()), "{name}");
@@ -59,7 +59,7 @@ fn a_source_that_works_is_examined_and_packed() {
 }
 
 /// Files of an archive by name.
-fn unpacked(bundle: &Path) -> BTreeMap<String, Vec<u8>> {
+fn unpack(bundle: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut archive = zip::ZipArchive::new(Cursor::new(std::fs::read(bundle).expect("packed"))).expect("an archive");
     let mut parts = BTreeMap::new();
     for index in 0..archive.len() {
@@ -74,7 +74,7 @@ fn unpacked(bundle: &Path) -> BTreeMap<String, Vec<u8>> {
 /// Asserts that the archive has tokens in place of all names of persons, machines and networks, and that stderr lists
 /// the packed files.
 #[test]
-fn a_bundle_names_nobody_and_lists_what_it_packs() {
+fn a_bundle_hides_names_and_lists_its_content() {
     let folder = tempfile::tempdir().expect("a folder");
     let temporary = tempfile::tempdir().expect("a folder");
     let home = folder.path().join("zqhome of zqzoe");
@@ -88,11 +88,11 @@ fn a_bundle_names_nobody_and_lists_what_it_packs() {
     command.args(["--mqtt", "mqtt://zquser:zqhunter@zqhost.example:18x83"]);
     command.env("HOME", &home).env("USER", "zqzoe").env("TMPDIR", temporary.path());
     command.env("RADOME_MQTT_USER", "zqradar").env("RADOME_MQTT_PASSWORD", "zqpassword");
-    let (checks, said) = failing(&mut command);
-    assert_eq!(named(&checks, "mqtt")["verdict"], "fail");
-    assert_eq!(named(&checks, "frames")["verdict"], "ok");
+    let (checks, said) = failed_checks(&mut command);
+    assert_eq!(find_check(&checks, "mqtt")["verdict"], "fail");
+    assert_eq!(find_check(&checks, "frames")["verdict"], "ok");
 
-    let parts = unpacked(&bundle);
+    let parts = unpack(&bundle);
     for (name, bytes) in &parts {
         let line = format!("{:>10} bytes  {name}", bytes.len());
         assert!(said.lines().any(|said| said == line), "no {line:?} in {said}");
@@ -116,8 +116,8 @@ fn a_bundle_names_nobody_and_lists_what_it_packs() {
 fn the_built_in_model_is_packed_and_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let bundle = folder.path().join("report.zip");
-    json_lines(doctor().args(["--model", "room-hqnn", "--bundle"]).arg(&bundle));
-    let parts = unpacked(&bundle);
+    json_lines(doctor_command().args(["--model", "room-hqnn", "--bundle"]).arg(&bundle));
+    let parts = unpack(&bundle);
     let card: Value = serde_json::from_slice(&parts["model.json"]).expect("JSON");
     assert!(card["waveform"].is_object(), "{card}");
     let checks = String::from_utf8_lossy(&parts["checks.json"]);
@@ -129,12 +129,12 @@ fn a_bundle_is_not_written_over_another_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let (bundle, target) = (folder.path().join("report.zip"), folder.path().join("target"));
     std::fs::write(&bundle, "mine").expect("writable");
-    let (checks, said) = failing(doctor().arg("--bundle").arg(&bundle));
+    let (checks, said) = failed_checks(doctor_command().arg("--bundle").arg(&bundle));
     assert!(checks.is_empty() && said.contains("exists") && said.contains("hint:"), "{said}");
     assert_eq!(std::fs::read(&bundle).expect("readable"), b"mine");
     std::fs::remove_file(&bundle).expect("removable");
     std::os::unix::fs::symlink(&target, &bundle).expect("a link");
-    let (_, said) = failing(doctor().arg("--bundle").arg(&bundle));
+    let (_, said) = failed_checks(doctor_command().arg("--bundle").arg(&bundle));
     assert!(said.contains("exists") && !target.exists(), "{said}");
 }
 
@@ -174,17 +174,17 @@ fn wire_is_bytes_with_times_and_directions(text: &str) {
 }
 
 #[test]
-fn what_does_not_fit_is_a_failure_with_a_hint() {
+fn a_mismatch_is_a_failure_with_a_hint() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = write_file(folder.path(), "broken.safetensors", b"nonsense");
-    let (checks, said) = failing(doctor().arg("--model").arg(&path));
-    assert_eq!(named(&checks, "model")["verdict"], "fail");
+    let (checks, said) = failed_checks(doctor_command().arg("--model").arg(&path));
+    assert_eq!(find_check(&checks, "model")["verdict"], "fail");
     assert!(said.contains("failed"), "{said}");
 
     let bundle = folder.path().join("report.zip");
-    let (checks, _) = failing(doctor().arg("serial:/dev/no-such-port").arg("--bundle").arg(&bundle));
-    assert!(named(&checks, "source")["found"].as_str().is_some_and(|found| found.contains("/dev/no-such-port")));
-    let parts = unpacked(&bundle);
+    let (checks, _) = failed_checks(doctor_command().arg("serial:/dev/no-such-port").arg("--bundle").arg(&bundle));
+    assert!(find_check(&checks, "source")["found"].as_str().is_some_and(|found| found.contains("/dev/no-such-port")));
+    let parts = unpack(&bundle);
     let wire = String::from_utf8_lossy(&parts["wire.txt"]).into_owned();
     // Each path has one token.
     let token = wire.trim_end().rsplit_once("opened ").map(|(_, token)| token).expect("a path");
@@ -194,14 +194,15 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
 
     let closed = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a port");
     for url in [format!("mqtt://u@{closed}"), format!("mqtt://u:hunter2@{closed}"), "mqtt://u@h:hunter2".into()] {
-        let (checks, said) = failing(doctor().args(["--mqtt", &url]).env("RADOME_MQTT_PASSWORD", "hunter2"));
-        let broker = named(&checks, "mqtt");
+        let (checks, said) =
+            failed_checks(doctor_command().args(["--mqtt", &url]).env("RADOME_MQTT_PASSWORD", "hunter2"));
+        let broker = find_check(&checks, "mqtt");
         assert!(broker["verdict"] == "fail" && broker["hint"].is_string(), "{broker}");
         assert!(!said.contains("hunter2") && !broker.to_string().contains("hunter2"), "{said} {broker}");
     }
 
-    let (checks, _) = failing(subcommand("doctor --json --record-to /no/such/folder"));
-    assert_eq!(named(&checks, "space")["verdict"], "fail");
+    let (checks, _) = failed_checks(subcommand("doctor --json --record-to /no/such/folder"));
+    assert_eq!(find_check(&checks, "space")["verdict"], "fail");
 }
 
 /// Regression test: of a recording without frames it said that the board is silent, and a gap of unknown length counted as
@@ -219,14 +220,14 @@ fn findings_about_a_recording_are_not_those_of_a_board() {
     recorder.gap(&Gap { first_sequence: 1, frames: 0, reason: GapReason::Disconnected }).expect("records");
     recorder.finish().expect("finishes");
 
-    let (checks, _) = failing(doctor().arg(&empty));
-    let frames = named(&checks, "frames");
+    let (checks, _) = failed_checks(doctor_command().arg(&empty));
+    let frames = find_check(&checks, "frames");
     assert!(
         frames["verdict"] == "fail" && !frames["hint"].as_str().is_some_and(|hint| hint.contains("board")),
         "{frames}"
     );
-    let checks = json_lines(doctor().arg(&holed));
-    let frames = named(&checks, "frames");
+    let checks = json_lines(doctor_command().arg(&holed));
+    let frames = find_check(&checks, "frames");
     let found = frames["found"].as_str().expect("a finding");
     assert!(frames["verdict"] == "warn" && found.contains("unknown number"), "{frames}");
     assert!(frames["hint"].as_str().is_some_and(|hint| hint.contains("while it was recorded")), "{frames}");
@@ -235,8 +236,8 @@ fn findings_about_a_recording_are_not_those_of_a_board() {
 /// Regression test: the hint for a disk without room was to name a folder that the user may write.
 #[test]
 fn the_remedy_for_a_write_that_fails_is_that_of_its_cause() {
-    let (checks, _) = failing(limited(1000, doctor()));
-    let speed = named(&checks, "speed");
+    let (checks, _) = failed_checks(with_file_size_limit(1000, doctor_command()));
+    let speed = find_check(&checks, "speed");
     assert!(
         speed["verdict"] == "fail" && speed["hint"].as_str().is_some_and(|hint| hint.contains("ulimit")),
         "{speed}"

@@ -10,21 +10,21 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 use radome_tests::browser::{Served, page};
 use radome_tests::running::{Running, emulated_board, unplug, wait_for};
 use radome_tests::{
-    command, emulated_corridor, fails_with, failure, fixture, frames, json_lines, limited, live_command, outcome,
-    radome, simulate, skip, subcommand, write_file, wrong_use_with,
+    command, emulated_corridor, fails_with, failure, fixture, frames_and_gaps, json_lines, live_command, outcome,
+    radome, simulate, skip, subcommand, with_file_size_limit, write_file, wrong_use_with,
 };
 use serde_json::Value;
 use tungstenite::Message;
 
 /// Simulates a desk recording with this number of frames.
-fn desk(frames: u64, to: &Path) {
+fn simulate_desk(frames: u64, to: &Path) {
     simulate(&fixture("scenes/desk.toml"), &format!("--frames {frames}"), to);
 }
 
 /// Writes twenty frames of a simulated desk, of which three, from number 8 on, are missing.
-fn with_a_gap(folder: &Path) -> PathBuf {
+fn write_recording_with_gap(folder: &Path) -> PathBuf {
     let (whole, holed) = (folder.join("whole.mcap"), folder.join("holed.mcap"));
-    desk(20, &whole);
+    simulate_desk(20, &whole);
     let mut reader = McapReader::open(&whole).expect("a recording");
     let header: RecordingHeader = reader.header().clone();
     let mut frame = Frame::zeroed(header.waveform.shape());
@@ -41,20 +41,20 @@ fn with_a_gap(folder: &Path) -> PathBuf {
 }
 
 /// Whether a recording is marked as finished, its number of frames, and its gaps.
-fn read(path: &Path) -> (bool, u64, Vec<Gap>) {
+fn read_extent(path: &Path) -> (bool, u64, Vec<Gap>) {
     let reader = McapReader::open(path).expect("a file that opens");
-    let (frames, gaps) = frames(path);
+    let (frames, gaps) = frames_and_gaps(path);
     (reader.is_complete(), frames.len() as u64, gaps)
 }
 
 /// Starts an emulated board behind a link with a unique path, and returns the path.
-fn emulate(folder: &Path, protocol: &str) -> (Running, String) {
+fn emulate_board(folder: &Path, protocol: &str) -> (Running, String) {
     let link = folder.join(format!("{protocol}-board")).display().to_string();
     emulated_board(&fixture("scenes/desk.toml"), &["--protocol", protocol, "--link", &link])
 }
 
 /// Starts a recorder of boards that reports each frame and searches for a lost board for one second.
-fn patient(mut command: Command, recording: &Path) -> Running {
+fn start_recorder(mut command: Command, recording: &Path) -> Running {
     command.args(["--give-up-after-s", "1", "--json", "--allow-loss", "-o"]).arg(recording);
     Running::start(command.env("RADOME_LOG", "warn,radome_driver::recording=trace"))
 }
@@ -70,9 +70,9 @@ fn wait_for_frames(running: &Running) {
 fn a_board_that_is_lost_for_good_ends_a_recording_with_its_cause_and_what_was_captured() {
     let lose = |protocol: &str, scheme: &str| {
         let folder = tempfile::tempdir().expect("a folder");
-        let (board, port) = emulate(folder.path(), protocol);
+        let (board, port) = emulate_board(folder.path(), protocol);
         let recording = folder.path().join("run.mcap");
-        let mut record = patient(command!("record", format!("{scheme}:{port}")), &recording);
+        let mut record = start_recorder(command!("record", format!("{scheme}:{port}")), &recording);
         wait_for_frames(&record);
         unplug(&board, &port);
         let status = record.wait();
@@ -82,7 +82,7 @@ fn a_board_that_is_lost_for_good_ends_a_recording_with_its_cause_and_what_was_ca
         assert!(error.contains(&port), "{protocol}: {error}");
         let summary = record.stdout.all();
         let summary: Value = serde_json::from_str(summary.last().expect("a summary")).expect("JSON");
-        let (is_finished, frames, gaps) = read(&recording);
+        let (is_finished, frames, gaps) = read_extent(&recording);
         assert!(is_finished && frames >= 5 && summary["frames"] == frames, "{protocol}: {frames}, {summary}");
         assert_eq!(summary["gaps_of_unknown_length"], 1, "{protocol}: {summary}");
         // The frames that the board would have sent form a gap of unknown length.
@@ -102,9 +102,9 @@ fn a_board_that_is_lost_for_good_ends_a_recording_with_its_cause_and_what_was_ca
 #[test]
 fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (board, port) = emulate(folder.path(), "mcu7-4");
+    let (board, port) = emulate_board(folder.path(), "mcu7-4");
     let recording = folder.path().join("night.mcap");
-    let mut live = patient(command!("live --model cfar", format!("serial:{port}")), &recording);
+    let mut live = start_recorder(command!("live --model cfar", format!("serial:{port}")), &recording);
     wait_for_frames(&live);
     // Regression test: the signal for a report ended a run that keeps none.
     live.signal("USR1");
@@ -120,7 +120,7 @@ fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
     assert_eq!(summary["summary"]["gaps_of_unknown_length"], 1, "{summary}");
     let gap = answers.iter().rfind(|line| line.contains("\"gap\""));
     assert!(gap.is_some_and(|gap| gap.contains("\"frames\":0,\"reason\":\"disconnected\"")), "{gap:?}");
-    let (is_finished, frames, gaps) = read(&recording);
+    let (is_finished, frames, gaps) = read_extent(&recording);
     assert!(is_finished && frames >= 5, "{frames} frames");
     assert_eq!(gaps.last().map(|gap| (gap.frames, gap.reason)), Some((0, GapReason::Disconnected)));
 }
@@ -130,7 +130,7 @@ fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
 fn a_stop_while_the_board_is_away_leaves_a_gap_of_unknown_length_and_ends_with_3() {
     let folder = tempfile::tempdir().expect("a folder");
     for arguments in [&["record"][..], &["live", "--model", "cfar"]] {
-        let (board, port) = emulate(folder.path(), "mcu7-4");
+        let (board, port) = emulate_board(folder.path(), "mcu7-4");
         let recording = folder.path().join(arguments[0]).with_extension("mcap");
         let mut command = radome();
         command.args(arguments).arg(format!("serial:{port}")).arg("-o").arg(&recording);
@@ -142,7 +142,7 @@ fn a_stop_while_the_board_is_away_leaves_a_gap_of_unknown_length_and_ends_with_3
         let status = run.wait();
         let said = run.stderr.all().join("\n");
         assert_eq!(status.code(), Some(3), "{arguments:?}: {said}");
-        let (is_finished, frames, gaps) = read(&recording);
+        let (is_finished, frames, gaps) = read_extent(&recording);
         assert!(is_finished && frames >= 5, "{arguments:?}: {frames} frames");
         let last = gaps.last().map(|gap| (gap.frames, gap.reason));
         assert_eq!(last, Some((0, GapReason::Disconnected)), "{arguments:?}: {gaps:?}");
@@ -162,7 +162,7 @@ fn a_stop_while_the_board_is_away_keeps_what_was_taken_by_every_command() {
         // A second of frames is too short for a background.
         ("model background", Some("empty.json"), 1),
     ] {
-        let (board, port) = emulate(folder.path(), "mcu7-4");
+        let (board, port) = emulate_board(folder.path(), "mcu7-4");
         let mut arguments = subcommand(command);
         arguments.arg(format!("serial:{port}")).args(["--give-up-after-s", "600", "--json"]);
         if let Some(output) = output {
@@ -199,9 +199,9 @@ fn maps_of_a_recording_that_are_stopped_replace_no_array() {
 
 /// Regression test: the description of a recording did not say that frames are missing.
 #[test]
-fn a_recording_says_how_many_frames_it_lacks() {
+fn a_recording_reports_how_many_frames_are_missing() {
     let folder = tempfile::tempdir().expect("a folder");
-    let info = json_lines(command!("recording info --json", with_a_gap(folder.path()))).remove(0);
+    let info = json_lines(command!("recording info --json", write_recording_with_gap(folder.path()))).remove(0);
     assert_eq!((&info["frames"], &info["gaps"], &info["missing"]), (&17.into(), &1.into(), &3.into()), "{info}");
 }
 
@@ -214,7 +214,7 @@ fn a_port_that_is_not_there_is_a_failure() {
 }
 
 /// Runs a command and closes its stdout after this number of lines.
-fn closed_after(command: &mut Command, lines: usize) -> (Option<i32>, String) {
+fn run_with_closed_stdout(command: &mut Command, lines: usize) -> (Option<i32>, String) {
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
     let stderr = child.stderr.take().expect("piped");
     let said = std::thread::spawn(move || std::io::read_to_string(stderr).expect("reads"));
@@ -228,9 +228,9 @@ fn closed_after(command: &mut Command, lines: usize) -> (Option<i32>, String) {
 fn a_closed_stdout_ends_every_command_quietly() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    desk(40, &at("desk.mcap"));
+    simulate_desk(40, &at("desk.mcap"));
     let quiet = |mut command: Command, lines: usize| {
-        let (status, said) = closed_after(&mut command, lines);
+        let (status, said) = run_with_closed_stdout(&mut command, lines);
         assert_eq!(status, Some(0), "{command:?}: {said}");
         assert!(!said.contains("panic") && !said.contains("error"), "{command:?}: {said}");
     };
@@ -243,7 +243,7 @@ fn a_closed_stdout_ends_every_command_quietly() {
         let name = format!("night-{}-{lines}.mcap", arguments.len());
         quiet(command!("live", at("desk.mcap"), "--model cfar", ..arguments, "-o", at(&name)), lines);
         // If stdout closes before the first frame, there may be no recording; an existing recording is complete.
-        assert!(!at(&name).exists() || read(&at(&name)).0, "{name}");
+        assert!(!at(&name).exists() || read_extent(&at(&name)).0, "{name}");
     }
 }
 
@@ -261,7 +261,7 @@ fn a_stdout_that_is_full_is_a_failure() {
 fn a_repair_that_drops_a_chunk_ends_with_3_and_one_that_loses_nothing_with_0() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    desk(40, &at("whole.mcap"));
+    simulate_desk(40, &at("whole.mcap"));
     let repair = |from: &str| {
         let (status, _, said) = outcome(command!("recording repair", at(from), "-o", at(&format!("fixed-{from}"))));
         (status, said)
@@ -273,7 +273,7 @@ fn a_repair_that_drops_a_chunk_ends_with_3_and_one_that_loses_nothing_with_0() {
     std::fs::write(at("flipped.mcap"), flipped).expect("writable");
     let (status, said) = repair("flipped.mcap");
     assert!(status == Some(3) && said.contains("bytes lost"), "{status:?}: {said}");
-    let (_, frames, _) = read(&at("fixed-flipped.mcap"));
+    let (_, frames, _) = read_extent(&at("fixed-flipped.mcap"));
     assert!(frames > 0 && frames < 40, "{frames} frames");
     std::fs::write(at("cut.mcap"), &bytes[..2 * bytes.len() / 3]).expect("writable");
     assert_eq!(repair("cut.mcap").0, Some(3));
@@ -282,7 +282,7 @@ fn a_repair_that_drops_a_chunk_ends_with_3_and_one_that_loses_nothing_with_0() {
 #[test]
 fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
     let folder = tempfile::tempdir().expect("a folder");
-    let holed = with_a_gap(folder.path());
+    let holed = write_recording_with_gap(folder.path());
     let expected = [Gap { first_sequence: 8, frames: 3, reason: GapReason::PacketLost }];
     for (command, more) in [("record", &[] as &[&str]), ("live", &["--model", "cfar"])] {
         let run = |arguments: &[&str]| {
@@ -290,7 +290,7 @@ fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
             let mut run = radome();
             run.arg(command).arg(&holed).args(more).args(arguments).arg("-o").arg(&to);
             let (status, told, said) = outcome(&mut run);
-            let (is_finished, frames, gaps) = read(&to);
+            let (is_finished, frames, gaps) = read_extent(&to);
             assert!(is_finished && frames == 17 && gaps == expected, "{command}: {frames}, {gaps:?}");
             assert!(told.contains("17 frames"), "{command}: {told}");
             (status, said)
@@ -365,7 +365,7 @@ fn wrong_use_ends_with_2() {
 fn a_recording_that_the_page_plays_is_not_recorded() {
     let folder = tempfile::tempdir().expect("a folder");
     let (fed, copy) = (folder.path().join("fed.mcap"), folder.path().join("copy.mcap"));
-    desk(3, &fed);
+    simulate_desk(3, &fed);
     let live = command!("live --model cfar --frames 3 --view --listen 127.0.0.1:0", &fed, "-o", &copy);
     wrong_use_with(live, &["-o cannot record", "hint: leave out --view or -o"]);
     assert!(!copy.exists());
@@ -380,17 +380,17 @@ fn help_lists_the_exit_statuses() {
 }
 
 #[test]
-fn what_is_stopped_by_a_signal_ends_in_order_with_0() {
+fn a_command_that_a_signal_stops_ends_in_order_with_0() {
     let folder = tempfile::tempdir().expect("a folder");
-    let (mut board, port) = emulate(folder.path(), "mcu7-4");
+    let (mut board, port) = emulate_board(folder.path(), "mcu7-4");
     let recording = folder.path().join("run.mcap");
-    let mut record = patient(command!("record", format!("serial:{port}")), &recording);
+    let mut record = start_recorder(command!("record", format!("serial:{port}")), &recording);
     wait_for_frames(&record);
     record.signal("TERM");
     // A terminal that closes sends several signals at once.
     record.signal("HUP");
     assert_eq!(record.wait().code(), Some(0), "{:?}", record.stderr.all());
-    assert!(read(&recording).0);
+    assert!(read_extent(&recording).0);
     board.signal("TERM");
     assert_eq!(board.wait().code(), Some(0), "{:?}", board.stderr.all());
     assert!(board.stderr.all().iter().any(|line| line.contains("packets sent")), "{:?}", board.stderr.all());
@@ -407,15 +407,15 @@ fn a_recording_under_nohup_survives_its_terminal() {
     wait_for_frames(&record);
     record.signal("HUP");
     assert_eq!(record.wait().code(), Some(0), "{:?}", record.stderr.all());
-    let (is_finished, frames, _) = read(&recording);
+    let (is_finished, frames, _) = read_extent(&recording);
     assert!(is_finished && frames == 40, "{frames}");
 }
 
 #[test]
-fn a_stdout_that_nobody_reads_does_not_keep_live_from_ending() {
+fn live_ends_although_nobody_reads_its_stdout() {
     let folder = tempfile::tempdir().expect("a folder");
     let (desk_path, recording) = (folder.path().join("desk.mcap"), folder.path().join("run.mcap"));
-    desk(1200, &desk_path);
+    simulate_desk(1200, &desk_path);
     let mut live = command!("live", &desk_path, "--model cfar --json -o", &recording);
     live.env("RADOME_LOG", "warn,radome_driver::recording=trace").stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut child = live.spawn().expect("starts");
@@ -431,7 +431,7 @@ fn a_stdout_that_nobody_reads_does_not_keep_live_from_ending() {
     let errors = rest.join().expect("no panic");
     assert_eq!(status.code(), Some(1), "{errors:?}");
     assert!(errors.iter().any(|line| line.contains("stdout is not read")), "{errors:?}");
-    assert!(read(&recording).0);
+    assert!(read_extent(&recording).0);
 }
 
 /// Regression test: the summary of a board's run was dropped without a word where the reader of stdout was slow.
@@ -439,7 +439,7 @@ fn a_stdout_that_nobody_reads_does_not_keep_live_from_ending() {
 fn the_summary_of_a_board_waits_for_a_slow_reader() {
     let folder = tempfile::tempdir().expect("a folder");
     let desk_path = folder.path().join("desk.mcap");
-    desk(1200, &desk_path);
+    simulate_desk(1200, &desk_path);
     let board = format!("emulated:{}", desk_path.display());
     let mut live = command!("live --model cfar --json --speed 40 --frames 1100", board);
     let mut child = live.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
@@ -464,7 +464,7 @@ mod full_disk {
     const FRAMES: u64 = 240;
     const BLOCKS: u32 = 120;
 
-    fn first_cause(said: &str, full: &Path) {
+    fn assert_first_cause(said: &str, full: &Path) {
         let error = said.lines().find(|line| line.starts_with("error: ")).unwrap_or_else(|| panic!("no error: {said}"));
         assert!(error.contains("File too large") && error.contains(&*full.to_string_lossy()), "{said}");
         assert!(!error.contains("attempted another write"), "{said}");
@@ -475,17 +475,17 @@ mod full_disk {
     fn ends_a_recording_with_its_first_cause_and_leaves_a_file_that_opens() {
         let folder = tempfile::tempdir().expect("a folder");
         let fed = folder.path().join("fed.mcap");
-        desk(FRAMES, &fed);
+        simulate_desk(FRAMES, &fed);
         // The smaller limit has room for no frame.
         for blocks in [8, BLOCKS] {
             let full = folder.path().join(format!("full-{blocks}.mcap"));
             let record = command!("record", &fed, "--json -o", &full);
-            let (status, told, said) = outcome(limited(blocks, record));
+            let (status, told, said) = outcome(with_file_size_limit(blocks, record));
             assert_eq!(status, Some(1), "{said}");
-            first_cause(&said, &full);
+            assert_first_cause(&said, &full);
             assert!(said.contains("hint: radome recording repair"), "{said}");
             let summary: Value = serde_json::from_str(told.trim()).expect("a summary");
-            let (is_finished, frames, _) = read(&full);
+            let (is_finished, frames, _) = read_extent(&full);
             assert!(!is_finished && (frames > 0) == (blocks == BLOCKS) && frames < FRAMES, "{frames} of {summary}");
             // The frames of the chunk that did not fit do not count.
             assert_eq!(summary["frames"], frames, "{said}");
@@ -494,18 +494,18 @@ mod full_disk {
     }
 
     #[test]
-    fn is_said_at_once_by_live_whose_answers_go_on() {
+    fn is_reported_at_once_by_live_whose_answers_go_on() {
         let folder = tempfile::tempdir().expect("a folder");
         let (fed, full) = (folder.path().join("fed.mcap"), folder.path().join("full.mcap"));
-        desk(FRAMES, &fed);
+        simulate_desk(FRAMES, &fed);
         let live = command!("live", &fed, "--model cfar --json -o", &full);
-        let (status, told, said) = outcome(limited(BLOCKS, live));
+        let (status, told, said) = outcome(with_file_size_limit(BLOCKS, live));
         assert_eq!(status, Some(1), "{said}");
-        first_cause(&said, &full);
+        assert_first_cause(&said, &full);
         assert!(said.contains("marked unfinished") && said.contains("hint: radome recording repair"), "{said}");
         let answers = told.lines().filter(|line| line.contains("\"sequence\"")).count();
         assert_eq!(answers as u64, FRAMES, "{said}");
-        let (is_finished, frames, _) = read(&full);
+        let (is_finished, frames, _) = read_extent(&full);
         assert!(!is_finished && frames > 0 && frames < FRAMES, "{frames} frames");
         assert!(said.contains(&format!("ended after {frames} frames")), "{said}");
     }
@@ -513,11 +513,11 @@ mod full_disk {
     /// Regression test: the page said that labels were saved and that the recording would be complete, and at the end nothing was
     /// said of labels without frames.
     #[test]
-    fn is_said_on_the_page_of_live_and_at_the_end_of_its_labels() {
+    fn is_reported_on_the_page_of_live_and_at_the_end_of_its_labels() {
         let folder = tempfile::tempdir().expect("a folder");
         let full = folder.path().join("full.mcap");
         let live = command!("live --model cfar --json --speed 4", fixture("scenes/desk.toml"), "-o", &full);
-        let mut served = Served::start(limited(BLOCKS, live));
+        let mut served = Served::start(with_file_size_limit(BLOCKS, live));
         let failed = |line: &str| line.contains("goes on without recording").then_some(());
         served.program.stderr.find(0, "the failure", failed);
         let mut socket = page(&served.address);

@@ -64,7 +64,7 @@ const CHEAP: [&str; 5] = [
     "paths fixtures/scenes/corridor.toml --time 3 --json",
 ];
 
-fn table() -> Vec<(&'static str, &'static str)> {
+fn former_names() -> Vec<(&'static str, &'static str)> {
     let (_, section) = PAGE.split_once("\n## Former names\n").expect("a section");
     let rows = section.lines().filter_map(|line| line.strip_prefix("| `")?.strip_suffix("` |"));
     rows.map(|row| row.split_once("` | `").unwrap_or_else(|| panic!("no pair: {row}"))).collect()
@@ -77,7 +77,7 @@ fn outcome_of(line: &str) -> (Option<i32>, String, String) {
 
 #[test]
 fn every_former_name_takes_what_the_present_one_takes_and_what_it_took() {
-    let table = table();
+    let table = former_names();
     assert_eq!(table.len(), OPTIONS.len());
     for (former, present) in table {
         let (by_former, by_present) = (help(former), help(present));
@@ -95,7 +95,7 @@ fn every_former_name_takes_what_the_present_one_takes_and_what_it_took() {
 /// print the same.
 #[test]
 fn former_and_present_names_do_the_same() {
-    let table = table();
+    let table = former_names();
     for (former, present) in &table {
         let refused = outcome_of(&format!("{former} --no-such-option"));
         assert_eq!(refused, outcome_of(&format!("{present} --no-such-option")), "{former}");
@@ -123,7 +123,7 @@ fn former_options_are_taken_for_the_present_ones() {
 #[test]
 fn former_names_stand_in_no_help() {
     let lists = |help: String, name: &str| help.lines().any(|line| line.starts_with(&format!("  {name} ")));
-    for (former, _) in table() {
+    for (former, _) in former_names() {
         let (group, name) = former.split_once(' ').unwrap_or(("", former));
         assert!(!lists(help(group), name), "{former}");
     }
@@ -135,7 +135,7 @@ fn former_names_stand_in_no_help() {
 #[test]
 fn completions_know_the_groups_and_their_commands() {
     let (script, _) = success(subcommand("completions bash"));
-    for (_, present) in table() {
+    for (_, present) in former_names() {
         let (group, name) = present.split_once(' ').unwrap_or_else(|| panic!("{present} has no group"));
         // Hidden commands are not completed.
         let is_listed = script.contains(&format!("radome__subcmd__{group},{name})"));

@@ -4,7 +4,8 @@
 use std::path::Path;
 
 use radome_tests::{
-    command, fails_with, failure, fixture, json_lines, limited, npy, outcome, subcommand, write_file, wrong_use_with,
+    command, fails_with, failure, fixture, json_lines, npy_bytes, outcome, subcommand, with_file_size_limit,
+    write_file, wrong_use_with,
 };
 use serde_json::json;
 
@@ -12,7 +13,7 @@ use serde_json::json;
 const SHAPE: [usize; 4] = [3, 3, 8, 64];
 
 /// Writes a recording folder in Infineon's format with these codes, in a shape that may contradict its configuration.
-fn recording(folder: &Path, samples_per_chirp: usize, code: impl Fn(usize) -> u16) {
+fn write_infineon_folder(folder: &Path, samples_per_chirp: usize, code: impl Fn(usize) -> u16) {
     let shape = json!({
         "rx_antennas": [1, 2, 3], "tx_antennas": [1], "tx_power_level": 31, "if_gain_dB": 23,
         "start_frequency_Hz": 58e9, "end_frequency_Hz": 63.5e9,
@@ -23,11 +24,11 @@ fn recording(folder: &Path, samples_per_chirp: usize, code: impl Fn(usize) -> u1
     let config = json!({ "device_config": { "fmcw_single_shape": shape } });
     std::fs::write(folder.join("config.json"), config.to_string()).expect("writable");
     let codes: Vec<u16> = (0..SHAPE.iter().product::<usize>()).map(code).collect();
-    std::fs::write(folder.join("radar.npy"), npy(SHAPE, &codes)).expect("writable");
+    std::fs::write(folder.join("radar.npy"), npy_bytes(SHAPE, &codes)).expect("writable");
     std::fs::write(folder.join("format.version"), "1.0.0").expect("writable");
 }
 
-fn maps(folder: &Path) -> (serde_json::Value, Vec<f32>) {
+fn compute_maps(folder: &Path) -> (serde_json::Value, Vec<f32>) {
     let output = folder.join("maps.npy");
     let said = json_lines(command!("recording maps --json", folder, "-o", &output));
     let file = std::io::BufReader::new(std::fs::File::open(output).expect("written"));
@@ -37,7 +38,7 @@ fn maps(folder: &Path) -> (serde_json::Value, Vec<f32>) {
 
 /// Messages had radians for the degrees that were given, and words of the parser of another format.
 #[test]
-fn targets_that_cannot_be_computed_are_told_in_the_words_of_the_options() {
+fn targets_that_cannot_be_computed_are_reported_by_the_names_of_options() {
     for (option, value, status, expected) in [
         ("--azimuth-deg", "1e9", 2, "the azimuth is 1000000000 degrees"),
         ("--elevation-deg", "91", 2, "the elevation is 91 degrees"),
@@ -57,17 +58,17 @@ fn targets_that_cannot_be_computed_are_told_in_the_words_of_the_options() {
 #[test]
 fn frames_of_the_middle_code_read_the_floor_everywhere() {
     let folder = tempfile::tempdir().expect("a folder");
-    recording(folder.path(), SHAPE[3], |_| 2048);
-    let (_, values) = maps(folder.path());
+    write_infineon_folder(folder.path(), SHAPE[3], |_| 2048);
+    let (_, values) = compute_maps(folder.path());
     assert_eq!(values.len(), SHAPE.iter().product::<usize>() / 2);
     assert!(values.iter().all(|&db| db == -200.0));
 }
 
 #[test]
-fn saturated_frames_are_mapped_and_said_to_be_saturated() {
+fn saturated_frames_are_mapped_and_reported_as_saturated() {
     let folder = tempfile::tempdir().expect("a folder");
-    recording(folder.path(), SHAPE[3], |i| if i % 2 == 0 { 0 } else { 4095 });
-    let (said, values) = maps(folder.path());
+    write_infineon_folder(folder.path(), SHAPE[3], |i| if i % 2 == 0 { 0 } else { 4095 });
+    let (said, values) = compute_maps(folder.path());
     assert!(values.iter().all(|db| db.is_finite()));
     assert_eq!(said["saturated_samples"], SHAPE.iter().product::<usize>());
 }
@@ -75,7 +76,7 @@ fn saturated_frames_are_mapped_and_said_to_be_saturated() {
 #[test]
 fn a_configuration_that_disagrees_with_the_data_names_both_shapes() {
     let folder = tempfile::tempdir().expect("a folder");
-    recording(folder.path(), 128, |_| 2048);
+    write_infineon_folder(folder.path(), 128, |_| 2048);
     let output = folder.path().join("maps.npy");
     fails_with(command!("recording maps", folder.path(), "-o", &output), &["128", "64", "config.json"]);
     assert!(!output.exists());
@@ -118,7 +119,7 @@ fn an_output_that_does_not_fit_on_the_disk_is_named() {
         ("model export", "models/room-cnn.safetensors", "cnn.onnx"),
     ] {
         let output = folder.path().join(name);
-        let mut on_full_disk = limited(0, subcommand(command).arg(fixture(input)).arg("-o").arg(&output));
+        let mut on_full_disk = with_file_size_limit(0, subcommand(command).arg(fixture(input)).arg("-o").arg(&output));
         let named = format!("{}: ", output.display());
         fails_with(&mut on_full_disk, &[named.as_str(), "os error"]);
     }
@@ -135,7 +136,7 @@ fn a_damaged_model_is_refused_by_its_path() {
 }
 
 #[test]
-fn a_model_and_a_scene_of_other_waveforms_are_not_brought_together() {
+fn a_model_and_a_scene_of_different_waveforms_are_refused() {
     fails_with(
         command!("demo --frames 1 --speed 0 --json --scene", fixture("scenes/desk.toml")),
         &["samples", "hint:"],

@@ -52,7 +52,7 @@ impl Page {
 }
 
 /// Whether a key of the page covers a printed key: it is equal, a wildcard for it, or a key within it.
-fn stands_for(documented: &str, printed: &str) -> bool {
+fn covers(documented: &str, printed: &str) -> bool {
     let is_within = documented.strip_prefix(printed).is_some_and(|rest| rest.starts_with(['.', '[']));
     let is_wildcard = documented.strip_suffix('*').is_some_and(|prefix| printed.starts_with(prefix));
     documented == printed || is_within || is_wildcard
@@ -74,23 +74,22 @@ fn add_keys(value: &Value, place: &str, found: &mut BTreeSet<String>) {
 }
 
 /// Asserts that the section of a command lists every key that it printed.
-fn check(page: &Page, command: &str, printed: &[Value]) {
+fn assert_documented(page: &Page, command: &str, printed: &[Value]) {
     let mut found = BTreeSet::new();
     printed.iter().for_each(|value| add_keys(value, "", &mut found));
     let documented = page.keys(&format!("radome-{}", command.replace(' ', "-")));
-    let missing: Vec<_> =
-        found.iter().filter(|printed| !documented.iter().any(|key| stands_for(key, printed))).collect();
+    let missing: Vec<_> = found.iter().filter(|printed| !documented.iter().any(|key| covers(key, printed))).collect();
     assert!(missing.is_empty(), "radome {command} prints keys that docs/json.md lacks: {missing:?}");
 }
 
 /// A command with its arguments and `--json`.
-fn with(command: &str, arguments: &[&str]) -> Command {
+fn with_json(command: &str, arguments: &[&str]) -> Command {
     let mut with = radome();
     with.args(command.split(' ')).args(arguments).arg("--json");
     with
 }
 
-fn text(path: &Path) -> &str {
+fn path_text(path: &Path) -> &str {
     path.to_str().expect("a path in UTF-8")
 }
 
@@ -124,18 +123,18 @@ fn every_key_of_recordings_is_documented() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     let judged = fixture("formats/judged.mcap");
-    let golden = text(&judged);
+    let golden = path_text(&judged);
     for (command, arguments) in [
         ("recording info", vec![golden]),
-        ("recording convert", vec![golden, text(&at("session.txt"))]),
-        ("recording convert", vec![golden, text(&at("viewers.mcap")), "--to", "viewers"]),
-        ("recording repair", vec![golden, "-o", text(&at("repaired.mcap"))]),
+        ("recording convert", vec![golden, path_text(&at("session.txt"))]),
+        ("recording convert", vec![golden, path_text(&at("viewers.mcap")), "--to", "viewers"]),
+        ("recording repair", vec![golden, "-o", path_text(&at("repaired.mcap"))]),
         ("recording label", vec![golden]),
         ("recording answers", vec![golden]),
-        ("recording maps", vec![golden, "-o", text(&at("maps.npy"))]),
-        ("record", vec![golden, "-o", text(&at("copy.mcap")), "--allow-loss"]),
+        ("recording maps", vec![golden, "-o", path_text(&at("maps.npy"))]),
+        ("record", vec![golden, "-o", path_text(&at("copy.mcap")), "--allow-loss"]),
     ] {
-        check(&page, command, &json_lines(with(command, &arguments)));
+        assert_documented(&page, command, &json_lines(with_json(command, &arguments)));
     }
 }
 
@@ -145,17 +144,17 @@ fn every_key_of_scenes_answers_and_scores_is_documented() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
     let (corridor, room) = (fixture("scenes/corridor.toml"), at("room.mcap"));
-    let (scene, room) = (text(&corridor), text(&room));
+    let (scene, room) = (path_text(&corridor), path_text(&room));
     let labelled = format!("{room}=empty");
     for (command, arguments) in [
         ("scene simulate", vec![scene, "--frames", "3", "--seed", "5", "-o", room]),
-        ("scene preview", vec![scene, "-o", text(&at("room.png"))]),
+        ("scene preview", vec![scene, "-o", path_text(&at("room.png"))]),
         ("scene paths", vec![scene]),
         ("recording echoes", vec![room]),
         ("live", vec![room]),
         ("model evaluate", vec!["--model", "cfar", labelled.as_str()]),
     ] {
-        check(&page, command, &json_lines(with(command, &arguments)));
+        assert_documented(&page, command, &json_lines(with_json(command, &arguments)));
     }
 }
 
@@ -168,15 +167,15 @@ fn every_key_of_boards_models_and_stages_is_documented() {
         ("board list", vec![]),
         ("board config", vec!["--registers"]),
         ("model list", vec![]),
-        ("model export", vec![text(&model), "-o", text(&onnx)]),
+        ("model export", vec![path_text(&model), "-o", path_text(&onnx)]),
         ("bench circuit", vec!["--x", "0.1,0.2", "--theta", "0.1,0.2,0.3,0.4"]),
         ("bench rcs", vec!["sphere"]),
         ("bench trainability", vec!["--qubits", "2", "--points", "2"]),
     ] {
-        check(&page, command, &json_lines(with(command, &arguments)));
+        assert_documented(&page, command, &json_lines(with_json(command, &arguments)));
     }
     // `doctor` fails where one of its checks fails.
-    check(&page, "doctor", &json_lines_of(with("doctor", &[]), &[0, 1]));
+    assert_documented(&page, "doctor", &json_lines_of(with_json("doctor", &[]), &[0, 1]));
 }
 
 mod hard_cases {
@@ -184,12 +183,12 @@ mod hard_cases {
 
     #[test]
     fn a_key_that_is_not_documented_is_found() {
-        assert!(stands_for("a.b", "a.b") && stands_for("a.b", "a") && stands_for("a[].b", "a"));
-        assert!(stands_for("labels.*", "labels.one") && stands_for("labels.*", "labels"));
-        assert!(!stands_for("a.b", "a.c") && !stands_for("a", "a.b") && !stands_for("ab.c", "a"));
+        assert!(covers("a.b", "a.b") && covers("a.b", "a") && covers("a[].b", "a"));
+        assert!(covers("labels.*", "labels.one") && covers("labels.*", "labels"));
+        assert!(!covers("a.b", "a.c") && !covers("a", "a.b") && !covers("ab.c", "a"));
         let page = Page::read();
         assert!(page.keys("radome-recording-info").contains(&"waveform.request.start_frequency_hz".to_owned()));
-        assert!(!page.keys("radome-recording-info").iter().any(|key| stands_for(key, "waveform.request.speed")));
+        assert!(!page.keys("radome-recording-info").iter().any(|key| covers(key, "waveform.request.speed")));
         assert!(page.keys("radome-recording-label").contains(&"[].start_s".to_owned()));
     }
 }

@@ -7,14 +7,14 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_tests::browser::{Served, page};
 use radome_tests::running::wait_for;
 use radome_tests::{
-    command, convert, fails_with, failure, fixture, frames, json_lines, json_lines_of, labels_of, maps_of, radome,
-    simulate, subcommand, success, write_file, wrong_use,
+    command, convert, fails_with, failure, fixture, frames_and_gaps, json_lines, json_lines_of, labels_of, maps_of,
+    radome, simulate, subcommand, success, write_file, wrong_use,
 };
 use serde_json::Value;
 use tungstenite::Message;
 
 #[test]
-fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
+fn labels_are_stored_in_a_recording_and_its_frames_stay_unchanged() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     simulate(&fixture("scenes/desk.toml"), "--frames 40", &path("run.mcap"));
@@ -35,7 +35,7 @@ fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
 
 /// Asserts that labels are checked against the recording wherever they go, and that near misses of classes are told.
 #[test]
-fn labels_that_cannot_be_or_may_be_meant_otherwise_are_told() {
+fn impossible_labels_are_refused_and_unclear_ones_reported() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
     simulate(&fixture("scenes/desk.toml"), "--frames 40", &path("run.mcap"));
@@ -197,7 +197,7 @@ fn labels_without_duration_are_erased() {
 
 /// Regression test: parts of labels were left out, and a confidence of 1 was put in, without a word.
 #[test]
-fn what_a_file_of_labels_does_not_hold_is_told() {
+fn parts_that_a_file_of_labels_does_not_hold_are_reported() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = fixture("formats/recording.mcap");
     let both = ["authors", "times of labelling"];
@@ -284,7 +284,7 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     json_lines_of(command!("recording repair --json", &made, "-o", &repaired), &[0, 3]);
     // A label that grows is ahead of the frames in the file, to which a repair cuts it.
     let interval_s = Recording::open(&repaired).expect("opens").header().waveform.frame_interval_s();
-    let end_s = frames(&repaired).0.last().expect("a frame").time_s() + interval_s;
+    let end_s = frames_and_gaps(&repaired).0.last().expect("a frame").time_s() + interval_s;
     let mut cut = killed;
     cut.retain(|span| span["start_s"].as_f64().expect("a time") < end_s - 1e-3);
     let mut kept = labels_of(&repaired);

@@ -12,15 +12,16 @@ use radome_tests::{
 };
 
 /// Small dataset of halls, made once for all tests. Its rows have the splits of its spec, which no training changes.
-pub fn maps() -> &'static Path {
+pub fn hall_dataset() -> &'static Path {
     static MAPS: std::sync::OnceLock<(tempfile::TempDir, PathBuf)> = std::sync::OnceLock::new();
-    let (_, path) =
-        MAPS.get_or_init(|| built(&fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]")));
+    let (_, path) = MAPS.get_or_init(|| {
+        build_dataset(&fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]"))
+    });
     path
 }
 
 /// Builds a dataset in a folder of its own.
-fn built(spec_text: &str) -> (tempfile::TempDir, PathBuf) {
+fn build_dataset(spec_text: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let spec = write_file(folder.path(), "maps.toml", spec_text);
     let path = folder.path().join("maps");
@@ -34,17 +35,18 @@ const TRAINING: &str = "epochs = 6\nstarts = 2\nstart_epochs = 2\npooled = [4, 4
 fn a_training_that_is_killed_ends_with_the_same_weights() {
     let folder = tempfile::tempdir().expect("a folder");
     let spec = write_file(folder.path(), "training.toml", TRAINING);
-    let train = |name: &str| command!("model train --json", maps(), "--spec", &spec, "-o", folder.path().join(name));
-    let told = json_lines(train("whole.safetensors"));
+    let train_command =
+        |name: &str| command!("model train --json", hall_dataset(), "--spec", &spec, "-o", folder.path().join(name));
+    let told = json_lines(train_command("whole.safetensors"));
     // Two starts of two epochs, four more epochs, and the summary.
     assert_eq!(told.len(), 2 + 6 + 1);
     // Three runs are killed after their first output; the fourth runs to its end.
     for _ in 0..3 {
-        let killed = Running::start(train("killed.safetensors"));
+        let killed = Running::start(train_command("killed.safetensors"));
         killed.stdout.find(0, "a line", |_| Some(()));
         std::thread::sleep(Duration::from_millis(100));
     }
-    json_lines(train("killed.safetensors"));
+    json_lines(train_command("killed.safetensors"));
     let bytes = |name: &str| std::fs::read(folder.path().join(name)).expect("a model");
     assert_eq!(bytes("whole.safetensors"), bytes("killed.safetensors"));
     assert!(!folder.path().join("killed.safetensors.checkpoint").exists());
@@ -63,38 +65,47 @@ fn every_network_can_be_trained_by_name_and_says_what_it_is() {
     for network in networks.as_array().expect("a list") {
         let name = network["name"].as_str().expect("a name");
         let model = folder.path().join(format!("{name}.safetensors"));
-        json_lines(command!("model train --json", maps(), "--spec", &spec, "--network", name, "-o", &model));
-        let metrics = json_lines(command!("model evaluate --json", &model, maps())).remove(0);
+        json_lines(command!("model train --json", hall_dataset(), "--spec", &spec, "--network", name, "-o", &model));
+        let metrics = json_lines(command!("model evaluate --json", &model, hall_dataset())).remove(0);
         let score = metrics["balanced_accuracy"].as_f64().expect("a score");
         assert!((0.0..=1.0).contains(&score), "{name}: {metrics}");
     }
-    fails_with(command!("model train", maps(), "--network hqmm -o x"), &["no network 'hqmm'", "doppler_net"]);
+    fails_with(command!("model train", hall_dataset(), "--network hqmm -o x"), &["no network 'hqmm'", "doppler_net"]);
     // Descriptors need levels over noise, but the default reference is absolute.
-    let said = failure(command!("model train", maps(), "--network descriptor_linear -o x"));
+    let said = failure(command!("model train", hall_dataset(), "--network descriptor_linear -o x"));
     assert!(said.contains("reference is absolute") && said.contains("hint: "), "{said}");
 }
 
 #[test]
 fn one_recording_can_be_held_out() {
     let folder = tempfile::tempdir().expect("a folder");
-    let manifest = std::fs::read_to_string(maps().join("manifest.jsonl")).expect("a manifest");
+    let manifest = std::fs::read_to_string(hall_dataset().join("manifest.jsonl")).expect("a manifest");
     let row: serde_json::Value = serde_json::from_str(manifest.lines().next().expect("a row")).expect("JSON");
     let sequence = row["sequence"].as_str().expect("a sequence");
     let maps_of = manifest.lines().filter(|line| line.contains(&format!("\"{sequence}\""))).count() as u64;
     let spec = write_file(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n");
     let model = folder.path().join("model.safetensors");
-    let train = |sequence: &str| {
-        command!("model train --json", maps(), "--spec", &spec, "--hold-out", sequence, "--overwrite -o", &model)
+    let train_command = |sequence: &str| {
+        command!(
+            "model train --json",
+            hall_dataset(),
+            "--spec",
+            &spec,
+            "--hold-out",
+            sequence,
+            "--overwrite -o",
+            &model
+        )
     };
-    let told = json_lines(train(sequence));
+    let told = json_lines(train_command(sequence));
     let test = &told.last().expect("an answer")["training"]["test"];
     assert_eq!(test["samples"].as_u64(), Some(maps_of), "{test}");
     assert_eq!(
-        &json_lines(command!("model evaluate --json", &model, maps())).remove(0),
+        &json_lines(command!("model evaluate --json", &model, hall_dataset())).remove(0),
         test,
         "evaluate divides the dataset as the training did"
     );
-    fails_with(train("nobody"), &["no sequence 'nobody'", "hint: the dataset has '", " and others"]);
+    fails_with(train_command("nobody"), &["no sequence 'nobody'", "hint: the dataset has '", " and others"]);
 }
 
 #[test]
@@ -106,7 +117,7 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
                 [train]\nepochs = 2\nstarts = 1\nmost_training_maps = 60\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
     let spec = write_file(folder.path(), "study.toml", text);
     let output = folder.path().join("study");
-    let study = || command!("model study --json", &spec, "--dataset", maps(), "-o", &output);
+    let study = || command!("model study --json", &spec, "--dataset", hall_dataset(), "-o", &output);
     let killed = Running::start(study());
     killed.stdout.find(0, "a training", |_| Some(()));
     drop(killed);
@@ -140,7 +151,7 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
 /// Asserts that augmentation, limit and filter settings reach the model file. Also asserts that ablation replaces parts
 /// of maps by noise and reports the recalls again, for maps of a dataset and for recordings.
 #[test]
-fn parts_of_maps_are_replaced_and_recalls_read_again() {
+fn ablation_replaces_parts_of_maps_and_reports_recalls_again() {
     let folder = tempfile::tempdir().expect("a folder");
     let text = "epochs = 1\nstarts = 1\nmost_training_maps = 60\npooled = [4, 4]\nsplit = { by = \"seed\" }\n\
                 [reference.over_noise]\nskip_range_bins = 3\nmost_db = 50.0\n\
@@ -149,9 +160,9 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
                 range_stretch = 0.1\nvelocity_stretch = 0.1\nsuperpose = { probability = 0.2 }\nsway = { probability = 0.7 }\n";
     let spec = write_file(folder.path(), "training.toml", text);
     let model = folder.path().join("model.safetensors");
-    json_lines(command!("model train --json", maps(), "--spec", &spec, "-o", &model));
+    json_lines(command!("model train --json", hall_dataset(), "--spec", &spec, "-o", &model));
 
-    let on_maps = || command!("model evaluate", &model, maps());
+    let on_maps = || command!("model evaluate", &model, hall_dataset());
     let answer = json_lines(on_maps().args(["--ablate", "--json"])).remove(0);
     let rows = answer["ablation"].as_array().expect("rows");
     assert_eq!((&rows[0]["replaced"], &rows[0]["confusion"]), (&"nothing".into(), &answer["confusion"]), "{answer}");
@@ -198,8 +209,16 @@ fn shipped_settings_train_a_model() {
     ] {
         let spec = fixture("datasets").join(format!("{name}-training.toml"));
         let model = folder.path().join(format!("{name}.safetensors"));
-        let train =
-            command!("model train --json --epochs 1", maps(), "--spec", spec, "--network", network, "-o", &model);
+        let train = command!(
+            "model train --json --epochs 1",
+            hall_dataset(),
+            "--spec",
+            spec,
+            "--network",
+            network,
+            "-o",
+            &model
+        );
         let told = json_lines(train);
         assert!(told.last().is_some_and(|last| last["training"]["epochs"] == 1), "{name}: {told:?}");
     }
@@ -209,13 +228,13 @@ mod hard_cases {
     use super::*;
 
     /// Twelve short sequences whose rows have no split, so that each training divides them by its own rule.
-    fn undivided() -> &'static Path {
+    fn undivided_dataset() -> &'static Path {
         static MAPS: std::sync::OnceLock<(tempfile::TempDir, PathBuf)> = std::sync::OnceLock::new();
         let (_, path) = MAPS.get_or_init(|| {
             let whole = fixture_text("datasets/quick.toml");
             let few = whole.replace("seeds = [1, 24]", "seeds = [1, 4]").replace("frames = 110", "frames = 30");
             let kept: Vec<&str> = few.lines().filter(|line| !line.starts_with("split")).collect();
-            built(&kept.join("\n"))
+            build_dataset(&kept.join("\n"))
         });
         path
     }
@@ -227,11 +246,11 @@ mod hard_cases {
         let spec =
             write_file(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n[split]\nseed = 2\ntest = 0.4\n");
         let model = folder.path().join("model.safetensors");
-        let trained = json_lines(command!("model train --json", undivided(), "--spec", &spec, "-o", &model))
+        let trained = json_lines(command!("model train --json", undivided_dataset(), "--spec", &spec, "-o", &model))
             .pop()
             .expect("an answer")["training"]["test"]
             .take();
-        let evaluate = |model: &Path| command!("model evaluate --json", model, undivided());
+        let evaluate = |model: &Path| command!("model evaluate --json", model, undivided_dataset());
         let (told, said) = success(evaluate(&model));
         assert_eq!(serde_json::from_str::<serde_json::Value>(&told).expect("JSON"), trained);
         assert!(!said.contains("default rule"), "{said}");
@@ -250,7 +269,7 @@ mod hard_cases {
     #[test]
     fn maps_of_training_sequences_are_no_test_maps_of_another_dataset() {
         let folder = tempfile::tempdir().expect("a folder");
-        let own = Dataset::open(undivided()).expect("a dataset");
+        let own = Dataset::open(undivided_dataset()).expect("a dataset");
         let splits = own.splits(&SplitSpec::default()).expect("splits");
         let test: Vec<&str> = own
             .rows()
@@ -265,12 +284,21 @@ mod hard_cases {
         assert!(count(unseen) < test.len());
         let spec = write_file(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n");
         let model = folder.path().join("model.safetensors");
-        json_lines(command!("model train --json", undivided(), "--spec", &spec, "--hold-out", unseen, "-o", &model));
+        json_lines(command!(
+            "model train --json",
+            undivided_dataset(),
+            "--spec",
+            &spec,
+            "--hold-out",
+            unseen,
+            "-o",
+            &model
+        ));
 
         // Another dataset with the same sequences.
         let other = folder.path().join("other");
         std::fs::create_dir(&other).expect("created");
-        for entry in std::fs::read_dir(undivided()).expect("a folder") {
+        for entry in std::fs::read_dir(undivided_dataset()).expect("a folder") {
             let entry = entry.expect("an entry");
             std::fs::copy(entry.path(), other.join(entry.file_name())).expect("copied");
         }
@@ -303,14 +331,14 @@ mod hard_cases {
             let text = format!("epochs = 1\nstarts = 1\nsplit = {{ test = {test:.1} }}\n");
             let spec = write_file(folder.path(), "training.toml", text);
             let path = folder.path().join(name);
-            json_lines(command!("model train --json", undivided(), "--spec", &spec, "-o", &path));
+            json_lines(command!("model train --json", undivided_dataset(), "--spec", &spec, "-o", &path));
             radome_models::Model::load(&path).expect("a model")
         };
         let (mut model, of_all) = (trained("model.safetensors", 0.2), trained("of-all.safetensors", 0.0));
         // The list of a model that was adapted to the sequences of its test split.
         model.card.training.seen_sequences = of_all.card.training.seen_sequences;
         let path = folder.path().join("adapted.safetensors");
-        let evaluate = || command!("model evaluate --json", &path, undivided());
+        let evaluate = || command!("model evaluate --json", &path, undivided_dataset());
         model.save(&path).expect("writable");
         success(evaluate());
         model.card.adapted =
@@ -336,9 +364,9 @@ mod hard_cases {
     /// Sequences were divided by seed, and then none of the seeds was in two splits.
     #[test]
     fn verify_finds_the_leak_that_a_training_makes() {
-        let verify = command!("dataset verify --by seed", undivided());
+        let verify = command!("dataset verify --by seed", undivided_dataset());
         fails_with(verify, &["leaks between splits", "hint: split = { by = \"seed\" } keeps each seed in one split"]);
-        success(command!("dataset verify --by seed", maps()));
+        success(command!("dataset verify --by seed", hall_dataset()));
     }
 
     /// No map is no score.
@@ -347,9 +375,9 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let spec = write_file(folder.path(), "training.toml", "epochs = 1\nstarts = 1\nsplit = { test = 0.0 }\n");
         let model = folder.path().join("model.safetensors");
-        json_lines(command!("model train --json", undivided(), "--spec", &spec, "-o", &model));
+        json_lines(command!("model train --json", undivided_dataset(), "--spec", &spec, "-o", &model));
         fails_with(
-            command!("model evaluate", &model, undivided()),
+            command!("model evaluate", &model, undivided_dataset()),
             &["the test split is empty", "12 sequences", "hint: "],
         );
     }
@@ -360,17 +388,17 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let model = fixture("models/room-cnn.safetensors");
         let evaluate = |inputs: &[&Path]| command!("model evaluate", ..inputs);
-        fails_with(evaluate(&[maps()]), &["a folder is no model", "MODEL DATASET"]);
+        fails_with(evaluate(&[hall_dataset()]), &["a folder is no model", "MODEL DATASET"]);
         fails_with(
             &mut evaluate(&[&model, folder.path()]),
             &["neither a dataset nor a recording", "name each recording"],
         );
-        let mut mixed = evaluate(&[&model, maps()]);
+        let mut mixed = evaluate(&[&model, hall_dataset()]);
         fails_with(mixed.arg("run.mcap=one"), &["a dataset is evaluated by itself", "hint: "]);
         // A name that stands for another format is refused, before any work.
         let named = |name: &str| folder.path().join(name);
         wrong_use_with(
-            command!("model train", maps(), "-o", named("a.onnx")),
+            command!("model train", hall_dataset(), "-o", named("a.onnx")),
             &["a.onnx", "radome model export writes ONNX"],
         );
         wrong_use_with(command!("model export", &model, "-o", named("a.safetensors")), &["end its name in .onnx"]);
@@ -383,22 +411,22 @@ mod hard_cases {
     }
 
     /// Command `radome model train` with options, into `model.safetensors` of a folder.
-    fn train(folder: &Path, options: &[&str]) -> std::process::Command {
-        command!("model train", maps(), "--epochs 1", ..options, "-o", folder.join("model.safetensors"))
+    fn train_command(folder: &Path, options: &[&str]) -> std::process::Command {
+        command!("model train", hall_dataset(), "--epochs 1", ..options, "-o", folder.join("model.safetensors"))
     }
 
     /// A checkpoint beside the output stood for `--overwrite`, and two trainings into one file joined in one checkpoint.
     #[test]
-    fn a_training_keeps_to_its_own_files() {
+    fn a_training_changes_only_its_own_files() {
         let folder = tempfile::tempdir().expect("a folder");
         let (model, checkpoint) = ("model.safetensors", "model.safetensors.checkpoint");
         let of_other = write_file(folder.path(), model, "another model");
         write_file(folder.path(), checkpoint, "another checkpoint");
-        fails_with(train(folder.path(), &[]), &["exists already", "--overwrite"]);
+        fails_with(train_command(folder.path(), &[]), &["exists already", "--overwrite"]);
         assert_eq!(std::fs::read_to_string(&of_other).expect("reads"), "another model");
         let lock = folder.path().join(format!("{checkpoint}.lock"));
         let held = radome_models::dataset::lock_file(&lock).expect("free");
-        fails_with(train(folder.path(), &["--overwrite"]), &["another process is at work here"]);
+        fails_with(train_command(folder.path(), &["--overwrite"]), &["another process is at work here"]);
         drop(held);
     }
 
@@ -409,7 +437,7 @@ mod hard_cases {
         let named = |name: &str| folder.path().join(name).display().to_string();
         let spec = write_file(folder.path(), "training.toml", "starts = 1\n").display().to_string();
         write_file(folder.path(), "weights.safetensors", "weights");
-        let manifest = maps().join("manifest.jsonl").display().to_string();
+        let manifest = hall_dataset().join("manifest.jsonl").display().to_string();
         for (checkpoint, expected) in [
             (named("model.safetensors"), "are one file"),
             (named("./model.safetensors"), "are one file"),
@@ -419,10 +447,10 @@ mod hard_cases {
         ] {
             let weights = named("weights.safetensors");
             let options = ["--checkpoint", &checkpoint, "--spec", &spec, "--weights", &weights];
-            wrong_use_with(train(folder.path(), &options), &[expected, "hint: "]);
+            wrong_use_with(train_command(folder.path(), &options), &[expected, "hint: "]);
         }
         let (model, checkpoint) = (folder.path().join("a.lock"), folder.path().join("a"));
-        let command = command!("model train", maps(), "--epochs 1 -o", &model, "--checkpoint", &checkpoint);
+        let command = command!("model train", hall_dataset(), "--epochs 1 -o", &model, "--checkpoint", &checkpoint);
         wrong_use_with(command, &["are one file"]);
     }
 
@@ -432,7 +460,7 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let (model, checkpoint) = ("model.safetensors", folder.path().join("model.safetensors.checkpoint"));
         let path = folder.path().join(model);
-        let command = || command!("model train --json", maps(), "--epochs 6 -o", &path);
+        let command = || command!("model train --json", hall_dataset(), "--epochs 6 -o", &path);
         let mut training = Running::start(command());
         training.stdout.find(0, "an epoch", |_| Some(()));
         write_file(folder.path(), model, "another model");
@@ -453,12 +481,12 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let recording = write_file(folder.path(), "a.mcap", "a recording");
         let named = recording.display().to_string();
-        let said = failure(train(folder.path(), &["--checkpoint", &named]));
+        let said = failure(train_command(folder.path(), &["--checkpoint", &named]));
         assert!(said.contains("name another file for the checkpoint"), "{said}");
         assert!(!said.contains("carries on") && !said.contains("carrying on"), "{said}");
         assert_eq!(std::fs::read_to_string(&recording).expect("reads"), "a recording");
         let nowhere = folder.path().join("no/folder.checkpoint").display().to_string();
-        let (_, told, said) = outcome(train(folder.path(), &["--checkpoint", &nowhere]));
+        let (_, told, said) = outcome(train_command(folder.path(), &["--checkpoint", &nowhere]));
         assert!(told.is_empty() && said.contains("does not exist") && said.contains("mkdir"), "{told}{said}");
     }
 
@@ -466,7 +494,7 @@ mod hard_cases {
     #[test]
     fn options_and_values_without_use_are_refused() {
         let model = fixture("models/room-cnn.safetensors");
-        let set = maps().display().to_string();
+        let set = hall_dataset().display().to_string();
         let ladder = fixture("ladder/rooms.toml").display().to_string();
         for (arguments, expected) in [
             (vec![set.as_str(), "--no-smoothing"], "each map of a dataset is judged by itself"),
@@ -488,15 +516,16 @@ mod hard_cases {
 
     /// `--network` set the head of the file back to two qubits, and nothing was said.
     #[test]
-    fn the_head_of_a_file_goes_with_the_named_network() {
+    fn the_head_of_a_file_is_used_with_the_named_network() {
         let folder = tempfile::tempdir().expect("a folder");
         let text = "epochs = 1\nstarts = 1\nmost_training_maps = 40\npooled = [4, 4]\nsplit = { by = \"seed\" }\n\
                     head = { kind = \"circuit\", circuit = { qubits = 4 } }\n";
         let spec = write_file(folder.path(), "training.toml", text).display().to_string();
-        json_lines(train(folder.path(), &["--json", "--spec", &spec, "--network", "hqnn", "--overwrite"]));
+        json_lines(train_command(folder.path(), &["--json", "--spec", &spec, "--network", "hqnn", "--overwrite"]));
         let model = radome_models::Model::load(&folder.path().join("model.safetensors")).expect("a model");
         assert_eq!(model.card.head.width(), 4);
-        let other = |network: &str| train(folder.path(), &["--spec", &spec, "--overwrite", "--network", network]);
+        let other =
+            |network: &str| train_command(folder.path(), &["--spec", &spec, "--overwrite", "--network", network]);
         wrong_use_with(other("estimator_matched"), &["head is set beside the name", "expected none"]);
         // A head without a use was in the card of the model.
         fails_with(other("resnet18"), &["head is set for network resnet18", "expected none"]);
@@ -515,13 +544,13 @@ mod hard_cases {
         let spec = write_file(folder.path(), "training.toml", text);
         let output = folder.path().join("model.safetensors");
         // Without the option there are 15 epochs.
-        let alone = command!("model train", maps(), "--spec", &spec, "-o", &output);
+        let alone = command!("model train", hall_dataset(), "--spec", &spec, "-o", &output);
         fails_with(alone, &["training.toml", "linear_epochs is 16"]);
-        success(train(folder.path(), &["--spec", &spec.display().to_string()]));
+        success(train_command(folder.path(), &["--spec", &spec.display().to_string()]));
     }
 
     #[test]
-    fn settings_of_augmentation_that_cannot_be_are_refused() {
+    fn impossible_settings_of_augmentation_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         for (augmentation, expected) in [
             ("echo_gain_db = [-7, 7]", "[reference.over_noise]"),
@@ -530,7 +559,7 @@ mod hard_cases {
         ] {
             let spec = write_file(folder.path(), "training.toml", format!("[augmentation]\n{augmentation}\n"));
             let output = folder.path().join("model.safetensors");
-            fails_with(command!("model train", maps(), "--spec", &spec, "-o", &output), &[expected]);
+            fails_with(command!("model train", hall_dataset(), "--spec", &spec, "-o", &output), &[expected]);
             assert!(!output.exists());
         }
     }
@@ -541,7 +570,7 @@ mod hard_cases {
         let output = folder.path().join("study");
         let say = |text: &str| {
             let spec = write_file(folder.path(), "study.toml", text);
-            failure(command!("model study", &spec, "--dataset", maps(), "-o", &output))
+            failure(command!("model study", &spec, "--dataset", hall_dataset(), "-o", &output))
         };
         let good = "title = \"T\"\ndataset = \"x.toml\"\nseeds = [1]\nvariants = [{ name = \"hqnn\" }]\n";
         for (from, to, expected) in [

@@ -3,8 +3,8 @@
 use radome_tests::browser::{Served, page};
 use radome_tests::running::emulated_board;
 use radome_tests::{
-    command, fails_with, fixture, fixture_text, json_lines, live_command, shared, simulate, subcommand, success, walk,
-    write_file, wrong_use_with,
+    command, fails_with, fixture, fixture_text, json_lines, live_command, shared, simulate, subcommand, success,
+    write_file, write_walking_scene, wrong_use_with,
 };
 use serde_json::Value;
 
@@ -31,7 +31,7 @@ fn demo_counts_people_through_the_emulated_board() {
 /// Asserts that labels do not depend on the gain, which varies between boards and with temperature. The model measures
 /// maps against their own noise.
 #[test]
-fn people_are_counted_alike_at_other_gains() {
+fn people_are_counted_equally_at_other_gains() {
     let folder = tempfile::tempdir().expect("a folder");
     let corridor = fixture_text("scenes/corridor.toml");
     for gain_db in ["35.0", "45.0"] {
@@ -64,7 +64,7 @@ fn the_real_recording_warms_up_and_is_then_labelled() {
 fn people_beyond_the_greatest_range_do_not_count() {
     let folder = tempfile::tempdir().expect("a folder");
     // Limbs and the width of an echo reach half a metre nearer than the person.
-    let far = walk(folder.path(), 5.0, 3.5);
+    let far = write_walking_scene(folder.path(), 5.0, 3.5);
     let recording = folder.path().join("far.mcap");
     success(command!("scene simulate --frames 40 --seed 3 -o", &recording, &far));
     for model in ["room-hqnn", "cfar"] {
@@ -119,7 +119,7 @@ fn a_model_refuses_frames_of_another_waveform_and_names_both() {
 
 /// Regression test: the frames before one that is sought, which only fill the filter, were printed and counted as well.
 #[test]
-fn frames_before_the_one_that_is_sought_are_neither_printed_nor_counted() {
+fn frames_before_the_target_of_a_seek_are_neither_printed_nor_counted() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("desk.mcap");
     simulate(&fixture("scenes/desk.toml"), "--frames 300", &recording);
@@ -144,7 +144,7 @@ fn frames_before_the_one_that_is_sought_are_neither_printed_nor_counted() {
 fn who_walks_away_has_positive_velocity_on_the_page() {
     for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {
         let folder = tempfile::tempdir().expect("a folder");
-        let scene = walk(folder.path(), from, to);
+        let scene = write_walking_scene(folder.path(), from, to);
         let mut served = Served::start(command!("demo --frames 60 --speed 0.5 --json --scene", &scene));
         let mut socket = page(&served.address);
         let (mut with, mut against) = (0, 0);

@@ -53,7 +53,7 @@ fn assert_alike(a: &Value, b: &Value) {
 }
 
 #[test]
-fn exported_models_answer_as_the_models() {
+fn exported_models_give_the_same_answers() {
     let folder = tempfile::tempdir().expect("a folder");
     for (model, scene) in MODELS {
         let native = fixture(&format!("models/{model}.safetensors"));
@@ -81,7 +81,7 @@ fn exported_models_answer_as_the_models() {
 
 /// Asserts that an ONNX file can program a board, since its card holds the waveform.
 #[test]
-fn the_waveform_travels_along() {
+fn an_exported_model_keeps_the_waveform() {
     let folder = tempfile::tempdir().expect("a folder");
     let native = fixture("models/paper-hqnn.safetensors");
     let onnx = export(&native, folder.path());
@@ -92,13 +92,13 @@ fn the_waveform_travels_along() {
 mod hard_cases {
     use super::*;
 
-    fn refusal(bytes: &[u8]) -> String {
+    fn refusal_of(bytes: &[u8]) -> String {
         let folder = tempfile::tempdir().expect("a folder");
         let path = write_file(folder.path(), "some.onnx", bytes);
         failure(command!("live nowhere.mcap --model", &path))
     }
 
-    fn exported() -> Vec<u8> {
+    fn exported_bytes() -> Vec<u8> {
         let folder = tempfile::tempdir().expect("a folder");
         std::fs::read(export(&fixture("models/paper-hqnn.safetensors"), folder.path())).expect("readable")
     }
@@ -106,7 +106,7 @@ mod hard_cases {
     /// Asserts that files which are no model are refused by their path, before any runtime is loaded.
     #[test]
     fn files_that_are_no_model_are_refused() {
-        let whole = exported();
+        let whole = exported_bytes();
         let with = |from: &[u8], to: &[u8]| {
             let mut bytes = whole.clone();
             let at = bytes.windows(from.len()).rposition(|window| window == from).expect("a part of the card");
@@ -119,7 +119,7 @@ mod hard_cases {
             (with(b"\x0a\x06radome", b"\x0a\x06foreig"), "'radome' entry"),
             (with(b"\"format_version\"", b"!"), "model card"),
         ] {
-            let said = refusal(&bytes);
+            let said = refusal_of(&bytes);
             assert!(said.contains("some.onnx") && said.contains(expected) && !said.contains("onnxruntime"), "{said}");
         }
         // An ONNX file with a safetensors name is refused too.

@@ -8,14 +8,14 @@ use radome_driver::{EmulatedBoard, EmulatorOptions, Pace, Recorder, RecorderOpti
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, WaveformRequest, source_from_fn};
 use radome_models::Model;
 use radome_tests::browser::{Served, page};
-use radome_tests::running::{Running, ask, emulated_board, wait_up_to};
+use radome_tests::running::{Running, emulated_board, send_request, wait_up_to};
 use radome_tests::{command, fixture, json_lines, live_command, simulate};
 
-fn setting(name: &str, default: u64) -> u64 {
+fn number_from_environment(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |value| value.parse().unwrap_or_else(|e| panic!("{name}={value}: {e}")))
 }
 
-fn small() -> Waveform {
+fn small_waveform() -> Waveform {
     let request = WaveformRequest {
         samples_per_chirp: 64,
         chirps_per_frame: 8,
@@ -27,7 +27,7 @@ fn small() -> Waveform {
 
 /// Source that repeats small frames, a hundred for each second of its time, without computing cost, until `end` are sent.
 fn small_frames(end: u64, sent: Arc<AtomicU64>) -> impl FrameSource {
-    let waveform = small();
+    let waveform = small_waveform();
     let codes: Vec<u16> = (0..waveform.shape().codes()).map(|i| ((i * 2_654_435_761) >> 7 & 0xFFF) as u16).collect();
     source_from_fn(waveform, move |frame| {
         let next = sent.load(Ordering::Relaxed);
@@ -49,9 +49,9 @@ fn resident_kib(process: u32) -> u64 {
 }
 
 /// Numbers of frames judged and lost, according to the metrics.
-fn counted(port: u16) -> (u64, u64) {
+fn counts_of_metrics(port: u16) -> (u64, u64) {
     let request = format!("GET /metrics HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n");
-    let page = ask(("127.0.0.1", port), request);
+    let page = send_request(("127.0.0.1", port), request);
     assert!(page.starts_with("HTTP/1.1 200"), "{page}");
     let value =
         |line: &str| line.rsplit_once(' ').and_then(|(_, value)| value.parse::<f64>().ok()).unwrap_or(0.0) as u64;
@@ -64,12 +64,12 @@ fn counted(port: u16) -> (u64, u64) {
 #[test]
 #[ignore = "takes minutes: tests/long home"]
 #[allow(clippy::print_stderr)]
-fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
-    let end = setting("RADOME_FRAMES", 1_000_000);
+fn a_million_small_frames_need_constant_memory_and_every_loss_is_reported() {
+    let end = number_from_environment("RADOME_FRAMES", 1_000_000);
     let folder = tempfile::tempdir().expect("a folder");
     // The paper's network, declared for small frames: its predictions are meaningless, but its cost is the same.
     let mut model = Model::load(&fixture("models/paper-hqnn.safetensors")).expect("loads");
-    model.card.waveform = small();
+    model.card.waveform = small_waveform();
     (model.card.rdm_spec.doppler_fft_length, model.card.rdm_spec.range_fft_length) = (Some(128), Some(256));
     let path = folder.path().join("small.safetensors");
     model.save(&path).expect("saves");
@@ -86,7 +86,7 @@ fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
     let mut memory = Vec::new();
     let mut last = (0, Instant::now());
     let (frames, lost) = loop {
-        let (frames, lost) = counted(port);
+        let (frames, lost) = counts_of_metrics(port);
         memory.push((frames + lost, resident_kib(live.id())));
         if frames + lost > last.0 {
             last = (frames + lost, Instant::now());
@@ -119,11 +119,11 @@ fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
 #[ignore = "takes minutes: tests/long home"]
 #[allow(clippy::print_stderr)]
 fn a_million_small_frames_are_recorded_with_and_without_syncing() {
-    let end = setting("RADOME_FRAMES", 1_000_000);
+    let end = number_from_environment("RADOME_FRAMES", 1_000_000);
     let folder = tempfile::tempdir().expect("a folder");
     for (name, sync) in [("left to the system", None), ("synced", RecorderOptions::default().sync)] {
         let path = folder.path().join("frames.mcap");
-        let header = RecordingHeader::new(small());
+        let header = RecordingHeader::new(small_waveform());
         let options = RecorderOptions { sync, ..RecorderOptions::default() };
         let mut recorder = Recorder::with_options(&path, &header, &options).expect("creates");
         let mut source = small_frames(end, Arc::default());
@@ -161,7 +161,7 @@ fn a_million_small_frames_are_recorded_with_and_without_syncing() {
 #[ignore = "takes minutes, and means something on an idle machine only: tests/long home"]
 #[allow(clippy::print_stderr)]
 fn a_label_comes_within_two_milliseconds_of_the_last_sample_at_the_papers_pace() {
-    let frames = setting("RADOME_PACE_FRAMES", 600);
+    let frames = number_from_environment("RADOME_PACE_FRAMES", 600);
     let folder = tempfile::tempdir().expect("a folder");
     let run = folder.path().join("run.mcap");
     simulate(&fixture("scenes/corridor.toml"), &format!("--frames {}", frames + 20), &run);

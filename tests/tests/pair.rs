@@ -45,7 +45,7 @@ fn record(scene: &Path, frames: u64, seed: u64) -> PathBuf {
     file
 }
 
-fn pair(recording: &Path, scene: &Path, output: &Path) -> Command {
+fn pair_command(recording: &Path, scene: &Path, output: &Path) -> Command {
     command!("scene pair --json", recording, scene, "-o", output)
 }
 
@@ -100,8 +100,8 @@ impl Errors {
         errors
     }
 
-    fn said(&self) -> String {
-        let spread = |all: &[f64]| format!("{:.3}/{:.3}/{:.3}", rms(all), part(all, 0.9), part(all, 1.0));
+    fn text(&self) -> String {
+        let spread = |all: &[f64]| format!("{:.3}/{:.3}/{:.3}", rms(all), quantile(all, 0.9), quantile(all, 1.0));
         let (place, velocity, radial) = (spread(&self.place), spread(&self.velocity), spread(&self.radial));
         let (visible, frames) = (self.visible, self.frames);
         format!(
@@ -114,12 +114,12 @@ fn rms(all: &[f64]) -> f64 {
     (all.iter().map(|e| e * e).sum::<f64>() / all.len() as f64).sqrt()
 }
 
-fn part(sorted: &[f64], share: f64) -> f64 {
+fn quantile(sorted: &[f64], share: f64) -> f64 {
     sorted[((sorted.len() - 1) as f64 * share).round() as usize]
 }
 
 /// Intervals of half a second either side of a path's corners, where velocities change by up to 3 m/s in a second.
-fn turns(path: &Path2) -> Vec<[f64; 2]> {
+fn turn_intervals(path: &Path2) -> Vec<[f64; 2]> {
     let mut time_s = 0.0;
     let mut turns = vec![[-0.5, 0.5]];
     for pair in path.windows(2) {
@@ -153,14 +153,14 @@ fn a_walker_is_recovered_within_ten_centimetres_where_visible() {
         let recording = record(&scene, frames, seed);
         let set = folder.path().join("set");
         // The command takes only the room from the scene file, whose people are others.
-        let said = json_lines(pair(&recording, &fixture(name), &set)).remove(0);
-        let errors = Errors::of(&set, 1, &motion(path), radar, frames as usize, &turns(path));
-        let told = format!("{name} seed {seed}: {}", errors.said());
+        let said = json_lines(pair_command(&recording, &fixture(name), &set)).remove(0);
+        let errors = Errors::of(&set, 1, &motion(path), radar, frames as usize, &turn_intervals(path));
+        let told = format!("{name} seed {seed}: {}", errors.text());
         assert!(errors.visible as f64 >= least_visible * frames as f64, "{told}");
         assert_eq!(said["people"][0]["visible"], errors.visible);
-        assert!(rms(&errors.place) < 0.1 && part(&errors.place, 0.9) < 0.1, "{told}");
+        assert!(rms(&errors.place) < 0.1 && quantile(&errors.place, 0.9) < 0.1, "{told}");
         assert!(rms(&errors.velocity) < 0.1, "{told}");
-        assert!(part(&errors.radial, 0.9) < 0.1, "{told}");
+        assert!(quantile(&errors.radial, 0.9) < 0.1, "{told}");
         // Echoes of the mirrored scene lie at the ranges of the recording's.
         let person = &said["people"][0];
         assert!(person["compared"].as_u64() > Some(frames * 8 / 10), "{said}");
@@ -170,20 +170,20 @@ fn a_walker_is_recovered_within_ten_centimetres_where_visible() {
 }
 
 #[test]
-fn two_who_pass_each_other_are_both_recovered() {
+fn two_walkers_who_pass_each_other_are_both_recovered() {
     let to: &Path2 = &[([7.0, 0.6], 0.0), ([1.5, 0.6], 1.2), ([5.0, 0.6], 1.0)];
     let fro: &Path2 = &[([2.0, 1.4], 0.0), ([6.5, 1.4], 0.9), ([3.0, 1.4], 1.2)];
     let folder = tempfile::tempdir().expect("a folder");
     let scene = scene(folder.path(), "scenes/corridor.toml", &[to, fro]);
     let recording = record(&scene, 100, 3);
     let set = folder.path().join("set");
-    json_lines(pair(&recording, &scene, &set));
+    json_lines(pair_command(&recording, &scene, &set));
     for path in [to, fro] {
-        let of = |person| Errors::of(&set, person, &motion(path), CORRIDOR, 100, &turns(path));
+        let of = |person| Errors::of(&set, person, &motion(path), CORRIDOR, 100, &turn_intervals(path));
         let errors = [of(1), of(2)].into_iter().min_by(|a, b| rms(&a.place).total_cmp(&rms(&b.place)));
         let errors = errors.expect("two");
-        assert!(errors.visible > 60 && rms(&errors.place) < 0.1, "{}", errors.said());
-        assert!(rms(&errors.velocity) < 0.12, "{}", errors.said());
+        assert!(errors.visible > 60 && rms(&errors.place) < 0.1, "{}", errors.text());
+        assert!(rms(&errors.velocity) < 0.12, "{}", errors.text());
     }
 }
 
@@ -200,7 +200,7 @@ fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
     let labels = write_file(folder.path(), "labels.txt", "0.0\t2.0\ttwo\n");
     let set = folder.path().join("set");
     let make = |output: &Path| {
-        let mut command = pair(&recording, &scene, output);
+        let mut command = pair_command(&recording, &scene, output);
         command.args(["--map", "paper", "--subject", "somebody", "--name", "walk-1"]);
         command
     };
@@ -254,13 +254,13 @@ fn visitors_come_and_go_by_doors() {
     let text = fixture_text("scenes/corridor.toml").replace("max_people = 2", "max_people = 1");
     let scene = write_file(folder.path(), "visits.toml", text);
     let recording = record(&scene, 150, 2);
-    let said = json_lines(pair(&recording, &scene, &folder.path().join("set"))).remove(0);
+    let said = json_lines(pair_command(&recording, &scene, &folder.path().join("set"))).remove(0);
     assert!(said["labels_agree"].as_u64() >= Some(135), "{said}");
     assert!(said["people"][0]["followed"].as_u64() > Some(40), "{said}");
 }
 
 #[test]
-fn one_receiver_tells_distance_alone() {
+fn one_receiver_gives_only_distance() {
     let folder = tempfile::tempdir().expect("a folder");
     let path: &Path2 = &[([6.0, 1.0], 0.0), ([2.0, 1.0], 1.0)];
     let scene = scene(folder.path(), "scenes/corridor.toml", &[path]);
@@ -269,26 +269,26 @@ fn one_receiver_tells_distance_alone() {
     let recording = record(&scene, 30, 2);
     // A scene of three receivers is accepted, since the recording determines the waveform.
     let set = folder.path().join("set");
-    let (told, said) = success(pair(&recording, &fixture("scenes/corridor.toml"), &set));
+    let (told, said) = success(pair_command(&recording, &fixture("scenes/corridor.toml"), &set));
     assert!(said.contains("along the boresight"), "{said}");
     assert!(said.contains("the mirror has the recording's waveform"), "{said}");
     let answer: Value = serde_json::from_str(&told).expect("JSON");
     assert_eq!(answer["tells_direction"], false);
     let errors = Errors::of(&set, 1, &motion(path), CORRIDOR, 30, &[]);
     // The person walked along the boresight.
-    assert!(errors.visible > 10 && rms(&errors.place) < 0.1, "{}", errors.said());
+    assert!(errors.visible > 10 && rms(&errors.place) < 0.1, "{}", errors.text());
 }
 
 /// Asserts that a recording of a sitting, breathing person is processed completely: no walking speed, eight chirps a
 /// frame.
 #[test]
-fn a_real_recording_goes_through_to_the_end() {
+fn a_real_recording_is_paired_up_to_its_end() {
     let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
     let folder = tempfile::tempdir().expect("a folder");
     let scene = fixture("scenes/desk.toml");
-    fails_with(pair(&recording, &scene, &folder.path().join("set")), &["no frame has a label", "--people"]);
+    fails_with(pair_command(&recording, &scene, &folder.path().join("set")), &["no frame has a label", "--people"]);
     let set = folder.path().join("set");
-    let said = json_lines(pair(&recording, &scene, &set).args(["--people", "1", "--seated"])).remove(0);
+    let said = json_lines(pair_command(&recording, &scene, &set).args(["--people", "1", "--seated"])).remove(0);
     assert_eq!((said["frames"].as_u64(), said["maps"].as_u64()), (Some(256), Some(512)));
     assert_eq!(said["labels_agree"], 256);
     json_lines(command!("dataset verify --json", &set));
@@ -302,7 +302,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn nobody_in_the_recording_and_no_people_in_the_scene() {
+    fn an_empty_recording_is_paired_with_a_scene_without_people() {
         let folder = tempfile::tempdir().expect("a folder");
         let scene_file = scene(folder.path(), "scenes/corridor.toml", &[&[([5.0, 1.0], 0.0)]]);
         let recording = folder.path().join("empty.mcap");
@@ -310,20 +310,20 @@ mod hard_cases {
         let text = std::fs::read_to_string(&scene_file).expect("a scene");
         let (room, _) = text.split_once("[[people.actor]]").expect("people");
         std::fs::write(&scene_file, room).expect("writable");
-        let said = json_lines(pair(&recording, &scene_file, &folder.path().join("set"))).remove(0);
+        let said = json_lines(pair_command(&recording, &scene_file, &folder.path().join("set"))).remove(0);
         assert_eq!((said["maps"].as_u64(), said["labels_agree"].as_u64()), (Some(24), Some(12)));
         assert_eq!(said["people"], Value::Array(Vec::new()));
     }
 
     /// Labels beyond the frames that were asked for made an error.
     #[test]
-    fn labels_may_go_on_where_frames_end() {
+    fn labels_may_extend_beyond_the_frames() {
         let folder = tempfile::tempdir().expect("a folder");
         let path: &Path2 = &[([5.0, 1.0], 0.0), ([3.0, 1.0], 1.0)];
         let scene_file = scene(folder.path(), "scenes/corridor.toml", &[path]);
         let recording = record(&scene_file, 12, 1);
         let labels = write_file(folder.path(), "labels.txt", "0.0\t0.8\tone\n0.8\t1.2\tempty\n");
-        let mut command = pair(&recording, &scene_file, &folder.path().join("set"));
+        let mut command = pair_command(&recording, &scene_file, &folder.path().join("set"));
         let said = json_lines(command.arg("--labels").arg(&labels).args(["--frames", "6"])).remove(0);
         assert_eq!(said["maps"], 12, "{said}");
     }
@@ -336,22 +336,28 @@ mod hard_cases {
         let recording = record(&scene_file, 12, 1);
         let set = folder.path().join("set");
         let write = |name: &str, text: &str| write_file(folder.path(), name, text);
-        fails_with(pair(&folder.path().join("nowhere.mcap"), &scene_file, &set), &["nowhere.mcap"]);
-        fails_with(pair(&recording, &folder.path().join("nowhere.toml"), &set), &["nowhere.toml"]);
-        fails_with(pair(&recording, &fixture("scenes/hall.toml"), &set), &["another for each seed", "hint:"]);
-        fails_with(pair(&scene_file, &scene_file, &set), &["--frames"]);
+        fails_with(pair_command(&folder.path().join("nowhere.mcap"), &scene_file, &set), &["nowhere.mcap"]);
+        fails_with(pair_command(&recording, &folder.path().join("nowhere.toml"), &set), &["nowhere.toml"]);
+        fails_with(pair_command(&recording, &fixture("scenes/hall.toml"), &set), &["another for each seed", "hint:"]);
+        fails_with(pair_command(&scene_file, &scene_file, &set), &["--frames"]);
         for height_m in ["17", "nan"] {
-            wrong_use_with(pair(&recording, &scene_file, &set).args(["--height-m", height_m]), &["0.5 to 2.5 m"]);
+            wrong_use_with(
+                pair_command(&recording, &scene_file, &set).args(["--height-m", height_m]),
+                &["0.5 to 2.5 m"],
+            );
         }
         let order = write(
             "order.toml",
             "[[person]]\npoint = [{ time_s = 2.0, position_m = [1.0, 1.0] }, { time_s = 1.0, position_m = [1.0, 1.0] }]\n",
         );
-        fails_with(pair(&recording, &scene_file, &set).arg("--waypoints").arg(&order), &["1 s comes after 2 s"]);
+        fails_with(
+            pair_command(&recording, &scene_file, &set).arg("--waypoints").arg(&order),
+            &["1 s comes after 2 s"],
+        );
         let other = write("other.toml", "[[person]]\nplaces = 3\n");
-        fails_with(pair(&recording, &scene_file, &set).arg("--waypoints").arg(&other), &["no way-points"]);
+        fails_with(pair_command(&recording, &scene_file, &set).arg("--waypoints").arg(&other), &["no way-points"]);
         let late = write("late.txt", "0.0\t99.0\tone\n");
-        fails_with(pair(&recording, &scene_file, &set).arg("--labels").arg(&late), &["99"]);
+        fails_with(pair_command(&recording, &scene_file, &set).arg("--labels").arg(&late), &["99"]);
         assert!(!set.exists() && !folder.path().join("set.partial").exists());
     }
 }

@@ -24,7 +24,7 @@ fn scene(folder: &std::path::Path) -> std::path::PathBuf {
     write_file(folder, "metal.toml", scene)
 }
 
-fn list(scene: &std::path::Path, arguments: &[&str]) -> Value {
+fn list_paths(scene: &std::path::Path, arguments: &[&str]) -> Value {
     json_lines(command!("scene paths --json", scene, "--margin-db 60", ..arguments)).remove(0)
 }
 
@@ -45,7 +45,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 #[test]
 fn first_reflections_are_as_long_as_mirrors_say() {
     let folder = tempfile::tempdir().expect("a folder");
-    let list = list(&scene(folder.path()), &["--people", "0"]);
+    let list = list_paths(&scene(folder.path()), &["--people", "0"]);
     let (size, frequency_hz) = ([7.0, 5.0, 2.6], number(&list["frequency_hz"]));
     let walls = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"];
     let mut seen = 0;
@@ -76,7 +76,7 @@ fn first_reflections_are_as_long_as_mirrors_say() {
 fn paths_by_somebody_are_as_long_as_their_corners_are_apart() {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = scene(folder.path());
-    let list = list(&scene, &["--time", "0.5", "--person", "0"]);
+    let list = list_paths(&scene, &["--time", "0.5", "--person", "0"]);
     let paths = list["paths"].as_array().expect("paths");
     assert!(paths.len() > 10, "{} paths", paths.len());
     for path in paths {
@@ -91,7 +91,7 @@ fn paths_by_somebody_are_as_long_as_their_corners_are_apart() {
 }
 
 #[test]
-fn the_list_is_drawn_and_told_in_words() {
+fn the_list_is_drawn_and_printed_as_text() {
     let folder = tempfile::tempdir().expect("a folder");
     let picture = folder.path().join("paths.png");
     let (told, _) = success(command!("scene paths", fixture("scenes/corridor.toml"), "--time 3 --preview", &picture));
@@ -103,7 +103,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn somebody_who_is_not_there_and_a_time_that_is_none_are_said() {
+    fn an_absent_person_and_an_invalid_time_are_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         let scene = fixture("scenes/corridor.toml");
         for command in ["scene paths", "scene preview"] {

@@ -4,7 +4,7 @@
 mod boards;
 mod doctor;
 mod ends;
-mod home;
+mod integrations;
 mod live;
 mod results;
 mod secrets;

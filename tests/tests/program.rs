@@ -58,7 +58,7 @@ fn config_names_what_it_cannot_use() {
 }
 
 #[test]
-fn errors_say_what_and_what_to_do() {
+fn errors_name_the_cause_and_a_remedy() {
     let said = failure(subcommand("live nowhere.mcap --model nothing.safetensors"));
     assert!(said.starts_with("error: ") && said.contains("nothing.safetensors"), "{said}");
     fails_with(subcommand("recording maps /nonexistent -o /tmp/never.npy"), &["/nonexistent"]);
@@ -89,7 +89,7 @@ fn devices_answers_on_a_machine_without_usb() {
 }
 
 #[test]
-fn a_recording_says_its_waveform_its_length_and_its_labels() {
+fn info_shows_waveform_length_and_labels_of_a_recording() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("run.mcap");
     simulate(&fixture("scenes/hall.toml"), "--people 0 --frames 20", &recording);
@@ -132,7 +132,7 @@ fn a_preview_is_drawn_and_replaces_no_file() {
 }
 
 #[test]
-fn no_output_takes_the_place_of_what_is_read() {
+fn no_output_replaces_an_input() {
     let folder = tempfile::tempdir().expect("a folder");
     let (recording, scene) = ("formats/recording.mcap", "scenes/corridor.toml");
     for (command, input) in [

@@ -8,21 +8,21 @@ use radome_tests::{command, convert, emulated_corridor, fails_with, json_lines, 
 use serde_json::Value;
 
 /// Runs `live` on this number of frames of the simulated corridor and records them; returns its JSON lines.
-fn live(output: &Path, frames: &str) -> Vec<Value> {
+fn record_live(output: &Path, frames: &str) -> Vec<Value> {
     json_lines(live_command(emulated_corridor(), &format!("--frames {frames} --json -o")).arg(output))
 }
 
-fn results(path: &Path) -> Vec<Value> {
+fn read_results(path: &Path) -> Vec<Value> {
     json_lines(command!("recording answers --json", path))
 }
 
 #[test]
-fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
+fn results_equal_the_printed_answers_and_survive_every_copy_that_can_hold_them() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    let said = live(&at("night.mcap"), "40");
+    let said = record_live(&at("night.mcap"), "40");
     let said = &said[..40];
-    let kept = results(&at("night.mcap"));
+    let kept = read_results(&at("night.mcap"));
     assert_eq!(kept.len(), 40);
     for (said, kept) in said.iter().zip(&kept) {
         for field in ["sequence", "label", "occupied", "people"] {
@@ -36,7 +36,7 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
     assert!(judged_again.iter().zip(said).all(|(again, said)| again["probabilities"] == said["probabilities"]));
 
     convert(&at("night.mcap"), &at("copy.mcap"));
-    assert_eq!(results(&at("copy.mcap")), kept);
+    assert_eq!(read_results(&at("copy.mcap")), kept);
     // Frames that are recorded again keep their board, and the answers are said to stay behind.
     let (_, said) = success(command!("record", at("night.mcap"), "-o", at("again.mcap")));
     assert!(said.contains("answers of") && said.contains("recording convert"), "{said}");
@@ -49,10 +49,10 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
         assert_eq!((&header.board, &header.registers), (&first.board, &first.registers), "{name}");
     }
     json_lines(command!("recording repair --json", at("night.mcap"), "-o", at("fixed.mcap")));
-    assert_eq!(results(&at("fixed.mcap")), kept);
+    assert_eq!(read_results(&at("fixed.mcap")), kept);
     let track = write_file(folder.path(), "track.txt", "0.5\t1.5\tone\n");
     json_lines(command!("recording labels --json", at("copy.mcap"), "--import", &track));
-    assert_eq!(results(&at("copy.mcap")), kept);
+    assert_eq!(read_results(&at("copy.mcap")), kept);
 
     let (_, said) = success(command!("recording convert", at("night.mcap"), at("folder/")));
     assert!(said.contains("the answers of 40 frames"), "{said}");
@@ -63,7 +63,7 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
 fn csv_has_a_line_a_frame_or_one_a_change() {
     let folder = tempfile::tempdir().expect("a folder");
     let (night, table) = (folder.path().join("night.mcap"), folder.path().join("night.csv"));
-    let said = live(&night, "80");
+    let said = record_live(&night, "80");
     let (told, named) = success(command!("recording answers", &night, "--csv", &table));
     assert!(told.is_empty() && named.contains("paper-hqnn.safetensors"), "{told}{named}");
     let table = std::fs::read_to_string(&table).expect("a table");
@@ -97,7 +97,7 @@ fn a_run_that_is_stopped_leaves_a_whole_recording_and_one_that_is_killed_a_reada
         let lines = live.stdout.all();
         let said = lines.iter().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
         let said: Vec<u64> = said.filter_map(|line| line["sequence"].as_u64()).collect();
-        let kept = results(&night);
+        let kept = read_results(&night);
         let sequences: Vec<_> = kept.iter().map(|result| result["sequence"].as_u64().expect("a number")).collect();
         assert!(said.starts_with(&sequences), "{sequences:?} of {said:?}");
         assert!(

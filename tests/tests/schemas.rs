@@ -17,7 +17,7 @@ const FOLDERS: [(&str, &str); 5] = [
     ("studies", "study"),
 ];
 
-fn printed(kind: &str) -> Value {
+fn print_schema(kind: &str) -> Value {
     serde_json::from_str(&success(command!("schema", kind)).0).expect("JSON")
 }
 
@@ -27,7 +27,7 @@ fn the_schemas_in_docs_are_those_of_the_program() {
         let text = fs::read_to_string(root().join(format!("docs/schemas/{kind}.json"))).unwrap_or_default();
         let kept: Option<Value> = serde_json::from_str(&text).ok();
         assert!(
-            kept == Some(printed(kind)),
+            kept == Some(print_schema(kind)),
             "docs/schemas/{kind}.json is not what the program prints\n\nhint: target/release/radome schema {kind} > \
              docs/schemas/{kind}.json"
         );
@@ -59,7 +59,7 @@ fn fixtures_name_their_schemas_in_their_first_lines() {
 #[test]
 fn schemas_describe_their_keys_and_know_no_null() {
     for kind in KINDS {
-        let schema = printed(kind);
+        let schema = print_schema(kind);
         assert_eq!(schema["additionalProperties"], false, "{kind}");
         let keys = schema["properties"].as_object().expect("keys");
         assert!(keys.len() > 5, "{kind}: {keys:?}");

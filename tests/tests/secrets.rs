@@ -9,7 +9,7 @@ use radome_tests::running::Running;
 use radome_tests::{fixture, live_command, outcome, radome, write_file};
 
 /// Command that simulates the corridor in real time until stopped, with the most detailed log.
-fn watch(url: &str) -> Command {
+fn watch_command(url: &str) -> Command {
     let mut command = live_command(fixture("scenes/corridor.toml"), "--speed 1 --json --mqtt");
     command.arg(url);
     command.env_remove("RADOME_MQTT_USER").env_remove("RADOME_MQTT_PASSWORD").env("RADOME_LOG", "trace");
@@ -28,7 +28,7 @@ fn a_password_in_the_address_is_refused_and_not_echoed() {
         "mqtt:/radar:hunter2@127.0.0.1",
         "hunter2://127.0.0.1",
     ] {
-        let (status, _, said) = outcome(watch(url));
+        let (status, _, said) = outcome(watch_command(url));
         assert!(matches!(status, Some(1 | 2)), "{url}: {status:?}: {said}");
         assert!(said.contains("hint:") && !said.contains("hunter2"), "{url}: {said}");
     }
@@ -43,7 +43,7 @@ fn what_a_broker_sends_back_is_not_shown() {
     std::fs::set_permissions(&file, PermissionsExt::from_mode(0o600)).expect("settable");
     let broker = TcpListener::bind("127.0.0.1:0").expect("a port");
     let port = broker.local_addr().expect("bound").port();
-    let mut live = watch(&format!("mqtt://radar@127.0.0.1:{port}"));
+    let mut live = watch_command(&format!("mqtt://radar@127.0.0.1:{port}"));
     // The file takes precedence over the environment.
     live.arg("--mqtt-password-file").arg(&file).env("RADOME_MQTT_PASSWORD", "of-the-environment");
     let mut live = Running::start(&mut live);
@@ -63,7 +63,7 @@ fn what_a_broker_sends_back_is_not_shown() {
 
 /// Regression test: the file of the password was read twice, and a pipe is empty the second time.
 #[test]
-fn a_password_may_come_by_a_pipe() {
+fn a_password_can_be_read_from_a_pipe() {
     let mut live = radome();
     live.arg("live").arg(fixture("scenes/corridor.toml")).args(["--frames", "2", "--mqtt", "mqtt://radar@127.0.0.1:1"]);
     live.args(["--mqtt-password-file", "/dev/stdin"])

@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use radome_tests::{
-    command, fails_with, failure, fixture, fixture_text, frames, json_lines, outcome, radome, simulate, success,
-    write_file, wrong_use, wrong_use_with,
+    command, fails_with, failure, fixture, fixture_text, frames_and_gaps, json_lines, outcome, radome, simulate,
+    success, write_file, wrong_use, wrong_use_with,
 };
 
-fn simulated(folder: &Path, name: &str, threads: &str) -> Vec<u8> {
+fn simulate_bytes(folder: &Path, name: &str, threads: &str) -> Vec<u8> {
     let path = folder.join(name);
     let corridor = fixture("scenes/corridor.toml");
     let mut command = command!("scene simulate --frames 40 --seed 7 --people 2 --json", corridor, "-o", &path);
@@ -20,13 +20,13 @@ fn simulated(folder: &Path, name: &str, threads: &str) -> Vec<u8> {
 #[test]
 fn a_scene_gives_the_same_bytes_twice_and_on_one_and_two_threads() {
     let folder = tempfile::tempdir().expect("a folder");
-    let first = simulated(folder.path(), "a.mcap", "2");
-    assert!(first == simulated(folder.path(), "b.mcap", "2"), "a second run differs");
-    assert!(first == simulated(folder.path(), "c.mcap", "1"), "one thread differs from two");
+    let first = simulate_bytes(folder.path(), "a.mcap", "2");
+    assert!(first == simulate_bytes(folder.path(), "b.mcap", "2"), "a second run differs");
+    assert!(first == simulate_bytes(folder.path(), "c.mcap", "1"), "one thread differs from two");
 }
 
 #[test]
-fn what_goes_through_the_emulated_board_is_what_was_simulated() {
+fn the_emulated_board_sends_the_simulated_frames() {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = fixture("scenes/corridor.toml");
     let (direct, recorded) = (folder.path().join("direct.mcap"), folder.path().join("recorded.mcap"));
@@ -36,7 +36,7 @@ fn what_goes_through_the_emulated_board_is_what_was_simulated() {
     let said = json_lines(command!("record", &emulated, ..args, &recorded));
     assert_eq!((&said[0]["frames"], &said[0]["dropped"]), (&12.into(), &0.into()));
     let codes = |path: &Path| -> Vec<_> {
-        frames(path).0.into_iter().map(|frame| (frame.sequence, frame.codes, frame.truth)).collect()
+        frames_and_gaps(path).0.into_iter().map(|frame| (frame.sequence, frame.codes, frame.truth)).collect()
     };
     let (a, b) = (codes(&direct), codes(&recorded));
     assert_eq!(a.len(), 12);
@@ -57,7 +57,7 @@ mod hard_cases {
         let recorded = [scene.clone(), format!("emulated:{scene}")].map(|source| {
             let path = folder.path().join(format!("{}.mcap", source.len()));
             json_lines(command!("record --json", &source, "--frames 5 --waveform", &other, "-o", &path));
-            frames(&path).0.into_iter().map(|frame| frame.codes).collect::<Vec<_>>()
+            frames_and_gaps(&path).0.into_iter().map(|frame| frame.codes).collect::<Vec<_>>()
         });
         assert!(recorded[0].len() == 5 && recorded[0].iter().all(|codes| codes.len() == 2 * 16 * 32));
         assert!(recorded[0] == recorded[1], "the emulated board sends something else");
@@ -116,7 +116,7 @@ mod hard_cases {
 
     /// A person went through walls and furniture without a word.
     #[test]
-    fn a_place_without_a_way_is_told_once() {
+    fn an_unreachable_place_is_reported_once() {
         let folder = tempfile::tempdir().expect("a folder");
         let text = fixture_text("scenes/corridor.toml");
         let (room, _) = text.split_once("[people.visits]").expect("a program of visits");
@@ -165,7 +165,7 @@ mod hard_cases {
 
     /// People stood anywhere, and inside each other, where no place fits the keys of pacing.
     #[test]
-    fn visitors_without_a_place_to_pace_are_told_of_once() {
+    fn visitors_without_a_place_to_pace_are_reported_once() {
         let folder = tempfile::tempdir().expect("a folder");
         let text = fixture_text("scenes/corridor.toml");
         let (room, _) = text.split_once("[people.visits]").expect("a program of visits");
@@ -181,7 +181,7 @@ mod hard_cases {
 
     /// Walls that meet in a T were told of as faces that lie on each other.
     #[test]
-    fn only_faces_that_lie_on_each_other_are_told_of() {
+    fn only_faces_that_lie_on_each_other_are_reported() {
         let folder = tempfile::tempdir().expect("a folder");
         let scene = write_file(folder.path(), "scene.toml", fixture_text("scenes/room-mesh.toml"));
         let room = fixture_text("scenes/room-mesh.obj");
@@ -197,7 +197,7 @@ mod hard_cases {
 
     /// A metal plate of 9 cm in a file lost its mirror echo without a warning.
     #[test]
-    fn metal_faces_too_small_to_mirror_are_told_of_once() {
+    fn metal_faces_too_small_to_mirror_are_reported_once() {
         let folder = tempfile::tempdir().expect("a folder");
         let text = fixture_text("scenes/room-mesh.toml").replace("plaster = ", "steel = \"metal\", plaster = ");
         let scene = write_file(folder.path(), "scene.toml", text);
@@ -212,7 +212,7 @@ mod hard_cases {
 
     /// A recording of MCAP bytes got a name by which it was taken for text.
     #[test]
-    fn a_text_name_is_refused() {
+    fn an_output_with_the_name_of_a_text_file_is_refused() {
         let folder = tempfile::tempdir().expect("a folder");
         for options in ["--frames 2", "--frames 2 --shard 0/2"] {
             let (scene, text) = (fixture("scenes/corridor.toml"), folder.path().join("z.txt"));
@@ -241,7 +241,7 @@ mod hard_cases {
     #[test]
     fn a_recording_cut_short_gives_its_whole_frames_or_says_where_it_ends() {
         let folder = tempfile::tempdir().expect("a folder");
-        let bytes = simulated(folder.path(), "whole.mcap", "2");
+        let bytes = simulate_bytes(folder.path(), "whole.mcap", "2");
         let path = write_file(folder.path(), "cut.mcap", &bytes[..bytes.len() / 2]);
         let maps = folder.path().join("maps.npy");
         let (status, _, said) = outcome(command!("recording maps", &path, "-o", maps));

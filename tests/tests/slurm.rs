@@ -11,10 +11,10 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use radome_tests::running::{Running, free_port};
 use radome_tests::{command, fixture, installed, json_lines, outcome, skip, success, write_file};
 
-use super::learning::maps;
+use super::learning::hall_dataset;
 use super::study::{STUDY, TRAININGS, progress, report, wait};
 
-fn text_of(command: impl BorrowMut<Command>) -> String {
+fn stdout_of(command: impl BorrowMut<Command>) -> String {
     success(command).0.trim().to_owned()
 }
 
@@ -31,7 +31,7 @@ fn start(folder: &Path) -> ([Running; 3], PathBuf) {
     for name in ["state", "spool"] {
         fs::create_dir(folder.join(name)).expect("writable");
     }
-    let host = text_of(&mut Command::new("hostname"));
+    let host = stdout_of(&mut Command::new("hostname"));
     let text = format!(
         "ClusterName=t\nSlurmctldHost={host}(127.0.0.1)\nSlurmUser=root\nAuthType=auth/munge\nAuthInfo=socket={socket}\n\
          SlurmctldPort={controller}\nSlurmdPort={node}\nProctrackType=proctrack/linuxproc\nTaskPlugin=task/none\n\
@@ -123,7 +123,7 @@ impl Cluster {
     /// Queues a script; returns its job number.
     fn queue(&self, script: &str) -> String {
         fs::write(self.path("array.sh"), format!("{script}\n")).expect("writable");
-        text_of(self.command("sbatch").args(["--parsable", "array.sh"]))
+        stdout_of(self.command("sbatch").args(["--parsable", "array.sh"]))
     }
 
     fn show(&self, task: &str) -> String {
@@ -132,7 +132,7 @@ impl Cluster {
 
     /// Kills a task by SIGKILL and waits until it has ended.
     fn kill(&self, task: &str) {
-        text_of(self.command("scancel").args(["--signal=KILL", "--full", task]));
+        stdout_of(self.command("scancel").args(["--signal=KILL", "--full", task]));
         wait("the task to be gone", || {
             let said = self.show(task);
             !said.contains("JobState=RUNNING") && !said.contains("JobState=COMPLETING")
@@ -141,7 +141,7 @@ impl Cluster {
 
     /// Requeues a task that was killed.
     fn requeue(&self, task: &str) {
-        text_of(self.command("scontrol").args(["requeue", task]));
+        stdout_of(self.command("scontrol").args(["requeue", task]));
         // Slurm delays requeued tasks by two minutes; the test removes this delay.
         let said = self.show(task);
         let number = said.split_whitespace().find_map(|word| word.strip_prefix("JobId=")).expect("a number");
@@ -168,7 +168,7 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
     let spec = write_file(cluster.folder.path(), "spec.toml", text);
     json_lines(command!("dataset build --json", &spec, "-o", path("single")));
 
-    let script = text_of(command!("dataset slurm --tasks 8", &spec, "-o", path("shards")));
+    let script = stdout_of(command!("dataset slurm --tasks 8", &spec, "-o", path("shards")));
     let job = cluster.queue(&script);
 
     // Kills the task as soon as it has made a unit, then requeues it.
@@ -215,11 +215,17 @@ fn a_study_with_a_task_killed_and_requeued_reports_the_bytes_of_one_run() {
     let Some(cluster) = Cluster::start() else { return };
     let path = |name: &str| cluster.path(name);
     let spec = write_file(cluster.folder.path(), "study.toml", STUDY);
-    let study = |name: &str| command!("model study --json", &spec, "--dataset", maps(), "-o", path(name));
+    let study = |name: &str| command!("model study --json", &spec, "--dataset", hall_dataset(), "-o", path(name));
     json_lines(study("single"));
 
-    let job =
-        cluster.queue(&text_of(command!("model slurm --tasks 6", &spec, "--dataset", maps(), "-o", path("array"))));
+    let job = cluster.queue(&stdout_of(command!(
+        "model slurm --tasks 6",
+        &spec,
+        "--dataset",
+        hall_dataset(),
+        "-o",
+        path("array")
+    )));
     // Two tasks run in parallel, the first before the others.
     wait("the first task to be at work", || progress(&path("array")).iter().any(|count| *count > 0));
     let task = format!("{job}_0");

@@ -21,14 +21,15 @@ use self::blocks::block;
 const PAGES: [(&str, &str); 3] =
     [("docs/paper.md", "studies/"), ("docs/performance.md", "studies/"), ("docs/studies/README.md", "")];
 
-fn file(study: &str, name: &str) -> PathBuf {
+fn report_file(study: &str, name: &str) -> PathBuf {
     root().join("docs/studies").join(study).join(name)
 }
 
 /// Figure of a network in a report's first table, as printed there. The network `all` has the numbers of trainings
 /// `done`, `planned` and `failed`, the `spread` of the means on the test split, and the least on the `training` maps.
 fn figure(study: &str, network: &str, figure: &str) -> String {
-    let report = fs::read_to_string(file(study, "report.md")).unwrap_or_else(|e| panic!("report of {study}: {e}"));
+    let report =
+        fs::read_to_string(report_file(study, "report.md")).unwrap_or_else(|e| panic!("report of {study}: {e}"));
     let table = report.lines().skip_while(|line| !line.starts_with("| network")).skip(2);
     let rows: Vec<Vec<&str>> =
         table.take_while(|line| line.starts_with('|')).map(|line| line.split('|').map(str::trim).collect()).collect();
@@ -67,7 +68,7 @@ fn figure(study: &str, network: &str, figure: &str) -> String {
 
 /// Report of a study; `None` if the study has not been run.
 fn report(study: &str) -> Option<Report> {
-    let path = file(study, "report.json");
+    let path = report_file(study, "report.json");
     let text = fs::read_to_string(&path).ok()?;
     Some(serde_json::from_str(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display())))
 }
@@ -83,7 +84,7 @@ fn figure_length(text: &str) -> usize {
 }
 
 /// Page with the figures of the reports filled in, and the errors found on it.
-fn filled(page: &str, text: &str, way: &str) -> (String, Vec<String>) {
+fn fill_page(page: &str, text: &str, way: &str) -> (String, Vec<String>) {
     let (mut out, mut rest, mut wrong) = (String::new(), text, Vec::new());
     while let Some((before, mark)) = rest.split_once("<!-- ") {
         let (name, tail) = mark.split_once(" -->").unwrap_or_else(|| panic!("{page}: a comment has no end"));
@@ -121,7 +122,7 @@ fn figures_on_pages_are_those_of_the_reports() {
     for (page, way) in PAGES {
         let path = root().join(page);
         let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("{page}: {e}"));
-        let (out, wrong) = filled(page, &text, way);
+        let (out, wrong) = fill_page(page, &text, way);
         if std::env::var("RADOME_FIGURES").is_ok_and(|what| what == "write") && out != text {
             fs::write(&path, out).expect("writable");
         } else {
@@ -132,10 +133,10 @@ fn figures_on_pages_are_those_of_the_reports() {
 }
 
 #[test]
-fn a_wrong_figure_is_told_with_its_place_and_both_values() {
+fn a_wrong_figure_is_reported_with_its_position_and_both_values() {
     let right = format!("\nit has <!-- = controls hqnn mean -->{}.", figure("controls", "hqnn", "mean"));
-    assert_eq!(filled("page", &right, ""), (right.clone(), Vec::new()));
-    let (out, wrong) = filled("page", "\nit has <!-- = controls hqnn mean -->0.1.", "");
+    assert_eq!(fill_page("page", &right, ""), (right.clone(), Vec::new()));
+    let (out, wrong) = fill_page("page", "\nit has <!-- = controls hqnn mean -->0.1.", "");
     assert_eq!(out, right);
     assert!(wrong.len() == 1 && wrong[0].starts_with("page:2: = controls hqnn mean is 0.1 on the page"), "{wrong:?}");
 }
@@ -144,10 +145,10 @@ fn a_wrong_figure_is_told_with_its_place_and_both_values() {
 #[test]
 fn tables_of_conditions_are_named_by_their_group() {
     let text = "<!-- figures: none rungs: Real recordings --><!-- end -->";
-    let (out, wrong) = filled("page", text, "");
+    let (out, wrong) = fill_page("page", text, "");
     assert!(out.contains("Not run yet") && out.contains("remake none`") && out.ends_with("<!-- end -->"), "{out}");
     assert!(wrong.len() == 1 && wrong[0].starts_with("page:1: figures: none rungs: Real recordings is"), "{wrong:?}");
-    assert_eq!(filled("page", &out, ""), (out.clone(), Vec::new()));
+    assert_eq!(fill_page("page", &out, ""), (out.clone(), Vec::new()));
 }
 
 #[test]
@@ -155,7 +156,7 @@ fn reports_are_those_of_the_json_files_beside_them() {
     for entry in fs::read_dir(root().join("docs/studies")).expect("a folder").flatten() {
         let name = entry.file_name().into_string().expect("a name");
         if let Some(of) = report(&name) {
-            let page = fs::read_to_string(file(&name, "report.md")).expect("a page");
+            let page = fs::read_to_string(report_file(&name, "report.md")).expect("a page");
             assert_eq!(page, of.markdown(), "{name}");
         }
     }

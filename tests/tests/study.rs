@@ -11,7 +11,7 @@ use radome_tests::{
     command, fails_with, failure, fixture_text, json_lines, radome, success, success_at_once, wrong_use_with,
 };
 
-use super::learning::maps;
+use super::learning::hall_dataset;
 
 /// Spec of a study with 24 trainings of a second or less, and three more that only select a rate.
 pub const STUDY: &str = "title = \"Small\"\ndataset = \"none.toml\"\nseeds = [1, 2, 3, 4]\nlearning_rates = [1e-3, 1e-2]\n\
@@ -33,13 +33,13 @@ impl Place {
         Place { folder }
     }
 
-    fn at(&self, name: &str) -> PathBuf {
+    fn path(&self, name: &str) -> PathBuf {
         self.folder.path().join(name)
     }
 
     /// Command of the study in the folder `name`.
     fn study(&self, name: &str) -> Command {
-        command!("model study --json", self.at("study.toml"), "--dataset", maps(), "-o", self.at(name))
+        command!("model study --json", self.path("study.toml"), "--dataset", hall_dataset(), "-o", self.path(name))
     }
 
     fn shard(&self, name: &str, shard: &str) -> Command {
@@ -49,19 +49,19 @@ impl Place {
     }
 
     fn report(&self, name: &str) -> (String, String) {
-        report(&self.at(name))
+        report(&self.path(name))
     }
 
     /// Rewrites the study's file with conditions, and writes the spec of their maps beside it.
     fn add_conditions(&self, study: &str, conditions: &str) {
         let text = study.replace("[train]", &format!("conditions = [{conditions}]\n[train]"));
-        std::fs::write(self.at("study.toml"), text).expect("writable");
-        std::fs::copy(maps().with_file_name("maps.toml"), self.at("maps.toml")).expect("copied");
+        std::fs::write(self.path("study.toml"), text).expect("writable");
+        std::fs::copy(hall_dataset().with_file_name("maps.toml"), self.path("maps.toml")).expect("copied");
     }
 
     /// Contents and modification times of the results and models of trainings.
     fn trainings(&self, name: &str) -> BTreeMap<PathBuf, (Vec<u8>, SystemTime)> {
-        let folders = ["results", "models"].map(|part| self.at(name).join(part));
+        let folders = ["results", "models"].map(|part| self.path(name).join(part));
         let entries = folders.iter().flat_map(|folder| std::fs::read_dir(folder).expect("a folder"));
         let content = |path: PathBuf| {
             let changed = path.metadata().and_then(|metadata| metadata.modified()).expect("a time");
@@ -72,7 +72,7 @@ impl Place {
 }
 
 /// Spec of a study with six trainings: three networks with two shares of the labels.
-fn few() -> String {
+fn small_spec() -> String {
     STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]").replace("learning_rates = [1e-3, 1e-2]\n", "")
 }
 
@@ -109,32 +109,32 @@ fn shards_with_one_killed_report_the_bytes_of_one_run() {
 
     let first = Running::start(place.shard("shards", "0/4"));
     // No other shard runs yet, so that the checkpoint belongs to this one.
-    wait("a training to be at work", || progress(&place.at("shards"))[1] > 0);
+    wait("a training to be at work", || progress(&place.path("shards"))[1] > 0);
     drop(first);
-    let [done, begun] = progress(&place.at("shards"));
+    let [done, begun] = progress(&place.path("shards"));
     assert!(done < TRAININGS, "{done} done, {begun} begun");
 
     success_at_once(["0/4", "1/4", "2/4", "3/4"].map(|shard| place.shard("shards", shard)));
-    assert_eq!(progress(&place.at("shards")), [TRAININGS, 0]);
-    assert!(!place.at("shards/report.md").exists(), "shards leave the report to the last command");
+    assert_eq!(progress(&place.path("shards")), [TRAININGS, 0]);
+    assert!(!place.path("shards/report.md").exists(), "shards leave the report to the last command");
     let merged = json_lines(place.study("shards").arg("--report-only"));
     assert_eq!(merged.last(), told.last());
     assert_eq!(place.report("shards"), place.report("whole"));
-    assert!(place.at("shards/times.md").exists());
+    assert!(place.path("shards/times.md").exists());
 }
 
 /// Asserts that conditions can be added to a complete study without new trainings, and that shards give the same
 /// report.
 #[test]
 fn conditions_are_added_without_training_again() {
-    let place = Place::new(&few());
+    let place = Place::new(&small_spec());
     json_lines(place.study("whole"));
     let before = place.trainings("whole");
     // Six results, and the models of the three trainings on all labels.
     assert_eq!(before.len(), 6 + 3);
 
-    place.add_conditions(&few(), NOISE);
-    let same = format!("same={}", maps().display());
+    place.add_conditions(&small_spec(), NOISE);
+    let same = format!("same={}", hall_dataset().display());
     let judge = |name: &str| {
         let mut command = place.study(name);
         command.args(["--condition", &same]);
@@ -162,7 +162,7 @@ fn conditions_are_added_without_training_again() {
 
     // Noise changes only the maps.
     let open = |path: &Path| Dataset::open(path).expect("a dataset");
-    let (clean, noisy) = (open(maps()), open(&place.at("whole/conditions/noise_+0_dB")));
+    let (clean, noisy) = (open(hall_dataset()), open(&place.path("whole/conditions/noise_+0_dB")));
     let known = |dataset: &Dataset| {
         let row = |row: &radome_models::dataset::ManifestRow| (row.sequence.clone(), row.frame, row.label, row.split);
         dataset.rows().iter().map(row).collect::<Vec<_>>()
@@ -209,14 +209,14 @@ fn a_plan_says_what_is_left() {
 /// Asserts that a plan counts the scores under a condition without building its dataset.
 #[test]
 fn a_plan_counts_scores_under_conditions() {
-    let place = Place::new(&few());
-    place.add_conditions(&few(), NOISE);
+    let place = Place::new(&small_spec());
+    place.add_conditions(&small_spec(), NOISE);
     let left =
         |more: &[&str]| json_lines(place.study("study").arg("--plan").args(more)).remove(0)["judgings_left"].as_u64();
-    let same = format!("same={}", maps().display());
+    let same = format!("same={}", hall_dataset().display());
     // Three models, trained on all labels.
     assert_eq!([left(&[]), left(&["--condition", &same])], [Some(3), Some(6)]);
-    assert!(!place.at("study/conditions").exists());
+    assert!(!place.path("study/conditions").exists());
     json_lines(place.study("study"));
     assert_eq!([left(&[]), left(&["--condition", &same])], [Some(0), Some(3)]);
 }
@@ -225,13 +225,14 @@ fn a_plan_counts_scores_under_conditions() {
 #[test]
 fn the_script_of_an_array_runs_the_study_in_shards() {
     let place = Place::new(STUDY);
-    let script =
-        |arguments: &[&str]| command!("model slurm", place.at("study.toml"), "-o", place.at("out put"), ..arguments);
+    let script = |arguments: &[&str]| {
+        command!("model slurm", place.path("study.toml"), "-o", place.path("out put"), ..arguments)
+    };
     let (text, _) = success(script(&["--tasks", "6", "--cpus", "2", "--dataset", "maps"]));
     for part in ["--array=0-5", "--cpus-per-task=2", "model study", "--shard auto/6", "--report-only", "out put'"] {
         assert!(text.contains(part), "{part}: {text}");
     }
-    let given = place.at("real rooms");
+    let given = place.path("real rooms");
     let given = format!("it's abroad={}", given.display());
     let (with_condition, _) = success(script(&["--dataset", "maps", "--condition", &given]));
     // The shards and the final report have the option.
@@ -239,7 +240,7 @@ fn the_script_of_an_array_runs_the_study_in_shards() {
     assert_eq!(with_condition.matches(&word).count(), 2, "{with_condition}");
     let twice = ["--dataset", "maps", "--condition", &given, "--condition", &given];
     wrong_use_with(script(&twice), &["given twice"]);
-    let path = place.at("array.sh");
+    let path = place.path("array.sh");
     std::fs::write(&path, &text).expect("writable");
     assert!(Command::new("sh").arg("-n").arg(&path).status().expect("runs").success());
     // Without a dataset the study needs the spec of one.
@@ -254,25 +255,25 @@ mod hard_cases {
         let place = Place::new(&STUDY.replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
         json_lines(place.study("whole"));
         let killed = Running::start(place.study("killed"));
-        wait("a second training", || progress(&place.at("killed")).iter().all(|count| *count > 0));
+        wait("a second training", || progress(&place.path("killed")).iter().all(|count| *count > 0));
         drop(killed);
-        let [done, _] = progress(&place.at("killed"));
+        let [done, _] = progress(&place.path("killed"));
         let told = json_lines(place.study("killed"));
         assert_eq!(told.len(), 9 - done + 1, "{done} were done");
         assert_eq!(place.report("killed"), place.report("whole"));
     }
 
     #[test]
-    fn conditions_that_cannot_be_judged_are_said_by_name() {
-        let place = Place::new(&few());
-        let wide = std::fs::read_to_string(maps().with_file_name("maps.toml")).expect("a spec");
+    fn conditions_that_cannot_be_evaluated_are_named() {
+        let place = Place::new(&small_spec());
+        let wide = std::fs::read_to_string(hall_dataset().with_file_name("maps.toml")).expect("a spec");
         let wide = wide.replace("[map]", "[map]\nrange_fft_length = 256").replace("seeds = [1, 8]", "seeds = [1, 1]");
-        std::fs::write(place.at("wide.toml"), wide.replace("every = 5", "every = 55")).expect("writable");
-        json_lines(command!("dataset build --json", place.at("wide.toml"), "-o", place.at("wide")));
-        let given = format!("office={}", place.at("wide").display());
+        std::fs::write(place.path("wide.toml"), wide.replace("every = 5", "every = 55")).expect("writable");
+        json_lines(command!("dataset build --json", place.path("wide.toml"), "-o", place.path("wide")));
+        let given = format!("office={}", place.path("wide").display());
         let said = failure(place.study("study").args(["--condition", &given]));
         assert!(said.contains("condition 'office': its maps are") && said.contains("hint: "), "{said}");
-        assert_eq!(progress(&place.at("study")), [0, 0], "said before the first training");
+        assert_eq!(progress(&place.path("study")), [0, 0], "said before the first training");
 
         for (conditions, expected) in [
             ("{ name = \"a\" }", "condition 'a': expected one of `dataset` and `ladder`"),
@@ -280,11 +281,11 @@ mod hard_cases {
             ("{ name = \"a\", dataset = \"maps.toml\", raw_snr_db = inf }", "raw_snr_db is inf"),
             ("{ name = \"a\", dataset = \"maps.toml\", snr = 3 }", "snr"),
         ] {
-            place.add_conditions(&few(), conditions);
+            place.add_conditions(&small_spec(), conditions);
             fails_with(place.study("study"), &[expected]);
         }
         // The report leaves out a condition without a dataset.
-        place.add_conditions(&few(), NOISE);
+        place.add_conditions(&small_spec(), NOISE);
         let report = json_lines(place.study("study").arg("--report-only")).remove(0);
         assert_eq!(report["conditions"].as_array().map(Vec::len), Some(0), "{report}");
     }
@@ -292,8 +293,8 @@ mod hard_cases {
     /// Asserts that a built dataset keeps the condition's definition: a change under the same name is refused.
     #[test]
     fn another_ratio_under_the_same_name_is_refused() {
-        let place = Place::new(&few());
-        let few = few().replace(", { name = \"estimator_matched\" }, { name = \"dequantization\" }", "");
+        let place = Place::new(&small_spec());
+        let few = small_spec().replace(", { name = \"estimator_matched\" }, { name = \"dequantization\" }", "");
         place.add_conditions(&few, NOISE);
         json_lines(place.study("study"));
         place.add_conditions(&few, &NOISE.replace("raw_snr_db = 0.0", "raw_snr_db = 3.0"));
@@ -302,11 +303,11 @@ mod hard_cases {
 
     /// Asserts that a second run in a folder fails with a message, while reports are still possible.
     #[test]
-    fn a_second_run_says_that_the_folder_is_in_use() {
+    fn a_second_run_reports_that_the_folder_is_in_use() {
         // The first run must outlast the test, which kills it at the end.
         let place = Place::new(&STUDY.replace("epochs = 3", "epochs = 10000"));
         let _first = Running::start(place.study("study"));
-        wait("a training", || progress(&place.at("study"))[1] > 0);
+        wait("a training", || progress(&place.path("study"))[1] > 0);
         for shard in ["0/1", "1/3"] {
             fails_with(place.study("study").args(["--shard", shard]), &["another process is at work here", "hint: "]);
         }
@@ -318,30 +319,30 @@ mod hard_cases {
     fn shards_build_one_dataset() {
         let place = Place::new(&STUDY.replace("none.toml", "maps.toml").replace("seeds = [1, 2, 3, 4]", "seeds = [1]"));
         let few = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
-        std::fs::write(place.at("maps.toml"), few).expect("writable");
+        std::fs::write(place.path("maps.toml"), few).expect("writable");
         success_at_once(["0/3", "1/3", "2/3"].map(|shard| {
-            command!("model study --json", place.at("study.toml"), "-o", place.at("study"), "--shard", shard)
+            command!("model study --json", place.path("study.toml"), "-o", place.path("study"), "--shard", shard)
         }));
-        assert_eq!(progress(&place.at("study")), [9, 0]);
+        assert_eq!(progress(&place.path("study")), [9, 0]);
     }
 
     /// A study took the dataset that it had built, whatever its spec had become.
     #[test]
     fn a_dataset_whose_spec_was_edited_is_refused() {
-        let place = Place::new(&few().replace("none.toml", "maps.toml"));
+        let place = Place::new(&small_spec().replace("none.toml", "maps.toml"));
         let spec = fixture_text("datasets/quick.toml").replace("seeds = [1, 24]", "seeds = [1, 8]");
-        std::fs::write(place.at("maps.toml"), &spec).expect("writable");
-        let study = || command!("model study --json", place.at("study.toml"), "-o", place.at("study"));
+        std::fs::write(place.path("maps.toml"), &spec).expect("writable");
+        let study = || command!("model study --json", place.path("study.toml"), "-o", place.path("study"));
         let told = json_lines(study());
-        std::fs::write(place.at("maps.toml"), spec.replace("seeds = [1, 8]", "seeds = [1, 9]")).expect("writable");
+        std::fs::write(place.path("maps.toml"), spec.replace("seeds = [1, 8]", "seeds = [1, 9]")).expect("writable");
         fails_with(study(), &["study/dataset was made from another spec", "hint: undo the change"]);
         // The report on what was done is still to be had.
         assert_eq!(json_lines(study().arg("--report-only")).last(), told.last());
-        std::fs::write(place.at("maps.toml"), spec).expect("writable");
+        std::fs::write(place.path("maps.toml"), spec).expect("writable");
         assert_eq!(json_lines(study()).last(), told.last());
         // Where the sources are not at hand, the dataset is named.
-        std::fs::remove_file(place.at("maps.toml")).expect("removable");
+        std::fs::remove_file(place.path("maps.toml")).expect("removable");
         fails_with(study(), &["study/dataset cannot be compared with its sources", "maps.toml"]);
-        assert!(json_lines(study().arg("--dataset").arg(place.at("study/dataset"))).last().is_some());
+        assert!(json_lines(study().arg("--dataset").arg(place.path("study/dataset"))).last().is_some());
     }
 }

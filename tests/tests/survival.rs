@@ -21,7 +21,7 @@ fn waveform() -> Waveform {
 }
 
 /// Writes a recording of noise, which hardly compresses.
-fn noise(path: &Path, frames: u64) {
+fn write_noise(path: &Path, frames: u64) {
     let waveform = waveform();
     let mut recorder = Recorder::create(path, &RecordingHeader::new(waveform.clone())).expect("creates");
     let mut frame = Frame::zeroed(waveform.shape());
@@ -39,7 +39,7 @@ fn noise(path: &Path, frames: u64) {
 }
 
 /// Number of consecutive frames that can be read from the first on.
-fn readable(path: &Path) -> u64 {
+fn readable_frames(path: &Path) -> u64 {
     let mut source = Recording::open(path).unwrap_or_else(|e| panic!("{e}"));
     let mut frame = Frame::zeroed(source.waveform().shape());
     let mut count = 0;
@@ -55,7 +55,7 @@ fn is_complete(path: &Path) -> bool {
 }
 
 /// Number of frames in an unfinished recording so far.
-fn so_far(path: &Path) -> u64 {
+fn frames_so_far(path: &Path) -> u64 {
     McapReader::open(path).ok().and_then(|reader| reader.frame_count()).unwrap_or(0)
 }
 
@@ -74,7 +74,7 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
     let folder = tempfile::tempdir().expect("a folder");
     let kept = write_file(folder.path(), "kept.mcap", "a night of frames");
     let sources = tempfile::tempdir().expect("a folder");
-    noise(&sources.path().join("noise.mcap"), 3);
+    write_noise(&sources.path().join("noise.mcap"), 3);
     let plain = sources.path().join("noise.mcap").display().to_string();
     let input = |name: &str| fixture(name).display().to_string();
     let judged = input("formats/judged.mcap");
@@ -114,7 +114,7 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
 }
 
 /// Command line that systemd makes from the packaged unit.
-fn service(source: &Path, options: &[&str]) -> Command {
+fn service_command(source: &Path, options: &[&str]) -> Command {
     let unit = std::fs::read_to_string(root().join("packaging/systemd/radome@.service")).expect("packaged");
     let line = unit.lines().find_map(|line| line.strip_prefix("ExecStart=")).expect("a command");
     let mut command = radome();
@@ -133,36 +133,36 @@ fn service(source: &Path, options: &[&str]) -> Command {
 fn a_service_that_starts_again_records_to_another_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let (source, nights) = (folder.path().join("source.mcap"), folder.path().join("nights"));
-    noise(&source, 12);
+    write_noise(&source, 12);
     std::fs::create_dir(&nights).expect("creates");
     let output = format!("{}/", nights.display());
     let mut before: Vec<(PathBuf, Vec<u8>)> = Vec::new();
     for run in 1..=3 {
-        success(service(&source, &["-o", &output]));
+        success(service_command(&source, &["-o", &output]));
         for (path, bytes) in &before {
             assert!(&std::fs::read(path).expect("readable") == bytes, "{} has changed", path.display());
         }
         let now = files(&nights);
         assert_eq!(now.len(), run, "{now:?}");
-        assert!(now.iter().all(|path| readable(path) == 12 && is_complete(path)));
+        assert!(now.iter().all(|path| readable_frames(path) == 12 && is_complete(path)));
         before = now.into_iter().map(|path| (path.clone(), std::fs::read(&path).expect("readable"))).collect();
     }
     // With a file name instead of a folder, the second start of the service is refused.
     let one = folder.path().join("one.mcap").display().to_string();
-    success(service(&source, &["-o", &one]));
-    assert!(failure(service(&source, &["-o", &one])).contains("exists already"));
+    success(service_command(&source, &["-o", &one]));
+    assert!(failure(service_command(&source, &["-o", &one])).contains("exists already"));
 }
 
 #[test]
-fn the_time_stands_in_a_name_where_it_is_asked_for() {
+fn the_time_replaces_its_placeholder_in_a_name() {
     let folder = tempfile::tempdir().expect("a folder");
     let source = folder.path().join("source.mcap");
-    noise(&source, 6);
+    write_noise(&source, 6);
     let pattern = folder.path().join("night-{time}.mcap");
     for _ in 0..2 {
         let said = json_lines(command!("record --json", &source, "-o", &pattern)).remove(0);
         let file = PathBuf::from(said["file"].as_str().expect("a name"));
-        assert_eq!(readable(&file), 6);
+        assert_eq!(readable_frames(&file), 6);
         let name = file.file_name().expect("a name").to_string_lossy().into_owned();
         let time = name.strip_prefix("night-20").expect("this century");
         assert!(time[6..].starts_with('T') && time.contains('Z') && time.ends_with(".mcap"), "{name}");
@@ -174,7 +174,7 @@ fn the_time_stands_in_a_name_where_it_is_asked_for() {
 fn runs_that_begin_at_once_in_one_folder_record_to_a_file_each() {
     let folder = tempfile::tempdir().expect("a folder");
     let (source, nights) = (folder.path().join("source.mcap"), folder.path().join("nights"));
-    noise(&source, 6);
+    write_noise(&source, 6);
     std::fs::create_dir(&nights).expect("creates");
     let runs = RECORDERS.repeat(3).into_iter().map(|arguments| {
         let mut command = radome();
@@ -183,11 +183,11 @@ fn runs_that_begin_at_once_in_one_folder_record_to_a_file_each() {
     });
     success_at_once(runs);
     let made = files(&nights);
-    assert!(made.len() == 6 && made.iter().all(|path| readable(path) == 6 && is_complete(path)), "{made:?}");
+    assert!(made.len() == 6 && made.iter().all(|path| readable_frames(path) == 6 && is_complete(path)), "{made:?}");
 }
 
 #[test]
-fn the_watchdog_waits_longer_than_a_lost_board_is_looked_for() {
+fn the_watchdog_waits_longer_than_a_lost_board_is_searched_for() {
     let unit = std::fs::read_to_string(root().join("packaging/systemd/radome@.service")).expect("packaged");
     let seconds = unit.lines().find_map(|line| line.strip_prefix("WatchdogSec=")).expect("a watchdog");
     let watchdog = Duration::from_secs(seconds.parse().expect("seconds"));
@@ -198,10 +198,10 @@ fn the_watchdog_waits_longer_than_a_lost_board_is_looked_for() {
 fn a_second_writer_is_refused_while_the_first_goes_on() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    noise(&at("source.mcap"), 600);
+    write_noise(&at("source.mcap"), 600);
     let made = at("made.mcap");
     let mut recorder = Running::start(command!("record --json", at("source.mcap"), "--speed 1 -o", &made));
-    wait_for("frames in the file", || (so_far(&made) >= 5).then_some(()));
+    wait_for("frames in the file", || (frames_so_far(&made) >= 5).then_some(()));
     let busy = "another program is writing to it";
     let source = at("source.mcap");
     assert!(failure(command!("record", &source, "-o", &made)).contains("exists already"));
@@ -211,7 +211,7 @@ fn a_second_writer_is_refused_while_the_first_goes_on() {
     fails_with(command!("recording labels", &made, "--import", at("track.txt")), &[busy, "made.mcap"]);
     recorder.signal("INT");
     assert!(recorder.wait().success(), "{:?}", recorder.stderr.all());
-    assert!(is_complete(&made) && readable(&made) >= 5);
+    assert!(is_complete(&made) && readable_frames(&made) >= 5);
     // The waiting writer may now write.
     json_lines(command!("recording labels --json", &made, "--import", at("track.txt")));
     assert_eq!(McapReader::open(&made).expect("opens").labels().expect("labels").len(), 1);
@@ -219,10 +219,10 @@ fn a_second_writer_is_refused_while_the_first_goes_on() {
 }
 
 #[test]
-fn labels_that_are_imported_at_once_are_all_there() {
+fn labels_that_are_imported_at_once_are_all_stored() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    noise(&at("a.mcap"), 20);
+    write_noise(&at("a.mcap"), 20);
     convert(&at("a.mcap"), &at("b.txt"));
     // Labels of a text recording are in a file beside it.
     for recording in ["a.mcap", "b.txt"] {
@@ -236,7 +236,7 @@ fn labels_that_are_imported_at_once_are_all_there() {
         starts.sort_by(f64::total_cmp);
         assert_eq!(starts, [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7], "{recording}");
     }
-    assert_eq!(readable(&at("a.mcap")), 20);
+    assert_eq!(readable_frames(&at("a.mcap")), 20);
 }
 
 /// Asserts that SIGKILL leaves the written frames, releases the lock, and that the file name is not used again.
@@ -244,21 +244,21 @@ fn labels_that_are_imported_at_once_are_all_there() {
 fn a_recorder_that_is_killed_leaves_what_it_had_written() {
     let folder = tempfile::tempdir().expect("a folder");
     let at = |name: &str| folder.path().join(name);
-    noise(&at("source.mcap"), 600);
+    write_noise(&at("source.mcap"), 600);
     for (name, command) in [("record.mcap", &["record"][..]), ("live.mcap", &["live", "--model", "cfar"][..])] {
         let made = at(name);
         let mut recorder =
             Running::start(radome().args(command).arg(at("source.mcap")).args(["--speed", "1", "-o"]).arg(&made));
-        let seen = wait_for("frames in the file", || Some(so_far(&made)).filter(|count| *count >= 20));
+        let seen = wait_for("frames in the file", || Some(frames_so_far(&made)).filter(|count| *count >= 20));
         recorder.signal("KILL");
         recorder.wait();
-        let count = readable(&made);
+        let count = readable_frames(&made);
         assert!(count >= seen && !is_complete(&made), "{count} of {seen}");
         let repaired = at(&format!("repaired-{name}"));
         // The exit status reports that the end was lost.
         command!("recording repair", &made, "-o", &repaired).output().expect("runs");
-        assert!(readable(&repaired) == count && is_complete(&repaired));
+        assert!(readable_frames(&repaired) == count && is_complete(&repaired));
         fails_with(command!("record", at("source.mcap"), "-o", &made), &["exists already"]);
-        assert_eq!(readable(&made), count);
+        assert_eq!(readable_frames(&made), count);
     }
 }

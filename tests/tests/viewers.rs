@@ -122,7 +122,7 @@ fn export(input: &Path, folder: &Path) -> PathBuf {
 }
 
 /// Reads all messages; asserts that their schemas describe every type that they refer to.
-fn read(path: &Path) -> Vec<Found> {
+fn read_messages(path: &Path) -> Vec<Found> {
     let bytes = std::fs::read(path).expect("reads");
     assert!(mcap::Summary::read(&bytes).expect("reads").is_some_and(|summary| summary.stats.is_some()));
     let found = mcap::MessageStream::new(&bytes).expect("an MCAP file").map(|message| {
@@ -147,7 +147,7 @@ fn read(path: &Path) -> Vec<Found> {
 }
 
 /// Messages of a topic, which must have this type.
-fn of<M: prost::Message + Default>(found: &[Found], topic: &str, schema: &str) -> Vec<(u64, M)> {
+fn messages_of_topic<M: prost::Message + Default>(found: &[Found], topic: &str, schema: &str) -> Vec<(u64, M)> {
     let of_topic = found.iter().filter(|message| message.topic == topic);
     let decoded = of_topic.map(|message| {
         assert_eq!(message.schema, schema);
@@ -164,10 +164,10 @@ fn is_same(a: f64, b: Option<f64>) -> bool {
 #[test]
 fn chirps_and_maps_are_images_of_the_frames() {
     let folder = tempfile::tempdir().expect("a folder");
-    let found = read(&export(&fixture("formats/judged.mcap"), folder.path()));
+    let found = read_messages(&export(&fixture("formats/judged.mcap"), folder.path()));
     let times = FRAMES.map(|number| HOST_NS + number * 400_000_000);
 
-    let chirps: Vec<(u64, RawImage)> = of(&found, "/radome/chirps", "foxglove.RawImage");
+    let chirps: Vec<(u64, RawImage)> = messages_of_topic(&found, "/radome/chirps", "foxglove.RawImage");
     assert_eq!(chirps.iter().map(|(time_ns, _)| *time_ns).collect::<Vec<_>>(), times);
     for ((time_ns, image), number) in chirps.iter().zip(FRAMES) {
         // 2 receivers with 2 chirps of 8 samples, 16 bits each.
@@ -180,7 +180,7 @@ fn chirps_and_maps_are_images_of_the_frames() {
         assert_eq!(timestamp.seconds as u64 * 1_000_000_000 + timestamp.nanos as u64, *time_ns);
     }
 
-    let maps: Vec<(u64, CompressedImage)> = of(&found, "/radome/map", "foxglove.CompressedImage");
+    let maps: Vec<(u64, CompressedImage)> = messages_of_topic(&found, "/radome/map", "foxglove.CompressedImage");
     assert_eq!(maps.iter().map(|(time_ns, _)| *time_ns).collect::<Vec<_>>(), times);
     for (_, map) in &maps {
         let image = Picture::decode(&map.data);
@@ -192,13 +192,13 @@ fn chirps_and_maps_are_images_of_the_frames() {
 #[test]
 fn numbers_and_events_are_those_of_the_recording() {
     let folder = tempfile::tempdir().expect("a folder");
-    let found = read(&export(&fixture("formats/judged.mcap"), folder.path()));
+    let found = read_messages(&export(&fixture("formats/judged.mcap"), folder.path()));
     let mut times: Vec<u64> = found.iter().map(|message| message.time_ns).collect();
     assert!(times.is_sorted());
     times.dedup();
     assert_eq!(times, FRAMES.map(|number| HOST_NS + number * 400_000_000));
 
-    let states: Vec<(u64, State)> = of(&found, "/radome/state", "radome.State");
+    let states: Vec<(u64, State)> = messages_of_topic(&found, "/radome/state", "radome.State");
     assert_eq!(states.iter().map(|(_, state)| state.sequence).collect::<Vec<_>>(), FRAMES);
     for (_, state) in &states {
         let number = state.sequence;
@@ -211,7 +211,7 @@ fn numbers_and_events_are_those_of_the_recording() {
         assert!(is_same(state.labelled_people, (number < 4).then_some(1.0)), "{state:?}");
     }
 
-    let answers: Vec<(u64, Answer)> = of(&found, "/radome/answer", "radome.Answer");
+    let answers: Vec<(u64, Answer)> = messages_of_topic(&found, "/radome/answer", "radome.Answer");
     assert_eq!(answers.iter().map(|(_, answer)| answer.sequence).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 8, 9]);
     for (time_ns, answer) in &answers {
         assert_eq!(*time_ns, HOST_NS + answer.sequence * 400_000_000);
@@ -222,7 +222,7 @@ fn numbers_and_events_are_those_of_the_recording() {
         assert_eq!((answer.people, answer.occupied), (u32::from(answer.sequence > 2), answer.sequence > 2));
     }
 
-    let events: Vec<(u64, Log)> = of(&found, "/radome/events", "foxglove.Log");
+    let events: Vec<(u64, Log)> = messages_of_topic(&found, "/radome/events", "foxglove.Log");
     let said: Vec<_> = events.iter().map(|(_, log)| (log.level, log.name.as_str(), log.message.as_str())).collect();
     assert_eq!(
         said,
@@ -243,9 +243,9 @@ fn a_pixel_of_a_map_is_a_cell() {
     let folder = tempfile::tempdir().expect("a folder");
     let input = folder.path().join("room.mcap");
     simulate(&fixture("scenes/corridor.toml"), "--frames 3 --seed 5", &input);
-    let found = read(&export(&input, folder.path()));
-    assert!(of::<Answer>(&found, "/radome/answer", "radome.Answer").is_empty());
-    let maps: Vec<(u64, CompressedImage)> = of(&found, "/radome/map", "foxglove.CompressedImage");
+    let found = read_messages(&export(&input, folder.path()));
+    assert!(messages_of_topic::<Answer>(&found, "/radome/answer", "radome.Answer").is_empty());
+    let maps: Vec<(u64, CompressedImage)> = messages_of_topic(&found, "/radome/map", "foxglove.CompressedImage");
     assert_eq!(maps.iter().map(|(time_ns, _)| *time_ns).collect::<Vec<_>>(), [0, 100_000_000, 200_000_000]);
 
     let array = folder.path().join("maps.npy");
@@ -355,12 +355,12 @@ mod hard_cases {
     #[test]
     fn the_vendors_formats_and_unfinished_recordings_are_exported() {
         let folder = tempfile::tempdir().expect("a folder");
-        let found = read(&export(&fixture("formats/infineon"), folder.path()));
-        assert_eq!(of::<RawImage>(&found, "/radome/chirps", "foxglove.RawImage").len(), 8);
+        let found = read_messages(&export(&fixture("formats/infineon"), folder.path()));
+        assert_eq!(messages_of_topic::<RawImage>(&found, "/radome/chirps", "foxglove.RawImage").len(), 8);
         std::fs::remove_file(folder.path().join("viewers.mcap")).expect("removes");
         let bytes = std::fs::read(fixture("formats/judged.mcap")).expect("reads");
         let cut = write_file(folder.path(), "cut.mcap", &bytes[..bytes.len() - 40]);
-        let found = read(&export(&cut, folder.path()));
-        assert_eq!(of::<RawImage>(&found, "/radome/chirps", "foxglove.RawImage").len(), 8);
+        let found = read_messages(&export(&cut, folder.path()));
+        assert_eq!(messages_of_topic::<RawImage>(&found, "/radome/chirps", "foxglove.RawImage").len(), 8);
     }
 }

@@ -1,6 +1,5 @@
 mod circuit;
 mod circuit_time;
-mod kept_dense;
 mod networks;
 mod peer;
 mod people;
@@ -10,6 +9,7 @@ mod rdm;
 mod scene;
 mod scene_speed;
 mod solver;
+mod stored_dense;
 mod synthesis;
 mod table;
 mod trainability;

@@ -1,9 +1,9 @@
 use std::path::PathBuf;
 
 use super::live;
-use crate::exit::Ended;
+use crate::classifier::Delays;
+use crate::exit::Completion;
 use crate::files;
-use crate::judge::Delays;
 use crate::source::{SourceArgs, not_negative};
 
 /// `radome demo`
@@ -37,7 +37,7 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The scene or the model is not found, or the run fails.
-pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
+pub fn run(arguments: Arguments) -> anyhow::Result<Completion> {
     let scene = arguments.scene.map_or_else(|| files::fixture("scenes/corridor.toml"), Ok)?;
     let model = arguments.model.map_or_else(|| files::fixture("models/paper-hqnn.safetensors"), Ok)?;
     let delays = Delays::default();

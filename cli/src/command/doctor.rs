@@ -14,7 +14,7 @@ use serde_json::json;
 use self::check::{Check, Outcome};
 use self::checks::Examined;
 use self::redact::{Kind, Redactor};
-use crate::judge::{self, BUILT_IN};
+use crate::classifier::{self, BUILT_IN};
 use crate::live::integrations::broker::{self, Broker, BrokerArguments, Secret};
 use crate::output;
 pub use wire::WireLog;
@@ -64,7 +64,7 @@ impl Arguments {
         let source = source.filter(|source| *source != "auto").map(Path::new);
         for path in [
             source,
-            self.model.as_deref().filter(|name| !judge::is_without_file(name)),
+            self.model.as_deref().filter(|name| !classifier::is_without_file(name)),
             Some(self.record_to.as_path()),
             self.broker.mqtt_password_file.as_deref(),
             self.broker.mqtt_ca.as_deref(),
@@ -99,38 +99,38 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         bundle::check_absent(path)?;
     }
     let mut report = Report { as_json: arguments.json, checks: Vec::new() };
-    report.say(checks::program())?;
-    report.say(checks::clock())?;
-    report.say(checks::udev_rules())?;
-    report.say(checks::page_port())?;
+    report.add(checks::program())?;
+    report.add(checks::clock())?;
+    report.add(checks::udev_rules())?;
+    report.add(checks::page_port())?;
     let model = match &arguments.model {
         Some(path) => {
             let (check, model) = checks::model(path);
-            report.say(check)?;
+            report.add(check)?;
             model
         }
         None => None,
     };
-    report.say(checks::onnxruntime(arguments.model.as_deref()))?;
+    report.add(checks::onnxruntime(arguments.model.as_deref()))?;
     // Read once: the file of the password may be a pipe.
     let broker = arguments.broker.broker();
     if let Some(check) = checks::broker(&arguments.broker, &broker) {
-        report.say(check)?;
+        report.add(check)?;
     }
     let mut waveform = model.as_ref().and_then(|model| model.waveform().cloned());
     let mut examined = None;
     match &arguments.source {
         Some(spec) => {
-            let (found, seen) = checks::source(spec, model);
-            found.into_iter().try_for_each(|check| report.say(check))?;
-            waveform = seen.as_ref().map(|seen| seen.header.waveform.clone()).or(waveform);
-            examined = seen;
+            let (found, source) = checks::source(spec, model);
+            found.into_iter().try_for_each(|check| report.add(check))?;
+            waveform = source.as_ref().map(|source| source.header.waveform.clone()).or(waveform);
+            examined = source;
         }
-        None => checks::devices().into_iter().try_for_each(|check| report.say(check))?,
+        None => checks::devices().into_iter().try_for_each(|check| report.add(check))?,
     }
-    // Boards that are told no waveform get that of the default model.
-    let waveform = waveform.map_or_else(|| Ok(judge::network(Path::new(BUILT_IN))?.card.waveform), anyhow::Ok)?;
-    checks::disk(&arguments.record_to, &waveform).into_iter().try_for_each(|check| report.say(check))?;
+    // Without a model or a source, the waveform is that of the default model.
+    let waveform = waveform.map_or_else(|| Ok(classifier::network(Path::new(BUILT_IN))?.card.waveform), anyhow::Ok)?;
+    checks::disk(&arguments.record_to, &waveform).into_iter().try_for_each(|check| report.add(check))?;
     if let Some(path) = &arguments.bundle {
         pack(path, &report.checks, examined.as_ref(), arguments, &broker)?;
     }
@@ -171,14 +171,14 @@ fn pack(
     Ok(())
 }
 
-/// Prints each finding as it is found, and keeps it.
+/// Prints each check when it is done, and stores it.
 struct Report {
     as_json: bool,
     checks: Vec<Check>,
 }
 
 impl Report {
-    fn say(&mut self, check: Check) -> anyhow::Result<()> {
+    fn add(&mut self, check: Check) -> anyhow::Result<()> {
         if self.as_json {
             output::json_line(&check)?;
         } else {

@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use radome_driver::{RecorderOptions, RecordingHeader};
 
-use crate::exit::{Ended, wrong_use};
-use crate::judge::{BUILT_IN, Delays, Model};
+use crate::classifier::{BUILT_IN, Delays, Model};
+use crate::exit::{Completion, wrong_use};
 use crate::live::background::Background;
-use crate::live::classify::{FrameClassifier, run as run_classifier};
+use crate::live::classify::{LiveClassifier, run as run_classifier};
 use crate::live::integrations::{self, Integrations};
 use crate::live::pipeline::{Pipeline, Policy};
-use crate::live::recorder::{PATIENCE, RecorderSink};
+use crate::live::recorder::{RecorderSink, STALL_LIMIT};
 use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
@@ -79,7 +79,7 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The model, the source or the output cannot be opened, or the run fails.
-pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
+pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     let started = Instant::now();
     output::catch_interrupts()?;
     if arguments.view.access.is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
@@ -98,8 +98,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     }
     let model = Model::open(&arguments.model)?;
     let delays = Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s };
-    let named = model.named(&arguments.model, delays, arguments.max_range_m)?;
-    let background = arguments.background.as_deref().map(|path| Background::load(path, &named)).transpose()?;
+    let description = model.description(&arguments.model, delays, arguments.max_range_m)?;
+    let background = arguments.background.as_deref().map(|path| Background::load(path, &description)).transpose()?;
     let source = source::open(&arguments.source.source, &arguments.source_options(&model)?)?;
     // The page repeats and skips frames, which no recording may.
     if source.playback.is_some() && output.is_some() {
@@ -110,27 +110,27 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     }
     message!("{}", source.description);
     if output.is_some() {
-        labels::tell_left_behind(arguments.source.input());
+        labels::warn_not_copied(arguments.source.input());
     }
     message!("model {}", arguments.model.display());
     let waveform = source.frames.waveform().clone();
     if let (Some(background), Some(path)) = (&background, &arguments.background) {
         background.check_waveform(path, &waveform)?;
     }
-    let mut judge = FrameClassifier::new(model, &waveform, delays, arguments.max_range_m, started)?
+    let mut classifier = LiveClassifier::new(model, &waveform, delays, arguments.max_range_m, started)?
         .with_background(background)
         .with_outage(source.outage.clone());
     if let Some(playback) = &source.playback {
-        playback.transport.set_preroll_s(judge.memory_s());
-        judge = judge.with_transport(playback.transport.clone());
+        playback.transport.set_preroll_s(classifier.memory_s());
+        classifier = classifier.with_transport(playback.transport.clone());
     }
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
     let has_failed = Arc::<AtomicBool>::default();
     let recording = output.as_ref().map(|output| (output.path(), has_failed.clone()));
     let name = arguments.integrations.name();
     let page = view::Page::open(&arguments.view, &source, &arguments.model, arguments.max_range_m, recording, name)?;
-    let header = source.header(Some(named));
-    // A recording must not speak as the board that made it: the broker would drop that board's own connection.
+    let header = source.header(Some(description));
+    // A recording must not use the identity of the board that made it: the broker would drop that board's own connection.
     let board = source.board.as_ref().filter(|_| !source.is_recording);
     let mut integrations =
         Integrations::open(&arguments.integrations, broker, &arguments.view.access, &header, board, started)?;
@@ -138,18 +138,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
 
     let mut pipeline = Pipeline::default();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
-    // The recorder gets each frame first: a frame that the classifier has judged is then in the recording.
+    // The recorder gets each frame first: a frame that has been classified is then in the recording.
     let recorder = output.map(|output| arguments.recorder(output, &header, &mut pipeline, &source, has_failed));
     let recorder = recorder.transpose()?;
     let inlet = pipeline.consumer("classifier", 16, policy);
     let reader = pipeline.start(source.frames, arguments.source.frames);
-    let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
+    let poll_interval = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
     let mut sinks: Vec<Box<dyn Sink>> = integrations.take_sinks();
     sinks.extend(recorder.map(|recorder| Box::new(recorder) as Box<dyn Sink>));
     sinks.extend(page.map(|page| Box::new(page) as Box<dyn Sink>));
     sinks.push(Box::new(screen));
-    let outcome = run_classifier(&inlet, &mut judge, patience, &mut sinks);
+    let outcome = run_classifier(&inlet, &mut classifier, poll_interval, &mut sinks);
     reader.stop();
     drop(integrations);
     outcome?;
@@ -157,17 +157,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     if is_lost {
         message!("frames are missing in the recording; with --allow-loss this is no error");
     }
-    Ok(Ended::with_loss(is_lost))
+    Ok(Completion::from_loss(is_lost))
 }
 
 impl Arguments {
     /// Builds the options of the source. A board is programmed with a waveform that the model accepts.
     fn source_options(&self, model: &Model) -> anyhow::Result<SourceOptions> {
         let options = self.source.options()?;
-        if let (Some(named), Some(waveform)) = (&self.source.waveform, &options.waveform) {
+        if let (Some(name), Some(waveform)) = (&self.source.waveform, &options.waveform) {
             model.check_waveform(waveform).with_context(|| {
                 format!(
-                    "--waveform {named} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; \
+                    "--waveform {name} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; \
                      --model cfar takes nearly any",
                     self.model.display()
                 )
@@ -187,7 +187,7 @@ impl Arguments {
         source: &Source,
         has_failed: Arc<AtomicBool>,
     ) -> anyhow::Result<RecorderSink> {
-        let policy = if source.is_live { Policy::LosslessOrGone(PATIENCE) } else { Policy::Wait };
+        let policy = if source.is_live { Policy::LosslessOrAbandoned(STALL_LIMIT) } else { Policy::Wait };
         let options = RecorderOptions { existing: self.overwrite.existing(), ..RecorderOptions::default() };
         let inlet = pipeline.consumer("recorder", 64, policy);
         RecorderSink::start(output, header, &options, inlet, source.outage.clone(), has_failed)

@@ -17,7 +17,7 @@ mod schema;
 use clap::Subcommand;
 pub use doctor::WireLog;
 
-use crate::exit::Ended;
+use crate::exit::Completion;
 
 /// Commands of the program.
 // There is one in a program: its size does not matter.
@@ -61,7 +61,7 @@ pub enum Command {
 ///
 /// # Errors
 /// Those of the command.
-pub fn run(command: Command, program: fn() -> clap::Command) -> anyhow::Result<Ended> {
+pub fn run(command: Command, program: fn() -> clap::Command) -> anyhow::Result<Completion> {
     let done: anyhow::Result<()> = match command {
         Command::Demo(arguments) => return demo::run(arguments),
         Command::Live(arguments) => return live::run(&arguments),
@@ -77,5 +77,5 @@ pub fn run(command: Command, program: fn() -> clap::Command) -> anyhow::Result<E
         Command::Completions(arguments) => manual::completions(&arguments, program()),
         Command::Man(arguments) => manual::man(&arguments, program()),
     };
-    done.map(|()| Ended::Done)
+    done.map(|()| Completion::Done)
 }

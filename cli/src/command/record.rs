@@ -11,9 +11,9 @@ use radome_driver::recording::mcap::{Recorder, RecorderOptions, SyncOptions};
 use radome_dsp::Gap;
 use serde_json::json;
 
-use crate::exit::Ended;
+use crate::exit::Completion;
 use crate::live::pipeline::{End, Failure, Inlet, Item, Pipeline, Policy};
-use crate::live::recorder::{LAST_PATIENCE, PATIENCE, ended_after, join_last};
+use crate::live::recorder::{FINAL_STALL_LIMIT, STALL_LIMIT, failure_message, join_unless_stalled};
 use crate::live::screen;
 use crate::output_file::{self, NewRecording, Overwrite};
 use crate::source::{self, SourceArgs};
@@ -53,15 +53,15 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The source or the output cannot be opened, the recording fails, or more frames are lost than allowed.
-pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
+pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     output::catch_interrupts()?;
     let output = NewRecording::named(&arguments.output);
     output_file::check_is_mcap(output.path())?;
     arguments.overwrite.check(output.path(), &arguments.source.inputs())?;
     let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     message!("{}", source.description);
-    labels::tell_left_behind(arguments.source.input());
-    tell_answers_left_behind(arguments.source.input());
+    labels::warn_not_copied(arguments.source.input());
+    warn_answers_not_copied(arguments.source.input());
     let header = source.header(None);
     let sync = (!arguments.no_sync).then(SyncOptions::default);
     let recorder_options = RecorderOptions { existing: arguments.overwrite.existing(), sync };
@@ -69,47 +69,48 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let recorder = output.create(&header, &recorder_options)?;
     let bar = output::progress(arguments.source.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
     let mut pipeline = Pipeline::default();
-    let policy = if source.is_live { Policy::Lossless(PATIENCE) } else { Policy::Wait };
+    let policy = if source.is_live { Policy::Lossless(STALL_LIMIT) } else { Policy::Wait };
     let inlet = pipeline.consumer("recorder", 64, policy);
     let reader = pipeline.start(source.frames, arguments.source.frames);
     let backlog = source.is_live.then(Backlog::default);
-    let taken = Arc::<AtomicU64>::default();
+    let written_items = Arc::<AtomicU64>::default();
     let queue = inlet.queue.clone();
     let thread = {
-        let (outage, bar, taken) = (source.outage, bar.clone(), taken.clone());
-        std::thread::spawn(move || capture(&inlet, recorder, &outage, &bar, backlog, &taken))
+        let (outage, bar, written_items) = (source.outage, bar.clone(), written_items.clone());
+        std::thread::spawn(move || capture(&inlet, recorder, &outage, &bar, backlog, &written_items))
     };
-    // The output may hang: this thread watches it, and hears the user.
+    // The output may hang, so this thread watches it and checks for interrupts.
     while !(thread.is_finished() || queue.end.get().is_some() || output::interrupted()) {
         std::thread::sleep(Duration::from_millis(10));
     }
-    // What waits when the output stalls may still be written, and the file be finished.
+    // Items that wait when the output stalls may still be written, and the file finished.
     let has_stalled = || queue.has_stalled.load(Ordering::SeqCst);
-    let captured = join_last(thread, &taken, || if has_stalled() { PATIENCE } else { LAST_PATIENCE });
+    let capture_result =
+        join_unless_stalled(thread, &written_items, || if has_stalled() { STALL_LIMIT } else { FINAL_STALL_LIMIT });
     reader.stop();
     bar.finish_and_clear();
-    let (tally, end) = captured.with_context(|| format!("{file} is not whole"))?;
+    let (tally, end) = capture_result.with_context(|| format!("{file} is not whole"))?;
     let Tally { frames, dropped, gaps, unknown } = tally;
-    let more = screen::lost_besides(unknown);
-    let said = match arguments.json {
+    let unknown_loss = screen::unknown_loss_text(unknown);
+    let printed = match arguments.json {
         true => output::json_line(&json!({
             "file": file, "frames": frames, "dropped": dropped, "gaps": gaps, "gaps_of_unknown_length": unknown,
         })),
-        false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped{more}")),
+        false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped{unknown_loss}")),
     };
     end?;
-    output::unless_closed(said)?;
-    if let Some(most) = arguments.max_dropped.filter(|most| unknown > 0 || dropped > *most) {
-        bail!("{dropped} frames were lost{more}, at most {most} allowed");
+    output::ignore_closed_stdout(printed)?;
+    if let Some(limit) = arguments.max_dropped.filter(|limit| unknown > 0 || dropped > *limit) {
+        bail!("{dropped} frames were lost{unknown_loss}, at most {limit} allowed");
     }
     if gaps > 0 && !arguments.allow_loss {
         message!("frames are missing (gaps: {gaps}); with --allow-loss this is no error");
     }
-    Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
+    Ok(Completion::from_loss(gaps > 0 && !arguments.allow_loss))
 }
 
 /// Names the model whose answers in a recording are not copied with its frames.
-fn tell_answers_left_behind(source: &Path) {
+fn warn_answers_not_copied(source: &Path) {
     if let Some(judge) = Recording::open(source).ok().and_then(|recording| recording.header().judge) {
         message!(
             "the answers of {} in {} are not carried over; radome recording convert copies them",
@@ -136,23 +137,23 @@ struct Tally {
 #[derive(Default)]
 struct Backlog {
     waited: Duration,
-    has_told: bool,
+    has_warned: bool,
 }
 
 impl Backlog {
     /// Longest wait that is not reported.
     const LONG: Duration = Duration::from_millis(500);
 
-    /// Adds the time of a write. `is_full` says whether the queue is full behind it, so that the reader waits. Returns true once, when
+    /// Adds the time of a write. `is_full` is whether the queue is full behind it, so that the reader waits. Returns true once, when
     /// the wait exceeds [`Self::LONG`].
-    fn is_long(&mut self, took: Duration, is_full: bool) -> bool {
-        self.waited = if is_full { self.waited + took } else { Duration::ZERO };
-        self.waited > Self::LONG && !std::mem::replace(&mut self.has_told, true)
+    fn is_long(&mut self, write_time: Duration, is_full: bool) -> bool {
+        self.waited = if is_full { self.waited + write_time } else { Duration::ZERO };
+        self.waited > Self::LONG && !std::mem::replace(&mut self.has_warned, true)
     }
 }
 
 /// Records until the source ends or fails, the disk fails, or the user stops it. `backlog` is given for a board, which does
-/// not wait for the output. `taken` counts the items that the file has taken.
+/// not wait for the output. `written_items` counts the items that the file has taken.
 ///
 /// The file is finished unless the disk has failed or the source has panicked: then it stays marked unfinished. A board
 /// that is lost for good, or away when the user stops, leaves a gap of unknown length at the end.
@@ -162,20 +163,20 @@ fn capture(
     outage: &Outage,
     bar: &indicatif::ProgressBar,
     backlog: Option<Backlog>,
-    taken: &AtomicU64,
+    written_items: &AtomicU64,
 ) -> (Tally, anyhow::Result<()>) {
     let mut writer = Writer { recorder, tally: Tally::default(), next_sequence: 0, backlog };
-    let written = writer.write_all(inlet, outage, bar, taken);
+    let outcome = writer.write_all(inlet, outage, bar, written_items);
     let Writer { mut recorder, mut tally, .. } = writer;
-    // Frames that the disk has not taken are none of the file's.
+    // Frames that the disk has not taken are not in the file.
     let flushed = recorder.flush();
     tally.frames = recorder.frames_written();
-    let end = match written {
+    let end = match outcome {
         // The first error is reported; finishing the file would fail again.
-        Err(error) => Err(error.context(ended_after(&recorder))),
+        Err(error) => Err(error.context(failure_message(&recorder))),
         Ok(Some(failure)) if failure.is_panic() => Err(failure.into()),
         Ok(failure) => {
-            let ended = ended_after(&recorder);
+            let ended = failure_message(&recorder);
             let finished = flushed.and_then(|()| recorder.finish()).context(ended);
             match (failure, finished) {
                 (None, finished) => finished.map(drop),
@@ -206,7 +207,7 @@ impl Writer {
         inlet: &Inlet,
         outage: &Outage,
         bar: &indicatif::ProgressBar,
-        taken: &AtomicU64,
+        written_items: &AtomicU64,
     ) -> anyhow::Result<Option<Failure>> {
         let mut is_unflushed = false;
         while !output::interrupted() {
@@ -216,7 +217,7 @@ impl Writer {
                     if let Some(end) = self.write(delivery.item)? {
                         return Ok(end.err());
                     }
-                    taken.fetch_add(1, Ordering::Relaxed);
+                    written_items.fetch_add(1, Ordering::Relaxed);
                     let backlog = self.backlog.as_mut();
                     if backlog.is_some_and(|it| it.is_long(start.elapsed(), inlet.receiver.is_full())) {
                         message!(
@@ -232,7 +233,7 @@ impl Writer {
                 Err(RecvTimeoutError::Timeout) => {}
                 // The end is known even if it could not be delivered in time.
                 Err(RecvTimeoutError::Disconnected) => {
-                    let Some(end) = inlet.queue.end.get() else { return Err(Failure::without_a_word().into()) };
+                    let Some(end) = inlet.queue.end.get() else { return Err(Failure::without_result().into()) };
                     return Ok(self.write(Item::End(end.clone()))?.and_then(Result::err));
                 }
             }
@@ -242,10 +243,10 @@ impl Writer {
             if let Some(end) = self.write(delivery.item)? {
                 return Ok(end.err());
             }
-            taken.fetch_add(1, Ordering::Relaxed);
+            written_items.fetch_add(1, Ordering::Relaxed);
         }
         if let Some(missing) = outage.gap(self.next_sequence) {
-            self.gap(&missing)?;
+            self.write_gap(&missing)?;
         }
         Ok(None)
     }
@@ -258,10 +259,10 @@ impl Writer {
                 self.tally.frames += 1;
                 self.next_sequence = frame.sequence.saturating_add(1);
             }
-            Item::Gap(missing) => self.gap(&missing)?,
+            Item::Gap(missing) => self.write_gap(&missing)?,
             Item::End(end) => {
                 if let Some(missing) = end.as_ref().err().and_then(|failure| failure.gap(self.next_sequence)) {
-                    self.gap(&missing)?;
+                    self.write_gap(&missing)?;
                 }
                 return Ok(Some(end));
             }
@@ -270,13 +271,13 @@ impl Writer {
     }
 
     /// Writes a gap, counts it and reports it.
-    fn gap(&mut self, gap: &Gap) -> anyhow::Result<()> {
+    fn write_gap(&mut self, gap: &Gap) -> anyhow::Result<()> {
         self.recorder.gap(gap)?;
         self.tally.gaps += 1;
         self.tally.unknown += u64::from(gap.frames == 0);
         self.tally.dropped = self.tally.dropped.saturating_add(gap.frames);
         self.next_sequence = gap.first_sequence.saturating_add(gap.frames);
-        message!("{}", screen::lost(gap));
+        message!("{}", screen::gap_message(gap));
         Ok(())
     }
 }
@@ -291,7 +292,7 @@ mod tests {
 
     /// Records a source; without a source, the pipeline ends at once. Returns the counts, the error, and whether the
     /// recording is marked finished.
-    fn captured(source: Option<Box<dyn FrameSource>>) -> (Tally, Option<String>, bool) {
+    fn capture_source(source: Option<Box<dyn FrameSource>>) -> (Tally, Option<String>, bool) {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("run.mcap");
         let waveform = panicking_after(0).waveform().clone();
@@ -308,19 +309,19 @@ mod tests {
     #[test]
     fn a_source_that_fails_leaves_a_finished_recording_and_its_error() {
         let damaged = failing_after(3, |_| "chunk 3 is damaged".into());
-        let (tally, error, is_finished) = captured(Some(damaged));
+        let (tally, error, is_finished) = capture_source(Some(damaged));
         assert_eq!(tally, Tally { frames: 3, ..Tally::default() });
         assert_eq!((error.as_deref(), is_finished), (Some("chunk 3 is damaged"), true));
         // The number of frames that a lost board would have sent is unknown.
         let lost = failing_after(3, |_| BoardError::Stopped.into());
-        let (tally, error, is_finished) = captured(Some(lost));
+        let (tally, error, is_finished) = capture_source(Some(lost));
         assert_eq!(tally, Tally { frames: 3, dropped: 0, gaps: 1, unknown: 1 });
         assert!(error.is_some_and(|error| error.contains("stopped")) && is_finished);
     }
 
     #[test]
     fn a_source_that_panics_leaves_an_unfinished_recording_and_its_place() {
-        let (tally, error, is_finished) = captured(Some(panicking_after(3)));
+        let (tally, error, is_finished) = capture_source(Some(panicking_after(3)));
         let error = error.expect("an error");
         assert!(error.contains("panics.rs:") && error.contains("frame 3 cannot be made"), "{error}");
         assert_eq!((tally.frames, is_finished), (3, false));
@@ -345,7 +346,7 @@ mod tests {
 
     /// A slow output made the chip's FIFO overflow, and only the FIFO was named.
     #[test]
-    fn an_output_that_keeps_the_board_waiting_is_told_of_once() {
+    fn an_output_that_keeps_the_board_waiting_is_reported_once() {
         let mut backlog = Backlog::default();
         let seconds = Duration::from_secs_f64;
         assert!(!backlog.is_long(seconds(2.0), false), "nobody waits");
@@ -355,8 +356,8 @@ mod tests {
     }
 
     #[test]
-    fn a_source_that_has_gone_without_a_word_is_an_error_and_no_silence() {
-        let (_, error, is_finished) = captured(None);
+    fn a_source_that_ends_without_a_result_is_an_error() {
+        let (_, error, is_finished) = capture_source(None);
         assert!(error.is_some_and(|error| error.contains("without a result")) && !is_finished);
     }
 }

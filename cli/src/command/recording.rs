@@ -9,7 +9,7 @@ mod labels;
 mod maps;
 mod repair;
 
-use crate::exit::Ended;
+use crate::exit::Completion;
 
 #[derive(clap::Subcommand)]
 pub enum Action {
@@ -37,7 +37,7 @@ pub enum Action {
 ///
 /// # Errors
 /// Those of the command.
-pub fn run(action: &Action) -> anyhow::Result<Ended> {
+pub fn run(action: &Action) -> anyhow::Result<Completion> {
     let done: anyhow::Result<()> = match action {
         Action::Info(arguments) => info::run(arguments),
         Action::Convert(arguments) => return convert::run(arguments),
@@ -48,5 +48,5 @@ pub fn run(action: &Action) -> anyhow::Result<Ended> {
         Action::Maps(arguments) => maps::run(arguments),
         Action::Echoes(arguments) => echoes::run(arguments),
     };
-    done.map(|()| Ended::Done)
+    done.map(|()| Completion::Done)
 }

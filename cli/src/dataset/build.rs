@@ -48,7 +48,7 @@ pub fn build_plan(plan: &Plan, output: &Path, shard: Option<Shard>) -> anyhow::R
     };
     let parts = Parts::of(&target);
     let found = match (shard, target.exists()) {
-        (Some(_), true) => shard_again(plan, &target)?,
+        (Some(_), true) => check_finished_shard(plan, &target)?,
         (None, true) if !parts.was_merged(plan, &target) => {
             return Err(DatasetError::Exists { path: target }.into());
         }
@@ -58,13 +58,13 @@ pub fn build_plan(plan: &Plan, output: &Path, shard: Option<Shard>) -> anyhow::R
             plan.units.len()
         }
         (shard, false) => {
-            let _lock = parts.enter(plan)?;
-            let found = parts.make(plan)?;
+            let _lock = parts.open_or_continue(plan)?;
+            let found = parts.make_missing(plan)?;
             match shard {
                 Some(_) => rename_synced(&parts.folder, &target)?,
                 None => {
                     let merged = merge_units(&target, &plan.card, 1, &target, |_| parts.folder.clone());
-                    // Units without a map are of no use, and would only refuse the corrected spec.
+                    // Units without a map are useless, and the corrected spec would be refused because of them.
                     if merged.as_ref().map_or_else(|error| error.is::<NoMaps>(), |_| true) {
                         parts.remove()?;
                     }
@@ -86,8 +86,8 @@ pub fn build_plan(plan: &Plan, output: &Path, shard: Option<Shard>) -> anyhow::R
     Ok(Built { folder: target, units: plan.units_of(plan.card.shard).count(), found, counts })
 }
 
-/// Checks that a finished shard belongs to this plan, so that it is not made twice.
-fn shard_again(plan: &Plan, target: &Path) -> anyhow::Result<usize> {
+/// Checks that an existing shard belongs to this plan. Returns its number of units.
+fn check_finished_shard(plan: &Plan, target: &Path) -> anyhow::Result<usize> {
     if let Some(difference) = plan.card.difference(&PlanCard::read(target)?) {
         bail!("{} is there already, but was {difference}\n\nhint: move it away", target.display());
     }
@@ -118,8 +118,8 @@ impl Parts {
     }
 
     /// Creates the folder, or continues in it if it holds units of the same plan. The folder is locked for other
-    /// processes until the returned file is dropped. A folder without a plan that holds anything is somebody else's.
-    fn enter(&self, plan: &Plan) -> anyhow::Result<fs::File> {
+    /// processes until the returned file is dropped. A folder with files but without a plan is refused: no build made it.
+    fn open_or_continue(&self, plan: &Plan) -> anyhow::Result<fs::File> {
         fs::create_dir_all(&self.folder).with_context(|| format!("cannot make {}", self.folder.display()))?;
         let foreign = self.foreign_file().with_context(|| format!("cannot list {}", self.folder.display()))?;
         // Units appear after the plan, so that the folder of a build that has just begun is not refused.
@@ -139,7 +139,7 @@ impl Parts {
         Ok(lock)
     }
 
-    /// Returns the name of a file that no build makes before its plan is written; `None` if there is none.
+    /// Returns the name of a file that no build makes before it writes its plan; `None` if there is none.
     fn foreign_file(&self) -> std::io::Result<Option<String>> {
         let unfinished_plan = format!(".{}.partial", plan::FILE);
         for entry in fs::read_dir(&self.folder)? {
@@ -151,27 +151,27 @@ impl Parts {
         Ok(None)
     }
 
-    /// Returns whether only the cleanup is left: an earlier run ended after it had renamed the dataset.
+    /// Returns whether only the cleanup is missing: an earlier run ended after it had renamed the dataset.
     fn was_merged(&self, plan: &Plan, target: &Path) -> bool {
         let same = |card: PlanCard| plan.card.difference(&card).is_none();
         target.join("dataset.json").exists() && PlanCard::read(&self.folder).is_ok_and(same)
     }
 
     /// Makes the missing units on all threads; returns how many existed.
-    fn make(&self, plan: &Plan) -> anyhow::Result<usize> {
+    fn make_missing(&self, plan: &Plan) -> anyhow::Result<usize> {
         let all = plan.units_of(plan.card.shard).count();
-        let place = |unit: &usize| self.folder.join(unit_name(*unit));
-        let missing: Vec<usize> = plan.units_of(plan.card.shard).filter(|unit| !place(unit).exists()).collect();
+        let unit_folder = |unit: &usize| self.folder.join(unit_name(*unit));
+        let missing: Vec<usize> = plan.units_of(plan.card.shard).filter(|unit| !unit_folder(unit).exists()).collect();
         let found = all - missing.len();
         if found > 0 {
             message!("{}: {found} of {all} units are there", self.folder.display());
         }
         let bar = output::progress(all as u64, "units");
         bar.set_position(found as u64);
-        let make = |unit: &usize, parallel: bool| -> anyhow::Result<()> {
+        let make_unit = |unit: &usize, parallel: bool| -> anyhow::Result<()> {
             let Some(source) = plan.units.get(*unit) else { return Ok(()) };
             // A unit that panics ends the build like one that fails: the other units stay.
-            panics::caught(|| unit::make(plan, source, &place(unit), parallel))
+            panics::catch_panic(|| unit::make(plan, source, &unit_folder(unit), parallel))
                 .unwrap_or_else(|panicked| Err(panicked.into()))
                 .with_context(|| source.recording.clone())?;
             bar.inc(1);
@@ -179,23 +179,23 @@ impl Parts {
         };
         // Many units are made in parallel, each on one thread. Of few units, the frames of each are computed on all
         // threads.
-        let made = if missing.len() >= 2 * rayon::current_num_threads() {
-            missing.par_iter().with_max_len(1).try_for_each(|unit| make(unit, false))
+        let result = if missing.len() >= 2 * rayon::current_num_threads() {
+            missing.par_iter().with_max_len(1).try_for_each(|unit| make_unit(unit, false))
         } else {
-            missing.iter().try_for_each(|unit| make(unit, true))
+            missing.iter().try_for_each(|unit| make_unit(unit, true))
         };
         bar.finish_and_clear();
-        let Err(error) = made else { return Ok(found) };
-        let made = plan.units_of(plan.card.shard).filter(|unit| place(unit).exists()).count();
+        let Err(error) = result else { return Ok(found) };
+        let done = plan.units_of(plan.card.shard).filter(|unit| unit_folder(unit).exists()).count();
         if error.is::<Interrupted>() {
-            bail!("interrupted: {made} of {all} units are done\n\nhint: the same command goes on with the others")
+            bail!("interrupted: {done} of {all} units are done\n\nhint: the same command goes on with the others")
         }
-        message!("{made} of {all} units are done and kept in {}", self.folder.display());
+        message!("{done} of {all} units are done and kept in {}", self.folder.display());
         Err(error)
     }
 
-    /// Removes the folder. After a kill in the middle, units are still complete or absent, because each takes the name of
-    /// an unfinished one first. The plan goes last: by it [`Parts::was_merged`] knows what is left.
+    /// Removes the folder. If the process is killed meanwhile, units are still complete or absent, because each is first renamed
+    /// to an unfinished one. The plan is removed last, since [`Parts::was_merged`] needs it.
     fn remove(&self) -> anyhow::Result<()> {
         let remove = || -> std::io::Result<()> {
             for entry in fs::read_dir(&self.folder)? {
@@ -203,7 +203,7 @@ impl Parts {
                 if path.is_dir() {
                     let unfinished = path.with_extension("partial");
                     fs::rename(&path, &unfinished)?;
-                    // Without it the folder is that of a killed writer, and no dataset of this name. It may be gone already.
+                    // Without this file, the folder is that of a killed writer, and no dataset. It may be absent already.
                     let _ = fs::remove_file(unfinished.join("dataset.json"));
                     fs::remove_dir_all(unfinished)?;
                 }
@@ -214,7 +214,7 @@ impl Parts {
     }
 }
 
-/// Error of a build of which no source gave a map.
+/// Error of a build none of whose sources gave a map.
 #[derive(Debug, thiserror::Error)]
 #[error(
     "{path}: no source gave a map\n\nhint: frames need a label: label the recordings (radome recording label), or give them one in the \
@@ -224,7 +224,7 @@ struct NoMaps {
     path: PathBuf,
 }
 
-/// Merges all units of a plan into the dataset, in order. `place` returns the folder with the units of a shard.
+/// Merges all units of a plan into the dataset, in order. `shard_folder` returns the folder with the units of a shard.
 ///
 /// # Errors
 /// A unit cannot be read, or none has a map, or the dataset cannot be written.
@@ -233,9 +233,9 @@ pub fn merge_units(
     card: &PlanCard,
     shards: usize,
     target: &Path,
-    place: impl Fn(usize) -> PathBuf,
+    shard_folder: impl Fn(usize) -> PathBuf,
 ) -> anyhow::Result<usize> {
-    let folders: Vec<PathBuf> = (0..card.units).map(|unit| place(unit % shards).join(unit_name(unit))).collect();
+    let folders: Vec<PathBuf> = (0..card.units).map(|unit| shard_folder(unit % shards).join(unit_name(unit))).collect();
     let units = folders.iter().map(|folder| Dataset::open(folder)).collect::<Result<Vec<_>, _>>()?;
     if units.iter().all(Dataset::is_empty) {
         return Err(NoMaps { path: what.to_owned() }.into());
@@ -271,8 +271,8 @@ impl Counts {
 mod tests {
     use super::*;
 
-    /// A kill during the removal left units without some of their files, or all units without the plan: the same command
-    /// ended with an error then, and a build of another spec took the units for its own.
+    /// Regression test: a kill during the removal left units without some of their files, or all units without the plan. Then
+    /// the same command failed, and a build of another spec used the units.
     #[test]
     fn a_removal_that_stops_leaves_whole_units_and_the_plan() {
         let folder = tempfile::tempdir().expect("a folder");

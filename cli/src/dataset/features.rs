@@ -19,7 +19,7 @@ use crate::source::{self, SourceOptions};
 const WALKING: &str = include_str!("../../../fixtures/features/walking.toml");
 /// Ranges at which static clutter is searched for, m.
 const CLUTTER_M: [f64; 2] = [1.8, 3.9];
-/// Number of rooms that are examined of a scene that draws its rooms, and frames of each.
+/// Number of rooms that are examined if a scene draws its rooms, and number of frames of each.
 const ROOMS: u64 = 24;
 const FRAMES: u64 = 100;
 /// Seed of the first room, far from the seeds of datasets.
@@ -74,13 +74,13 @@ pub fn compare(
     measured: Option<&Path>,
 ) -> anyhow::Result<Vec<Row>> {
     let (text, path) = match measured {
-        Some(path) => (files::text(path)?, path.to_owned()),
+        Some(path) => (files::read_text_file(path)?, path.to_owned()),
         None => (WALKING.to_owned(), PathBuf::from("fixtures/features/walking.toml")),
     };
     let measured: MeasuredFile =
         parse_toml(&text).with_context(|| format!("{} is no file of measured features", path.display()))?;
-    let mut found = of_maps(&features(dataset, indices)?);
-    found.extend(of_clutter(sources)?);
+    let mut found = map_features(&features(dataset, indices)?);
+    found.extend(clutter_features(sources)?);
     let row = |measured: Measured| {
         let (found, spread) = found.get(&measured.key).copied().map_or((None, None), |(v, s)| (Some(v), s));
         let [least, most] = measured.measured;
@@ -92,11 +92,11 @@ pub fn compare(
 }
 
 /// Median of each feature, and its spread where it has one.
-type Found = BTreeMap<String, (f64, Option<[f64; 2]>)>;
+type FeatureValues = BTreeMap<String, (f64, Option<[f64; 2]>)>;
 
-fn of_maps(features: &Features) -> Found {
+fn map_features(features: &Features) -> FeatureValues {
     let noise = features.noise_lsb.iter().enumerate().map(|(bin, lsb)| (format!("noise_lsb.{bin}"), (*lsb, None)));
-    let mut found: Found = noise.filter(|(_, (lsb, _))| lsb.is_finite()).collect();
+    let mut found: FeatureValues = noise.filter(|(_, (lsb, _))| lsb.is_finite()).collect();
     for of in &features.classes {
         let class = of.class.name();
         let spreads = [
@@ -119,8 +119,8 @@ fn of_maps(features: &Features) -> Found {
     found
 }
 
-/// Features of the strongest static bin of each source, as medians over sources.
-fn of_clutter(sources: &[String]) -> anyhow::Result<Found> {
+/// Features of static clutter, as medians over sources.
+fn clutter_features(sources: &[String]) -> anyhow::Result<FeatureValues> {
     let mut values: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     for spec in sources {
         let seeds = if spec.ends_with(".toml") { ROOMS } else { 1 };
@@ -132,7 +132,9 @@ fn of_clutter(sources: &[String]) -> anyhow::Result<Found> {
                 ..SourceOptions::default()
             };
             let mut source = source::open(spec, &options)?;
-            let Some(clutter) = clutter(source.frames.as_mut()).with_context(|| spec.clone())? else { continue };
+            let Some(clutter) = static_bin_features(source.frames.as_mut()).with_context(|| spec.clone())? else {
+                continue;
+            };
             for (name, value) in clutter {
                 values.entry(name).or_default().push(value);
             }
@@ -144,7 +146,7 @@ fn of_clutter(sources: &[String]) -> anyhow::Result<Found> {
 
 /// Level, phase jitter and drift, and amplitude jitter of the strongest bin in [`CLUTTER_M`]; `None` for fewer than ten
 /// frames.
-fn clutter(frames: &mut dyn FrameSource) -> anyhow::Result<Option<[(&'static str, f64); 4]>> {
+fn static_bin_features(frames: &mut dyn FrameSource) -> anyhow::Result<Option<[(&'static str, f64); 4]>> {
     let waveform = frames.waveform().clone();
     let samples = waveform.request.samples_per_chirp;
     let step_m = waveform.range_step_m(samples);
@@ -178,16 +180,16 @@ fn clutter(frames: &mut dyn FrameSource) -> anyhow::Result<Option<[(&'static str
     let count = spectra.len() as f64;
     let level = |k: usize| spectra.iter().filter_map(|s| s.get(k)).map(|c| c.norm()).sum::<f64>() / count;
     let strongest = (0..bins.len()).max_by(|a, b| level(*a).total_cmp(&level(*b))).unwrap_or(0);
-    let line: Vec<Complex64> = spectra.iter().filter_map(|s| s.get(strongest).copied()).collect();
-    let mut phase = Vec::with_capacity(line.len());
+    let series: Vec<Complex64> = spectra.iter().filter_map(|s| s.get(strongest).copied()).collect();
+    let mut phase = Vec::with_capacity(series.len());
     let mut last = 0.0;
-    for c in &line {
+    for c in &series {
         last += (c.arg() - last + PI).rem_euclid(TAU) - PI;
         phase.push(last);
     }
     let steps: Vec<f64> = phase.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let level_lsb = level(strongest);
-    let variance = line.iter().map(|c| (c.norm() - level_lsb).powi(2)).sum::<f64>() / count;
+    let variance = series.iter().map(|c| (c.norm() - level_lsb).powi(2)).sum::<f64>() / count;
     Ok(Some([
         ("level_lsb", level_lsb),
         ("phase_jitter_rad", deviation(&steps)),
@@ -205,7 +207,7 @@ fn deviation(values: &[f64]) -> f64 {
 fn slope(x: &[f64], y: &[f64]) -> f64 {
     let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
     let (mx, my) = (mean(x), mean(y));
-    let over: f64 = x.iter().zip(y).map(|(x, y)| (x - mx) * (y - my)).sum();
-    let under: f64 = x.iter().map(|x| (x - mx).powi(2)).sum();
-    if under > 0.0 { over / under } else { 0.0 }
+    let covariance: f64 = x.iter().zip(y).map(|(x, y)| (x - mx) * (y - my)).sum();
+    let variance: f64 = x.iter().map(|x| (x - mx).powi(2)).sum();
+    if variance > 0.0 { covariance / variance } else { 0.0 }
 }

@@ -11,14 +11,15 @@ use super::spec::{FolderLabel, Recorded};
 use crate::source;
 
 /// Largest nesting depth of folders that are searched.
-const DEEPEST: usize = 12;
+const MOST_DEPTH: usize = 12;
 
+/// Recording that a search found.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Found {
+pub struct FoundRecording {
     pub path: PathBuf,
-    /// Session by its path from the folder; several radars may have recorded it.
+    /// Path of the session, relative to the folder. Several radars may have recorded it.
     pub session: String,
-    /// Name of the recording: the session, and the radar where there are several.
+    /// Name of the recording: the session, and the radar if there are several.
     pub name: String,
 }
 
@@ -26,7 +27,7 @@ pub struct Found {
 ///
 /// # Errors
 /// A folder cannot be listed or a file cannot be read, or there is no recording.
-pub fn find(folder: &Path) -> anyhow::Result<Vec<Found>> {
+pub fn find(folder: &Path) -> anyhow::Result<Vec<FoundRecording>> {
     let mut found = Vec::new();
     search(folder, "", &mut found, 0)?;
     found.sort();
@@ -38,14 +39,14 @@ pub fn find(folder: &Path) -> anyhow::Result<Vec<Found>> {
     );
     // A folder that is itself a recording uses its own name.
     for found in found.iter_mut().filter(|f| f.session.is_empty()) {
-        let own = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
-        found.session = own.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let absolute = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+        found.session = absolute.file_name().unwrap_or_default().to_string_lossy().into_owned();
         found.name = format!("{}{}", found.session, found.name);
     }
     Ok(found)
 }
 
-fn search(folder: &Path, name: &str, found: &mut Vec<Found>, depth: usize) -> anyhow::Result<()> {
+fn search(folder: &Path, name: &str, found: &mut Vec<FoundRecording>, depth: usize) -> anyhow::Result<()> {
     let file_name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     match Format::of_content(folder)? {
         // Each radar of a session has a recording of its own.
@@ -54,7 +55,7 @@ fn search(folder: &Path, name: &str, found: &mut Vec<Found>, depth: usize) -> an
             let is_one = radars.len() == 1;
             for path in radars {
                 let radar_name = if is_one { name.to_owned() } else { format!("{name}/{}", file_name(&path)) };
-                found.push(Found { path, session: name.to_owned(), name: radar_name });
+                found.push(FoundRecording { path, session: name.to_owned(), name: radar_name });
             }
             return Ok(());
         }
@@ -66,25 +67,25 @@ fn search(folder: &Path, name: &str, found: &mut Vec<Found>, depth: usize) -> an
         entries.push(entry.with_context(cannot)?.path());
     }
     entries.sort();
-    if depth == DEEPEST {
-        bail!("{}: folders within folders {DEEPEST} deep; do they contain each other?", folder.display());
+    if depth == MOST_DEPTH {
+        bail!("{}: folders within folders {MOST_DEPTH} deep; do they contain each other?", folder.display());
     }
     for path in entries {
-        let own = file_name(&path);
-        let inner = |own: &str| if name.is_empty() { own.to_owned() } else { format!("{name}/{own}") };
-        if own.starts_with('.') {
+        let own_name = file_name(&path);
+        let with_parent = |own: &str| if name.is_empty() { own.to_owned() } else { format!("{name}/{own}") };
+        if own_name.starts_with('.') {
             continue;
         } else if path.is_dir() {
-            search(&path, &inner(&own), found, depth + 1)?;
+            search(&path, &with_parent(&own_name), found, depth + 1)?;
         } else if is_recording(&path)? {
-            let name = inner(&source::name_of(&path).to_string_lossy());
-            found.push(Found { path, session: name.clone(), name });
+            let name = with_parent(&source::name_of(&path).to_string_lossy());
+            found.push(FoundRecording { path, session: name.clone(), name });
         }
     }
     Ok(())
 }
 
-/// Returns whether a file is a recording, or has the name of an MCAP file: if that is damaged, opening it says so.
+/// Returns whether a file is a recording. A file with the name of an MCAP file counts, since opening it reports damage.
 fn is_recording(path: &Path) -> anyhow::Result<bool> {
     if path.extension().is_some_and(|ending| ending == "mcap") {
         return Ok(true);
@@ -96,47 +97,61 @@ fn is_recording(path: &Path) -> anyhow::Result<bool> {
     }
 }
 
-/// Label that a name gives.
+/// Label and names that a pattern takes from the name of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Reading {
+pub struct ParsedName {
     pub label: FolderLabel,
     pub scene: Option<String>,
     pub subject: Option<String>,
     pub sequence: Option<String>,
 }
 
+/// Pattern of names, with the label of the recordings that match it.
+#[derive(Debug)]
+struct NamePattern {
+    text: String,
+    regex: Regex,
+    label: FolderLabel,
+}
+
+impl NamePattern {
+    fn new(text: &str, label: FolderLabel) -> anyhow::Result<Self> {
+        Ok(NamePattern { text: text.to_owned(), regex: compile(text)?, label })
+    }
+}
+
 /// Patterns of a source.
 #[derive(Debug)]
-pub struct Rules(Vec<(String, Regex, FolderLabel)>);
+pub struct NamePatterns(Vec<NamePattern>);
 
-impl Rules {
+impl NamePatterns {
     /// Compiles the patterns of the spec.
     ///
     /// # Errors
     /// A pattern is not valid.
     pub fn new(source: &Recorded) -> anyhow::Result<Self> {
-        let rules = source.labels.iter().map(|(pattern, label)| Ok((pattern.clone(), compile(pattern)?, *label)));
-        Ok(Rules(rules.collect::<anyhow::Result<_>>()?))
+        let patterns = source.labels.iter().map(|(text, label)| NamePattern::new(text, *label));
+        Ok(NamePatterns(patterns.collect::<anyhow::Result<_>>()?))
     }
 
     /// Returns the label of a name, by the single pattern that matches.
     ///
     /// # Errors
     /// No pattern fits the name, or more than one does.
-    pub fn read(&self, name: &str) -> anyhow::Result<Reading> {
+    pub fn parse(&self, name: &str) -> anyhow::Result<ParsedName> {
         let last = name.rsplit('/').next().unwrap_or(name);
-        let fits = |(pattern, regex, label): &(String, Regex, FolderLabel)| {
-            let captures = regex.captures(if pattern.contains('/') { name } else { last })?;
+        let match_name = |NamePattern { text, regex, label }: &NamePattern| {
+            let captures = regex.captures(if text.contains('/') { name } else { last })?;
             let get = |what: &str| captures.name(what).map(|m| m.as_str().to_owned());
-            let reading =
-                Reading { label: *label, scene: get("scene"), subject: get("subject"), sequence: get("sequence") };
-            Some((pattern.clone(), reading))
+            let parsed =
+                ParsedName { label: *label, scene: get("scene"), subject: get("subject"), sequence: get("sequence") };
+            Some((text.clone(), parsed))
         };
-        let mut fitting: Vec<(String, Reading)> = self.0.iter().filter_map(fits).collect();
-        match (fitting.pop(), fitting.first()) {
-            (Some((_, reading)), None) => Ok(reading),
+        let mut matches: Vec<(String, ParsedName)> = self.0.iter().filter_map(match_name).collect();
+        match (matches.pop(), matches.first()) {
+            (Some((_, parsed)), None) => Ok(parsed),
             (None, _) => {
-                let patterns: Vec<String> = self.0.iter().map(|(pattern, ..)| format!("\"{pattern}\"")).collect();
+                let patterns: Vec<String> = self.0.iter().map(|pattern| format!("\"{}\"", pattern.text)).collect();
                 bail!(
                     "'{name}' fits none of the patterns {}\n\nhint: add one to `labels`; \"skip\" leaves a recording out",
                     patterns.join(", ")
@@ -149,6 +164,7 @@ impl Rules {
     }
 }
 
+/// Compiles a pattern to a regular expression.
 fn compile(pattern: &str) -> anyhow::Result<Regex> {
     let mut text = String::from("^");
     let mut rest = pattern;
@@ -179,8 +195,12 @@ fn compile(pattern: &str) -> anyhow::Result<Regex> {
 mod tests {
     use super::*;
 
-    fn rules(patterns: &[(&str, FolderLabel)]) -> anyhow::Result<Rules> {
-        patterns.iter().map(|(p, l)| Ok(((*p).to_owned(), compile(p)?, *l))).collect::<anyhow::Result<_>>().map(Rules)
+    fn rules(patterns: &[(&str, FolderLabel)]) -> anyhow::Result<NamePatterns> {
+        patterns
+            .iter()
+            .map(|(text, label)| NamePattern::new(text, *label))
+            .collect::<anyhow::Result<_>>()
+            .map(NamePatterns)
     }
 
     #[test]
@@ -189,7 +209,7 @@ mod tests {
         let rules =
             rules(&[("empty*", Empty), ("{scene}/{subject}/one_*", One), ("{subject}+*_two.?", Two)]).expect("rules");
         let read = |name: &str| {
-            let r = rules.read(name).expect("one fits");
+            let r = rules.parse(name).expect("one fits");
             (r.label, r.scene, r.subject)
         };
         assert_eq!(read("kitchen/empty-20240528"), (Empty, None, None));
@@ -200,10 +220,10 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Text recordings with other endings opened, but no dataset found them. A folder with a config.json of another
-        /// program was a recording for all other commands.
+        /// Regression test: datasets did not find text recordings with other endings than `.txt`. All other commands took a
+        /// folder with a config.json of another program for a recording.
         #[test]
-        fn what_opens_as_a_recording_is_found_and_nothing_else() {
+        fn recordings_are_found_and_nothing_else() {
             let folder = tempfile::tempdir().expect("a folder");
             let values = "0.512332\n0.512332\n\n";
             for (name, content) in [
@@ -228,7 +248,7 @@ mod tests {
         fn no_pattern_or_two_is_an_error_with_the_name() {
             use FolderLabel::{Empty, One};
             let rules = rules(&[("empty*", Empty), ("*one*", One)]).expect("rules");
-            let said = |name: &str| rules.read(name).expect_err("no").to_string();
+            let said = |name: &str| rules.parse(name).expect_err("no").to_string();
             assert!(
                 said("day1/nobody").contains("'day1/nobody' fits none of the patterns \"*one*\", \"empty*\"")
                     || said("day1/nobody").contains("'day1/nobody' fits none of the patterns \"empty*\", \"*one*\"")
@@ -236,7 +256,7 @@ mod tests {
             assert!(said("empty_or_one").contains("fits two patterns"));
             // Dots and brackets are literal; a star does not match across folders.
             let strict = super::rules(&[("a.[b]*", One), ("x/*", Empty)]).expect("rules");
-            assert!(strict.read("a.[b]c").is_ok() && strict.read("ab").is_err() && strict.read("x/y/z").is_err());
+            assert!(strict.parse("a.[b]c").is_ok() && strict.parse("ab").is_err() && strict.parse("x/y/z").is_err());
             assert!(compile("{who}_*").expect_err("unknown").to_string().contains("{who}"));
             assert!(compile("{subject").expect_err("open").to_string().contains("never closed"));
         }

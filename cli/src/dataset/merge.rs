@@ -34,16 +34,16 @@ fn shards(parts: &[PathBuf], target: &Path) -> anyhow::Result<usize> {
             bail!("{}: this shard is not finished\n\nhint: run its build again", part.display());
         }
         if let Some((path, expected)) = &first {
-            let counts = (card.shard.count, expected.shard.count);
+            let (count, expected_count) = (card.shard.count, expected.shard.count);
             if let Some(difference) = expected.difference(&card) {
                 bail!("{} is no shard of the build of {}: it was {difference}", part.display(), path.display());
             }
-            if counts.0 != counts.1 {
-                bail!("{} is a shard of {}, {} one of {}", part.display(), counts.0, path.display(), counts.1);
+            if count != expected_count {
+                bail!("{} is a shard of {count}, {} one of {expected_count}", part.display(), path.display());
             }
         }
-        if let Some(twice) = by_index.insert(card.shard.index, part) {
-            bail!("{} and {} are both shard {}", twice.display(), part.display(), card.shard);
+        if let Some(other) = by_index.insert(card.shard.index, part) {
+            bail!("{} and {} are both shard {}", other.display(), part.display(), card.shard);
         }
         first.get_or_insert((part, card));
     }
@@ -57,8 +57,8 @@ fn shards(parts: &[PathBuf], target: &Path) -> anyhow::Result<usize> {
         card.shard.count,
         missing.first().map_or("", String::as_str)
     );
-    let place = |shard: usize| by_index.get(&shard).map_or_else(PathBuf::new, |path| path.to_path_buf());
-    merge_units(path, &card, card.shard.count, target, place)?;
+    let shard_folder = |shard: usize| by_index.get(&shard).map_or_else(PathBuf::new, |path| path.to_path_buf());
+    merge_units(path, &card, card.shard.count, target, shard_folder)?;
     Ok(card.units)
 }
 
@@ -67,13 +67,15 @@ fn datasets(parts: &[PathBuf], target: &Path) -> anyhow::Result<usize> {
         bail!("{} is a shard, others are not; merge the shards of a build first", shard.display());
     }
     let opened = parts.iter().map(|part| Dataset::open(part)).collect::<Result<Vec<_>, _>>()?;
-    let mut whose: BTreeMap<&str, &Path> = BTreeMap::new();
+    let mut folder_by_sequence: BTreeMap<&str, &Path> = BTreeMap::new();
     for (path, part) in parts.iter().zip(&opened) {
-        let mut own: BTreeMap<&str, &Path> = BTreeMap::new();
+        let mut sequences: BTreeMap<&str, &Path> = BTreeMap::new();
         for row in part.rows() {
-            own.insert(&row.sequence, path);
+            sequences.insert(&row.sequence, path);
         }
-        if let Some((sequence, other)) = own.keys().find_map(|sequence| Some((sequence, whose.get(sequence)?))) {
+        if let Some((sequence, other)) =
+            sequences.keys().find_map(|sequence| Some((sequence, folder_by_sequence.get(sequence)?)))
+        {
             bail!(
                 "the sequence '{sequence}' is in {} and in {}\n\nhint: the same maps twice, or two recordings of one name; give \
                  one another `sequence` in its spec",
@@ -81,7 +83,7 @@ fn datasets(parts: &[PathBuf], target: &Path) -> anyhow::Result<usize> {
                 path.display()
             );
         }
-        whose.append(&mut own);
+        folder_by_sequence.append(&mut sequences);
     }
     let pairs: Vec<(&Path, &Dataset)> = parts.iter().map(PathBuf::as_path).zip(&opened).collect();
     dataset::merge(&pairs, target, None)?;

@@ -15,9 +15,9 @@ use radome_sim::{Scene, Simulator};
 use serde::{Deserialize, Serialize};
 
 use super::fingerprints::Fingerprints;
-use super::folders::{self, Found, Reading, Rules};
+use super::folders::{self, FoundRecording, NamePatterns, ParsedName};
 use super::spec::{BuildSpec, FolderLabel, Recorded, Simulated};
-use crate::files::{self, named};
+use crate::files::{self, resolve_named};
 use crate::shard::Shard;
 use crate::source;
 
@@ -101,26 +101,27 @@ impl Plan {
     /// A source cannot be read, a name occurs twice, or the machine lacks the kernel.
     pub fn of_spec(spec: BuildSpec, path: &Path, shard: Shard) -> anyhow::Result<Self> {
         let base = path.parent().unwrap_or(Path::new("."));
-        let prints = Fingerprints::new(base);
-        let mut list = List { units: Vec::new(), prints, header: None, contents: BTreeMap::new(), spec: &spec };
+        let fingerprints = Fingerprints::new(base);
+        let mut list =
+            UnitList { units: Vec::new(), fingerprints, header: None, contents: BTreeMap::new(), spec: &spec };
         for source in &spec.simulated {
-            list.simulated(&named(base, &source.scene)?, source)?;
+            list.add_simulated(&resolve_named(base, &source.scene)?, source)?;
         }
         for source in &spec.recorded {
-            list.recorded(base, source)?;
+            list.add_recorded(base, source)?;
         }
-        let List { units, prints, header, .. } = list;
+        let UnitList { units, fingerprints, header, .. } = list;
         let Some((_, header)) = header else { bail!("{} names no source", path.display()) };
         let mut names = BTreeSet::new();
-        if let Some(twice) = units.iter().find(|unit| !names.insert(&unit.recording)) {
+        if let Some(duplicate) = units.iter().find(|unit| !names.insert(&unit.recording)) {
             bail!(
                 "{}: two recordings would be called '{}'\n\nhint: put both into one folder and name it by folders = ...: recordings are \
                  then called by their paths in it; or rename one of them",
                 path.display(),
-                twice.recording
+                duplicate.recording
             );
         }
-        // Splits that contradict each other would be noticed when all units are made, and their correction is another spec.
+        // Contradictory splits would otherwise be found after all units are made, and correcting them changes the spec.
         let rows: Vec<ManifestRow> = units.iter().map(|unit| unit.row(0, Occupancy::Empty)).collect();
         let rule = spec.split.clone().unwrap_or_default();
         rule.assign(&rows).with_context(|| path.display().to_string())?;
@@ -135,7 +136,7 @@ impl Plan {
             format: FORMAT,
             program: env!("CARGO_PKG_VERSION").to_owned(),
             kernel,
-            sources: prints.into_map(),
+            sources: fingerprints.into_map(),
             units: units.len(),
             spec,
             shard,
@@ -144,29 +145,31 @@ impl Plan {
     }
 }
 
-struct List<'a> {
+/// Units of a plan under construction.
+struct UnitList<'a> {
     units: Vec<Unit>,
-    prints: Fingerprints,
+    fingerprints: Fingerprints,
     /// Header, which the first source sets, with the name of that source for messages.
     header: Option<(String, DatasetHeader)>,
-    /// Recordings by the path of what they hold, with their names.
+    /// Names of the recordings, by the path of their content.
     contents: BTreeMap<PathBuf, String>,
     spec: &'a BuildSpec,
 }
 
-impl List<'_> {
+impl UnitList<'_> {
+    /// Checks that a source agrees with the first one, or sets the header if it is the first.
     fn check_waveform(&mut self, name: &str, waveform: &radome_dsp::Waveform) -> anyhow::Result<()> {
         match &self.header {
             Some((first, header)) => {
-                let agree = || format!("{name} and {first}: sources of one dataset must agree");
+                let context = || format!("{name} and {first}: sources of one dataset must agree");
                 let checked = header.rdm_spec.check_compatible(waveform, &header.waveform);
                 checked.map_err(|mismatch| match mismatch {
                     MapMismatch::Waveform(WaveformMismatch { what, expected, got }) => anyhow!(
                         "{}: waveforms differ in {what}: {got} and {expected}\n\nhint: leave one of them out, or make maps on axes that \
                          take both: physical_axes under [map]",
-                        agree()
+                        context()
                     ),
-                    of_spec => anyhow::Error::from(of_spec).context(agree()),
+                    other => anyhow::Error::from(other).context(context()),
                 })
             }
             None => {
@@ -176,7 +179,7 @@ impl List<'_> {
         }
     }
 
-    fn simulated(&mut self, path: &Path, source: &Simulated) -> anyhow::Result<()> {
+    fn add_simulated(&mut self, path: &Path, source: &Simulated) -> anyhow::Result<()> {
         let mut scene = Scene::load_with_waveform(path, &source.waveform)?;
         if let Some(body) = source.body {
             if scene.file().people.desk.is_some() {
@@ -193,7 +196,7 @@ impl List<'_> {
             scene = scene.with_receivers(receivers);
         }
         let scene = Arc::new(scene);
-        self.prints.scene(&source.scene)?;
+        self.fingerprints.add_scene(&source.scene)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let waveform = match source.waveform.is_empty() {
             true => String::new(),
@@ -203,10 +206,10 @@ impl List<'_> {
                 format!("-{}x{}x{interval_us}us", request.chirps_per_frame, request.samples_per_chirp)
             }
         };
-        let forced: Vec<Option<usize>> =
+        let people_counts: Vec<Option<usize>> =
             if source.people.is_empty() { vec![None] } else { source.people.iter().map(|p| Some(*p)).collect() };
         for seed in source.seeds.0..=source.seeds.1 {
-            for &people in &forced {
+            for &people in &people_counts {
                 let suffix = people.map_or(String::new(), |p| format!("-people{p}"));
                 let body = if source.body == Some(BodyFile::Mesh) { "-mesh" } else { "" };
                 let recording = format!("{name}{waveform}-seed{seed}{suffix}{body}");
@@ -230,44 +233,44 @@ impl List<'_> {
         Ok(())
     }
 
-    fn recorded(&mut self, base: &Path, source: &Recorded) -> anyhow::Result<()> {
+    fn add_recorded(&mut self, base: &Path, source: &Recorded) -> anyhow::Result<()> {
         if let Some(recording) = &source.recording {
-            let path = named(base, recording)?;
+            let path = resolve_named(base, recording)?;
             let name = source::name_of(&path).to_string_lossy().into_owned();
-            let found = Found { path, session: name.clone(), name };
-            let label_file = source.label_file.as_ref().map(|file| named(base, file)).transpose()?;
+            let found = FoundRecording { path, session: name.clone(), name };
+            let label_file = source.label_file.as_ref().map(|file| resolve_named(base, file)).transpose()?;
             if let Some(file) = &source.label_file {
-                self.prints.file(file)?;
+                self.fingerprints.add_file(file)?;
             }
-            return self.recording(source, found, &recording.display().to_string(), source.label, label_file, None);
+            return self.add_recording(source, found, &recording.display().to_string(), source.label, label_file, None);
         }
         let Some(folders) = &source.folders else { return Ok(()) };
-        let rules = Rules::new(source)?;
-        let folder = named(base, folders)?;
+        let patterns = NamePatterns::new(source)?;
+        let folder = resolve_named(base, folders)?;
         for found in folders::find(&folder)? {
-            let reading = rules.read(&found.session).with_context(|| format!("in {}", folder.display()))?;
-            let label = match reading.label {
+            let parsed = patterns.parse(&found.session).with_context(|| format!("in {}", folder.display()))?;
+            let label = match parsed.label {
                 FolderLabel::Skip => continue,
                 FolderLabel::Spans => None,
                 FolderLabel::Empty => Some(Occupancy::Empty),
                 FolderLabel::One => Some(Occupancy::One),
                 FolderLabel::Two => Some(Occupancy::Two),
             };
-            let called = format!("{}/{}", folders.display(), found.name);
-            self.recording(source, found, &called, label, None, Some(reading))?;
+            let source_name = format!("{}/{}", folders.display(), found.name);
+            self.add_recording(source, found, &source_name, label, None, Some(parsed))?;
         }
         Ok(())
     }
 
-    /// Returns a recording as a unit; `called` is its name in the list of sources.
-    fn recording(
+    /// Adds a recording as a unit; `source_name` is its name in the list of sources.
+    fn add_recording(
         &mut self,
         source: &Recorded,
-        found: Found,
-        called: &str,
+        found: FoundRecording,
+        source_name: &str,
         label: Option<Occupancy>,
         label_file: Option<PathBuf>,
-        reading: Option<Reading>,
+        parsed: Option<ParsedName>,
     ) -> anyhow::Result<()> {
         let opened = Recording::open(&found.path)?;
         self.check_waveform(&found.path.display().to_string(), opened.waveform())?;
@@ -287,13 +290,13 @@ impl List<'_> {
             Recording::Infineon(reader) => reader.folder(),
             Recording::Mcap(_) | Recording::Text(_) => &found.path,
         };
-        self.prints.recording(called, content, label_file.as_deref())?;
-        let reading =
-            reading.unwrap_or(Reading { label: FolderLabel::Spans, scene: None, subject: None, sequence: None });
+        self.fingerprints.add_recording(source_name, content, label_file.as_deref())?;
+        let parsed =
+            parsed.unwrap_or(ParsedName { label: FolderLabel::Spans, scene: None, subject: None, sequence: None });
         self.units.push(Unit {
-            scene: reading.scene.or_else(|| source.scene.clone()).unwrap_or_else(|| "unknown".into()),
-            subject: reading.subject.or_else(|| source.subject.clone()),
-            sequence: reading.sequence.or_else(|| source.sequence.clone()).unwrap_or(found.session),
+            scene: parsed.scene.or_else(|| source.scene.clone()).unwrap_or_else(|| "unknown".into()),
+            subject: parsed.subject.or_else(|| source.subject.clone()),
+            sequence: parsed.sequence.or_else(|| source.sequence.clone()).unwrap_or(found.session),
             recording: found.name,
             split: source.split,
             every: source.every,

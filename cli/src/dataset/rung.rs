@@ -50,7 +50,7 @@ impl RungFile {
     /// # Errors
     /// The file cannot be read, or a value is not valid.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
-        let file: RungFile = files::toml(path, "rung of a ladder")?;
+        let file: RungFile = files::read_toml(path, "rung of a ladder")?;
         file.check().with_context(|| path.display().to_string())?;
         Ok(file)
     }

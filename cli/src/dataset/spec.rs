@@ -273,7 +273,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_map_that_is_not_named_is_one_that_networks_can_take_and_named_keys_change_it() {
+    fn the_default_map_suits_networks_and_given_keys_change_it() {
         let read = |text: &str| toml::from_str::<BuildSpec>(text);
         assert_eq!(read("format = 1").expect("valid").map, map_of_networks());
         let some = read("format = 1\n[map]\nchannels = { one = 0 }").expect("valid").map;

@@ -25,7 +25,7 @@ const CHUNK: usize = 32;
 /// # Errors
 /// The source cannot be read or simulated, a map cannot be written, or the user interrupts.
 pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::Result<()> {
-    let mut sink = Sink { writer: DatasetWriter::create(folder, &plan.header)?, unit, made: 0 };
+    let mut sink = MapSink { writer: DatasetWriter::create(folder, &plan.header)?, unit, offered: 0 };
     let noise =
         |seed: u64| plan.card.spec.raw_snr_db.map(|snr_db| RawNoise { snr_db, seed, recording: &unit.recording });
     match &unit.source {
@@ -46,52 +46,54 @@ pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::
             let processor = NoisyProcessor::new(processor, noise(0));
             let spans = match (label, label_file) {
                 (Some(_), _) => Vec::new(),
-                (None, Some(file)) => labels::read(file)?,
+                (None, Some(file)) => labels::read_file(file)?,
                 (None, None) => recording.labels()?,
             };
-            let fixed = label.map(|occupancy| Truth { occupancy, transition: false });
-            self::recording(&mut recording, &spans, fixed, processor, &mut sink)
+            let fixed_truth = label.map(|occupancy| Truth { occupancy, transition: false });
+            self::recording(&mut recording, &spans, fixed_truth, processor, &mut sink)
                 .with_context(|| format!("{} cannot be used", path.display()))?;
         }
     }
     Ok(sink.writer.finish()?)
 }
 
-/// Takes every `unit.every`-th map.
-struct Sink<'a> {
+/// Writer of every `unit.every`-th map.
+struct MapSink<'a> {
     writer: DatasetWriter,
     unit: &'a Unit,
-    made: u64,
+    offered: u64,
 }
 
-impl Sink<'_> {
-    fn offer(&mut self, map: &Rdm, truth: Truth) -> anyhow::Result<()> {
-        self.made += 1;
-        if (self.made - 1).is_multiple_of(self.unit.every) { self.take(map, truth) } else { Ok(()) }
+impl MapSink<'_> {
+    /// Stores a map if its turn has come.
+    fn push_every_nth(&mut self, map: &Rdm, truth: Truth) -> anyhow::Result<()> {
+        self.offered += 1;
+        if (self.offered - 1).is_multiple_of(self.unit.every) { self.push(map, truth) } else { Ok(()) }
     }
 
-    fn take(&mut self, map: &Rdm, truth: Truth) -> anyhow::Result<()> {
+    fn push(&mut self, map: &Rdm, truth: Truth) -> anyhow::Result<()> {
         let mut row = self.unit.row(map.sequence, truth.occupancy);
         row.transition = truth.transition;
         Ok(self.writer.push(map, row)?)
     }
 }
 
+/// Stores the maps of a run of a scene.
 fn run(
     scene: &Scene,
     options: SimulateOptions,
     spec: &RdmSpec,
     mut processor: NoisyProcessor,
     parallel: bool,
-    sink: &mut Sink,
+    sink: &mut MapSink,
 ) -> anyhow::Result<()> {
     let simulator = Simulator::new(scene, options)?;
     let is_single = spec.is_of_single_frames();
-    // Maps of single frames need no other frames, so only the frames that are taken are simulated.
+    // A map of one frame needs no other frames, so only the frames whose maps are stored are simulated.
     let step = if is_single { sink.unit.every as usize } else { 1 };
-    let wanted: Vec<u64> = (0..options.frames.unwrap_or(0)).step_by(step).collect();
+    let frame_numbers: Vec<u64> = (0..options.frames.unwrap_or(0)).step_by(step).collect();
     let mut map = processor.processor.empty_map();
-    for chunk in wanted.chunks(if parallel { CHUNK } else { 1 }) {
+    for chunk in frame_numbers.chunks(if parallel { CHUNK } else { 1 }) {
         if output::interrupted() {
             return Err(Interrupted.into());
         }
@@ -102,27 +104,28 @@ fn run(
         for frame in &frames {
             if processor.process(frame, &mut map)? == MapStatus::Ready {
                 let truth = frame.truth.context("a simulated frame has truth")?;
-                if is_single { sink.take(&map, truth)? } else { sink.offer(&map, truth)? }
+                if is_single { sink.push(&map, truth)? } else { sink.push_every_nth(&map, truth)? }
             }
         }
     }
     Ok(())
 }
 
+/// Stores the maps of a recording.
 fn recording(
     frames: &mut Recording,
     spans: &[LabelSpan],
-    fixed: Option<Truth>,
+    fixed_truth: Option<Truth>,
     mut processor: NoisyProcessor,
-    sink: &mut Sink,
+    sink: &mut MapSink,
 ) -> anyhow::Result<()> {
     check_spans(spans, None)?;
-    // As in `model evaluate`, the truth that a simulator wrote counts only where there are no labels.
+    // As in `model evaluate`, the truth that a simulator wrote counts only if there are no labels.
     let has_labels = spans.iter().any(|span| span.occupancy().is_some());
     let waveform = frames.waveform().clone();
     let mut map = processor.processor.empty_map();
     let mut frame = Frame::zeroed(waveform.shape());
-    let (mut unlabelled, mut silent) = (0u64, 0u64);
+    let (mut unlabelled, mut without_signal) = (0u64, 0u64);
     let mut extent_s: Option<(f64, f64)> = None;
     loop {
         if output::interrupted() {
@@ -135,7 +138,7 @@ fn recording(
                 let end_s = frame.time_s() + waveform.frame_interval_s();
                 extent_s = Some((extent_s.map_or(frame.time_s(), |(first, _)| first), end_s));
                 if !processor.processor.spec().has_signal(&frame) {
-                    silent += 1;
+                    without_signal += 1;
                     processor.processor.reset();
                     continue;
                 }
@@ -143,25 +146,25 @@ fn recording(
                     continue;
                 }
                 let labelled = || {
-                    let mut truth = labels::by_span(spans, &frame, &waveform)?;
-                    // A simulator also tells when somebody is partly in the room.
+                    let mut truth = labels::truth_of_frame(spans, &frame, &waveform)?;
+                    // A simulator also marks when somebody is partly in the room.
                     truth.transition |=
                         frame.truth.is_some_and(|own| own.transition && own.occupancy == truth.occupancy);
                     Some(truth)
                 };
-                match fixed.or_else(|| if has_labels { labelled() } else { frame.truth }) {
-                    Some(truth) => sink.offer(&map, truth)?,
+                match fixed_truth.or_else(|| if has_labels { labelled() } else { frame.truth }) {
+                    Some(truth) => sink.push_every_nth(&map, truth)?,
                     None => unlabelled += 1,
                 }
             }
         }
     }
-    labels::check_read(spans, extent_s)?;
+    labels::check_imported(spans, extent_s)?;
     if extent_s.is_none() {
         message!("{}: no frame, and so no map", sink.unit.recording);
     }
-    if silent > 0 {
-        message!("{}: {silent} frames in which a receiver gives no signal were left out", sink.unit.recording);
+    if without_signal > 0 {
+        message!("{}: {without_signal} frames in which a receiver gives no signal were left out", sink.unit.recording);
     }
     if unlabelled > 0 {
         message!("{}: {unlabelled} maps without a label were left out", sink.unit.recording);

@@ -177,7 +177,7 @@ const TOKEN_NEEDED: &str = "<!doctype html>
 
 impl Refusal {
     /// Builds the response. The response to a wrong token is delayed, so that tokens cannot be tried quickly.
-    pub async fn answer(self) -> Response {
+    pub async fn response(self) -> Response {
         if self == Refusal::WrongToken {
             tokio::time::sleep(WRONG_TOKEN_DELAY).await;
         }
@@ -239,14 +239,14 @@ impl Access {
     pub fn check_source(&self, headers: &HeaderMap) -> Result<(), Refusal> {
         let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or("");
         let host = text(header::HOST).to_ascii_lowercase();
-        if !self.hosts.knows(&host) {
+        if !self.hosts.contains(&host) {
             return Err(Refusal::Host);
         }
         // Only browsers send an origin. From another site, it names another host.
         if headers.contains_key(header::ORIGIN) {
             let origin = text(header::ORIGIN).to_ascii_lowercase();
-            let of = origin.strip_prefix("http://").or(origin.strip_prefix("https://")).unwrap_or("");
-            if of != host {
+            let origin_host = origin.strip_prefix("http://").or(origin.strip_prefix("https://")).unwrap_or("");
+            if origin_host != host {
                 return Err(Refusal::Origin);
             }
         }
@@ -287,7 +287,7 @@ impl Access {
 
     /// Response to a correct link: a cookie, and a redirect to the page's address without the token. This keeps the
     /// token out of the address bar and the history.
-    pub fn logged_in(&self) -> Response {
+    pub fn login_response(&self) -> Response {
         let mut response = StatusCode::SEE_OTHER.into_response();
         let headers = response.headers_mut();
         headers.insert(header::LOCATION, HeaderValue::from_static("./"));
@@ -365,7 +365,7 @@ impl Hosts {
 
     /// Returns whether a `Host` in lower case denotes this server: one of its names, or any address. Unlike a name, an
     /// address cannot be rebound, and another machine's address does not lead here.
-    fn knows(&self, host: &str) -> bool {
+    fn contains(&self, host: &str) -> bool {
         // Clients omit the default port of HTTP. The colons of an IPv6 address are within brackets.
         let has_port = host.contains(':') && !host.ends_with(']');
         let with_port = if self.port == 80 && !has_port { format!("{host}:80") } else { host.to_owned() };
@@ -404,7 +404,7 @@ mod tests {
         assert_eq!(link("/?token="), Some(false));
         assert_eq!(link("/"), None);
         assert_eq!(link("/labels.json?token=0123456789abcdef"), None, "only the page's own address");
-        let response = access.logged_in();
+        let response = access.login_response();
         assert_eq!(response.status(), StatusCode::SEE_OTHER);
         let cookie = response.headers()[header::SET_COOKIE].to_str().expect("text");
         assert!(cookie.starts_with("radome_8060=") && !cookie.contains("0123456789abcdef"), "{cookie}");
@@ -450,10 +450,10 @@ mod tests {
         use super::*;
 
         #[test]
-        fn names_that_are_not_ours_are_not_known() {
-            let here = Hosts::new("127.0.0.1:8060".parse().expect("an address"), &["Radar.example".into()]);
+        fn names_of_other_hosts_are_refused() {
+            let local = Hosts::new("127.0.0.1:8060".parse().expect("an address"), &["Radar.example".into()]);
             for host in ["127.0.0.1:8060", "localhost:8060", "[::1]:8060", "radar.example"] {
-                assert!(here.knows(host), "{host}");
+                assert!(local.contains(host), "{host}");
             }
             for host in [
                 "",
@@ -469,31 +469,31 @@ mod tests {
                 "[::1]",
                 "127.1:8060",
             ] {
-                assert!(!here.knows(host), "{host}");
+                assert!(!local.contains(host), "{host}");
             }
-            let open = Hosts::new("0.0.0.0:80".parse().expect("an address"), &[]);
+            let public = Hosts::new("0.0.0.0:80".parse().expect("an address"), &[]);
             for host in ["192.168.0.4:80", "192.168.0.4", "[fe80::1]:80"] {
-                assert!(open.knows(host), "{host}");
+                assert!(public.contains(host), "{host}");
             }
-            assert!(!open.knows("evil.example") && !open.knows("evil.example:80"));
+            assert!(!public.contains("evil.example") && !public.contains("evil.example:80"));
         }
 
         /// On port 80 names and IPv6 addresses were refused, because clients omit that port.
         #[test]
         fn the_default_port_may_be_omitted() {
             let of = |address: &str| Hosts::new(address.parse().expect("an address"), &["Radar.example:80".into()]);
-            let (here, open) = (of("127.0.0.1:80"), of("[::]:80"));
+            let (local, public) = (of("127.0.0.1:80"), of("[::]:80"));
             for host in ["localhost", "localhost:80", "radar.example", "radar.example:80", "127.0.0.1", "[::1]"] {
-                assert!(here.knows(host) && open.knows(host), "{host}");
+                assert!(local.contains(host) && public.contains(host), "{host}");
             }
-            assert!(open.knows("[fe80::1]") && open.knows("192.168.0.4"));
+            assert!(public.contains("[fe80::1]") && public.contains("192.168.0.4"));
             for host in ["", "localhost:81", "[fe80::1]", "192.168.0.4", "example", "[::1]:81"] {
-                assert!(!here.knows(host), "{host}");
+                assert!(!local.contains(host), "{host}");
             }
         }
 
         #[test]
-        fn what_is_no_token_opens_nothing() {
+        fn anything_but_the_token_is_refused() {
             let access = protected("0123456789abcdef");
             for nothing in [
                 headers(&[]),

@@ -1,5 +1,5 @@
-//! Background levels of an empty room with fans, curtains, pipes or machines. A map that shows no more than that is
-//! taken as empty, whatever the network predicts.
+//! Background levels of an empty room with fans, curtains, pipes or machines. A map that exceeds them by less than a threshold
+//! counts as empty, whatever the network predicts.
 
 use std::path::Path;
 
@@ -37,7 +37,7 @@ pub struct Background {
     format: u32,
     /// SHA-256 of the model that the maps are made for.
     model_hash: String,
-    /// Waveform of the frames that the maps were made of; captures of before have none.
+    /// Waveform of the frames that the maps were made of; older captures have none.
     #[serde(default)]
     waveform: Option<Waveform>,
     /// Greatest range at which people count, m; `None` for the whole room.
@@ -86,11 +86,11 @@ impl Capture {
             highest.iter_mut().zip(map).for_each(|(highest, cell)| *highest = highest.max(*cell));
         }
         let level_db = with_neighbours(&highest, doppler, range);
-        let most = last.iter().map(|map| excess_db(map, &level_db)).fold(0.0, f32::max);
-        let threshold_db = (MARGIN * most).max(LEAST_THRESHOLD_DB);
+        let most_db = last.iter().map(|map| excess_db(map, &level_db)).fold(0.0, f32::max);
+        let threshold_db = (MARGIN * most_db).max(LEAST_THRESHOLD_DB);
         if threshold_db > MOST_THRESHOLD_DB {
             bail!(
-                "the end of the capture exceeds its beginning by {most:.0} dB, summed over the cells of a map, expected at most \
+                "the end of the capture exceeds its beginning by {most_db:.0} dB, summed over the cells of a map, expected at most \
                  {:.0} dB: the room was not empty, or something moves in it that never does so twice in the same way\n\nhint: leave the \
                  room, or capture for longer",
                 MOST_THRESHOLD_DB / MARGIN
@@ -114,13 +114,13 @@ impl Capture {
 
 /// Maximum of each cell and its eight neighbours; velocities wrap around, ranges do not.
 fn with_neighbours(cells: &[f32], doppler: usize, range: usize) -> Vec<f32> {
-    let at = |d: usize, r: usize| {
+    let neighbourhood_maximum = |d: usize, r: usize| {
         let rows = [(d + doppler - 1) % doppler, d, (d + 1) % doppler];
         let columns = r.saturating_sub(1)..(r + 2).min(range);
         let near = rows.into_iter().flat_map(|row| columns.clone().map(move |column| row * range + column));
         near.filter_map(|i| cells.get(i)).copied().fold(f32::MIN, f32::max)
     };
-    (0..doppler * range).map(|i| at(i / range, i % range)).collect()
+    (0..doppler * range).map(|i| neighbourhood_maximum(i / range, i % range)).collect()
 }
 
 /// Sum of the excesses of cells over the level, dB.
@@ -134,14 +134,14 @@ impl Background {
     /// # Errors
     /// The file cannot be read, or it was captured with another model or another `--max-range-m`.
     pub fn load(path: &Path, judge: &Judge) -> anyhow::Result<Self> {
-        let named = || format!("{} is no capture of an empty room", path.display());
+        let context = || format!("{} is no capture of an empty room", path.display());
         let text = read(path, LIMIT_BYTES).with_context(|| {
             format!(
                 "cannot read {}\n\nhint: radome model background SOURCE -o FILE.json captures an empty room",
                 path.display()
             )
         })?;
-        let background: Background = serde_json::from_slice(&text).with_context(named)?;
+        let background: Background = serde_json::from_slice(&text).with_context(context)?;
         if background.format != FORMAT {
             bail!("{}: format {}, this program reads {FORMAT}", path.display(), background.format);
         }
@@ -149,9 +149,9 @@ impl Background {
         if background.doppler.checked_mul(background.range) != Some(cells) || cells == 0 {
             bail!("{}: {cells} cells, expected {} x {}", path.display(), background.doppler, background.range);
         }
-        let is_threshold = (LEAST_THRESHOLD_DB..=MOST_THRESHOLD_DB).contains(&background.threshold_db);
-        let is_level = |level_db: &f32| level_db.abs() <= MOST_LEVEL_DB;
-        if !is_threshold || !background.level_db.iter().all(is_level) {
+        let is_threshold_valid = (LEAST_THRESHOLD_DB..=MOST_THRESHOLD_DB).contains(&background.threshold_db);
+        let is_level_valid = |level_db: &f32| level_db.abs() <= MOST_LEVEL_DB;
+        if !is_threshold_valid || !background.level_db.iter().all(is_level_valid) {
             bail!(
                 "{}: its threshold of {} dB is not {LEAST_THRESHOLD_DB} to {MOST_THRESHOLD_DB} dB, or a level is beyond {MOST_LEVEL_DB} dB: \
                  the file is damaged\n\nhint: radome model background SOURCE -o FILE.json captures the empty room anew",
@@ -216,8 +216,8 @@ impl Background {
         })
     }
 
-    /// Returns whether a map shows no more than the empty room did.
-    pub fn is_all(&self, map: &Rdm) -> bool {
+    /// Returns whether a map exceeds the level of the empty room by no more than the threshold.
+    pub fn explains(&self, map: &Rdm) -> bool {
         (map.shape.doppler, map.shape.range) == (self.doppler, self.range)
             && excess_db(first_channel(map), &self.level_db) <= self.threshold_db
     }
@@ -228,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn neighbours_go_round_in_velocity_and_end_in_range() {
+    fn neighbours_wrap_around_in_velocity_and_end_in_range() {
         let mut cells = vec![0.0; 4 * 3];
         cells[0] = 5.0;
         let level = with_neighbours(&cells, 4, 3);

@@ -13,19 +13,19 @@ use super::background::{Background, NOBODY_SEEN};
 use super::health::Health;
 use super::occupancy::PeopleCount;
 use super::pipeline::{End, Inlet, Item};
-use super::sink::{Moment, Sink};
-use crate::judge::{Delays, Judge, Model, Prediction};
+use super::sink::{ClassifiedFrame, Sink};
+use crate::classifier::{Delays, FrameClassifier, Model, Prediction};
 use crate::{output, panics};
 
-/// Longest time without frames over which earlier ones say anything of the present, s.
+/// Longest time without frames over which earlier frames still affect answers, s.
 const LONGEST_MEMORY_S: f64 = 5.0;
 
-/// Memories of a model after which little is left of a frame: a twentieth of its weight.
+/// Multiple of the model's memory after which a frame has lost 95 % of its weight.
 const MEMORIES: f64 = 3.0;
 
 /// Classifies frames one after the other.
-pub struct FrameClassifier {
-    judge: Judge,
+pub struct LiveClassifier {
+    frame_classifier: FrameClassifier,
     filter: OccupancyFilter,
     background: Option<Background>,
     outage: Outage,
@@ -37,19 +37,19 @@ pub struct FrameClassifier {
     map_s: f64,
     /// Time over which the model averages the evidence of frames, s.
     model_memory_s: f64,
-    /// Time without frames, or without a signal in them, after which it begins anew, s.
-    forgets_after_s: f64,
+    /// Time without frames, or without a signal in them, after which the state is reset, s.
+    reset_after_s: f64,
     last_time_s: Option<f64>,
-    /// Time of the last frame with a signal since it began anew, s.
+    /// Time of the last frame with a signal since the reset, s.
     last_signal_s: Option<f64>,
     pub health: Health,
     transition_frames: u64,
     all: Confusion,
-    settled: Confusion,
+    without_transitions: Confusion,
     unfiltered: Confusion,
 }
 
-impl FrameClassifier {
+impl LiveClassifier {
     /// Creates a classifier for a waveform; refuses one that the model does not support. People farther away than `max_range_m`, if
     /// given, do not count.
     ///
@@ -65,9 +65,9 @@ impl FrameClassifier {
         let smoothing = model.smoothing();
         let map_s = model.frames() as f64 * waveform.frame_interval_s();
         let model_memory_s = model.memory_s();
-        Ok(FrameClassifier {
+        Ok(LiveClassifier {
             filter: OccupancyFilter::new(smoothing, waveform.frame_interval_s()),
-            judge: model.judge(waveform, max_range_m)?,
+            frame_classifier: model.for_waveform(waveform, max_range_m)?,
             background: None,
             outage: Outage::default(),
             transport: None,
@@ -76,8 +76,8 @@ impl FrameClassifier {
             smoothing,
             map_s,
             model_memory_s,
-            // At few frames a second some may be missing, too. Who holds a count for minutes holds it over a gap.
-            forgets_after_s: (smoothing.dwell_s.min(LONGEST_MEMORY_S))
+            // At a low frame rate, three frames may be missing. A count that is held for minutes is also held over a gap.
+            reset_after_s: (smoothing.dwell_s.min(LONGEST_MEMORY_S))
                 .max(3.0 * waveform.frame_interval_s())
                 .max(delays.off_s),
             last_time_s: None,
@@ -85,7 +85,7 @@ impl FrameClassifier {
             health: Health::new(started),
             transition_frames: 0,
             all: Confusion::default(),
-            settled: Confusion::default(),
+            without_transitions: Confusion::default(),
             unfiltered: Confusion::default(),
         })
     }
@@ -96,20 +96,20 @@ impl FrameClassifier {
         self
     }
 
-    /// Counts an outage in which the run is stopped.
+    /// Counts an outage during which the run is stopped as a gap at the end.
     pub fn with_outage(mut self, outage: Outage) -> Self {
         self.outage = outage;
         self
     }
 
-    /// Neither counts nor passes on the frames that come before the one that this transport has sought.
+    /// Marks the frames before the one that this transport has sought: they are neither counted nor passed on.
     pub fn with_transport(mut self, transport: Transport) -> Self {
         self.transport = Some(transport);
         self
     }
 
     pub fn map(&self) -> &Rdm {
-        self.judge.map()
+        self.frame_classifier.map()
     }
 
     /// Time over which earlier frames affect an answer, s: the frames of a map, what the model remembers, and the time for which
@@ -119,32 +119,31 @@ impl FrameClassifier {
     }
 
     /// Notes missing frames and resets state that must not persist across them.
-    pub fn gap(&mut self, gap: &Gap) {
-        self.health.lost(gap);
-        self.judge.reset();
+    pub fn note_gap(&mut self, gap: &Gap) {
+        self.health.add_gap(gap);
+        self.frame_classifier.reset();
     }
 
     /// Classifies a frame that arrived at `arrived`.
     ///
     /// # Errors
-    /// The frame is of another shape than the waveform says, or the model fails.
-    pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
+    /// The frame does not have the shape of the waveform, or the model fails.
+    pub fn classify(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
         let time_s = frame.time_s();
-        let is_long_after = |last_s: f64| time_s - last_s > self.forgets_after_s;
-        let is_other_time = self.last_time_s.is_some_and(|last_s| time_s < last_s || is_long_after(last_s));
+        let is_long_after = |last_s: f64| time_s - last_s > self.reset_after_s;
+        let has_jumped = self.last_time_s.is_some_and(|last_s| time_s < last_s || is_long_after(last_s));
         let is_outdated = self.last_signal_s.is_some_and(is_long_after);
-        if is_other_time {
-            self.judge.reset();
+        if has_jumped {
+            self.frame_classifier.reset();
         }
-        if is_other_time || is_outdated {
-            // The state is of another time, after a seek in a recording, a long gap or long without a signal: people may have
-            // come or gone.
+        if has_jumped || is_outdated {
+            // After a seek in a recording, a long gap or a long time without a signal, people may have come or gone.
             self.last_signal_s = None;
             self.filter.reset();
             self.people = PeopleCount::new(self.delays.on_s, self.delays.off_s);
         }
         self.last_time_s = Some(time_s);
-        let prediction = self.judge.frame(frame)?;
+        let prediction = self.frame_classifier.classify(frame)?;
         let mut answer = Answer {
             sequence: frame.sequence,
             time_s,
@@ -160,7 +159,7 @@ impl FrameClassifier {
                 answer.saturated_samples = frame.saturated_samples();
             }
             Prediction::Probabilities(raw) => {
-                let is_background = self.background.as_ref().is_some_and(|background| background.is_all(self.map()));
+                let is_background = self.background.as_ref().is_some_and(|background| background.explains(self.map()));
                 let raw = if is_background { NOBODY_SEEN } else { raw };
                 let filtered = self.filter.update(answer.time_s, raw);
                 let label = most_probable(&filtered);
@@ -174,8 +173,8 @@ impl FrameClassifier {
         if !answer.no_signal {
             self.last_signal_s = Some(time_s);
         }
-        // Frames without a label contain no information about people, so that the previous state persists: while a window of
-        // frames fills, and for a while without a signal.
+        // Frames without a label contain no information about people, so the previous state persists. They occur while a window
+        // of frames fills, and without a signal.
         answer.people = self.people.people();
         answer.occupied = answer.people > 0;
         answer.is_settled = self.people.is_settled();
@@ -183,7 +182,7 @@ impl FrameClassifier {
         let latency = arrived.elapsed();
         answer.latency_ms = latency.as_secs_f64() * 1e3;
         if !answer.is_preroll {
-            self.health.frame(arrived, latency);
+            self.health.add_frame(arrived, latency);
             self.count(&answer, frame.truth);
         }
         Ok(answer)
@@ -203,7 +202,7 @@ impl FrameClassifier {
         if truth.transition {
             self.transition_frames += 1;
         } else {
-            self.settled[row][label.index()] += 1;
+            self.without_transitions[row][label.index()] += 1;
         }
     }
 
@@ -222,7 +221,7 @@ impl FrameClassifier {
             labels: Occupancy::ALL.iter().map(|o| (o.name(), health.labels[o.index()])).collect(),
             balanced_accuracy: all.as_ref().map(|m| m.balanced_accuracy),
             metrics: all,
-            metrics_without_transitions: metrics(&self.settled),
+            metrics_without_transitions: metrics(&self.without_transitions),
             transition_frames: self.transition_frames,
             metrics_unfiltered: metrics(&self.unfiltered),
             latency_ms: Latency {
@@ -235,20 +234,20 @@ impl FrameClassifier {
     }
 }
 
-/// Runs until the stream ends. Passes every answer and gap to the sinks in their order, then the summary, which it also
-/// returns. A panic of the classifier or of a sink becomes an error, and the other sinks are still ended.
+/// Runs until the stream ends. Passes answers and gaps to the sinks in order, then the summary, which it also returns. A panic of
+/// the classifier or of a sink becomes an error, and the other sinks are still ended.
 ///
 /// # Errors
-/// The first one of the stream, the judge and the sinks; others are written to stderr. A closed stdout, which ends the
-/// run too, is given only where nothing else went wrong.
+/// The first error of the stream, the classifier and the sinks; others are written to stderr. A closed stdout, which also ends
+/// the run, is returned only if there is no other error.
 pub fn run(
     inlet: &Inlet,
-    judge: &mut FrameClassifier,
-    patience: Duration,
+    classifier: &mut LiveClassifier,
+    poll_interval: Duration,
     sinks: &mut [Box<dyn Sink>],
 ) -> anyhow::Result<Summary> {
-    let mut ends = vec![guarded(|| judge_all(inlet, judge, patience, sinks))];
-    let summary = judge.summary();
+    let mut ends = vec![guarded(|| classify_all(inlet, classifier, poll_interval, sinks))];
+    let summary = classifier.summary();
     // Sinks complete their output whatever ended the run.
     ends.extend(sinks.iter_mut().map(|sink| guarded(|| sink.end(&summary))));
     let (closed, failed): (Vec<_>, Vec<_>) =
@@ -265,87 +264,104 @@ pub fn run(
 }
 
 fn guarded(work: impl FnOnce() -> anyhow::Result<()>) -> anyhow::Result<()> {
-    panics::caught(work).unwrap_or_else(|panicked| Err(panicked.into()))
+    panics::catch_panic(work).unwrap_or_else(|panicked| Err(panicked.into()))
 }
 
-fn judge_all(
+fn classify_all(
     inlet: &Inlet,
-    judge: &mut FrameClassifier,
-    patience: Duration,
+    classifier: &mut LiveClassifier,
+    poll_interval: Duration,
     sinks: &mut [Box<dyn Sink>],
 ) -> anyhow::Result<()> {
-    let mut missed = Missed { inlet, noted: 0, next_sequence: 0 };
+    let mut missed = MissedFrames { inlet, reported: 0, next_sequence: 0 };
     while !output::interrupted() {
-        let delivery = match inlet.receiver.recv_timeout(patience) {
+        let delivery = match inlet.receiver.recv_timeout(poll_interval) {
             Ok(delivery) => delivery,
             Err(crossbeam::channel::RecvTimeoutError::Timeout) => continue,
             Err(crossbeam::channel::RecvTimeoutError::Disconnected) => {
-                return missed.note_end(inlet.closed(), judge, sinks);
+                return missed.report_end(inlet.end_of_stream(), classifier, sinks);
             }
         };
         match delivery.item {
             Item::Frame(frame) => {
-                missed.note(frame.sequence, judge, sinks)?;
-                let answer = judge.frame(&frame, delivery.arrived)?;
+                missed.report_before(frame.sequence, classifier, sinks)?;
+                let answer = classifier.classify(&frame, delivery.arrived)?;
                 if answer.is_preroll {
                     continue;
                 }
-                let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: &judge.health };
+                let classified = ClassifiedFrame {
+                    answer: &answer,
+                    frame: &frame,
+                    map: classifier.map(),
+                    health: &classifier.health,
+                };
                 for sink in sinks.iter_mut() {
-                    sink.answer(&moment)?;
+                    sink.answer(&classified)?;
                 }
             }
-            Item::Gap(gap) => tell_gap(&gap, judge, sinks)?,
-            Item::End(end) => return missed.note_end(end, judge, sinks),
+            Item::Gap(gap) => report_gap(&gap, classifier, sinks)?,
+            Item::End(end) => return missed.report_end(end, classifier, sinks),
         }
     }
-    let outage = judge.outage.gap(missed.next_sequence);
-    missed.note_last(outage, judge, sinks)
+    let outage = classifier.outage.gap(missed.next_sequence);
+    missed.report_last(outage, classifier, sinks)
 }
 
-fn tell_gap(gap: &Gap, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
-    judge.gap(gap);
-    sinks.iter_mut().try_for_each(|sink| sink.gap(gap, &judge.health))
+/// Counts a gap, and passes it to the sinks.
+fn report_gap(gap: &Gap, classifier: &mut LiveClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
+    classifier.note_gap(gap);
+    sinks.iter_mut().try_for_each(|sink| sink.gap(gap, &classifier.health))
 }
 
-/// Converts frames that the classifier was too slow for to gaps at their position.
-struct Missed<'a> {
+/// Reports frames that were dropped because the classifier was too slow, as gaps at their position.
+struct MissedFrames<'a> {
     inlet: &'a Inlet,
-    noted: u64,
+    /// Number of missed frames that are reported.
+    reported: u64,
     next_sequence: u64,
 }
 
-impl Missed<'_> {
-    /// Notes missed frames before the frame with this number is classified.
-    fn note(&mut self, sequence: u64, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
+impl MissedFrames<'_> {
+    /// Reports frames that were missed before the frame with this number.
+    fn report_before(
+        &mut self,
+        sequence: u64,
+        classifier: &mut LiveClassifier,
+        sinks: &mut [Box<dyn Sink>],
+    ) -> anyhow::Result<()> {
         let dropped = self.inlet.queue.missed.load(Ordering::Relaxed);
         let missed = dropped.saturating_add(self.inlet.queue.missed_in_gaps.load(Ordering::Relaxed));
         let first_sequence = std::mem::replace(&mut self.next_sequence, sequence.saturating_add(1));
-        let frames = missed - std::mem::replace(&mut self.noted, missed);
+        let frames = missed - std::mem::replace(&mut self.reported, missed);
         if frames > 0 {
-            tell_gap(&Gap { first_sequence, frames, reason: GapReason::QueueFull }, judge, sinks)?;
+            report_gap(&Gap { first_sequence, frames, reason: GapReason::QueueFull }, classifier, sinks)?;
         }
         Ok(())
     }
 
-    /// Notes the end of the stream, and the gap that a board leaves there that was lost. Returns the error of the stream, if it
-    /// has one.
-    fn note_end(&mut self, end: End, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
-        let gap = end.as_ref().err().and_then(|failure| failure.gap(self.next_sequence));
-        let noted = self.note_last(gap, judge, sinks);
-        end?;
-        noted
-    }
-
-    /// Notes the frames that were missed up to the end, and a gap that follows them.
-    fn note_last(
+    /// Reports missed frames at the end of the stream, and the gap that a lost board leaves there. Returns the error of the
+    /// stream, if it has one.
+    fn report_end(
         &mut self,
-        gap: Option<Gap>,
-        judge: &mut FrameClassifier,
+        end: End,
+        classifier: &mut LiveClassifier,
         sinks: &mut [Box<dyn Sink>],
     ) -> anyhow::Result<()> {
-        self.note(u64::MAX, judge, sinks)?;
-        gap.map_or(Ok(()), |gap| tell_gap(&gap, judge, sinks))
+        let gap = end.as_ref().err().and_then(|failure| failure.gap(self.next_sequence));
+        let reported = self.report_last(gap, classifier, sinks);
+        end?;
+        reported
+    }
+
+    /// Reports the frames that were missed up to the end, and a gap that follows them.
+    fn report_last(
+        &mut self,
+        gap: Option<Gap>,
+        classifier: &mut LiveClassifier,
+        sinks: &mut [Box<dyn Sink>],
+    ) -> anyhow::Result<()> {
+        self.report_before(u64::MAX, classifier, sinks)?;
+        gap.map_or(Ok(()), |gap| report_gap(&gap, classifier, sinks))
     }
 }
 
@@ -364,15 +380,15 @@ mod tests {
         Waveform::realise(WaveformRequest::paper()).expect("a valid waveform")
     }
 
-    fn judge() -> FrameClassifier {
-        FrameClassifier::new(Model::Cfar, &waveform(), Delays::default(), None, Instant::now()).expect("a judge")
+    fn classifier() -> LiveClassifier {
+        LiveClassifier::new(Model::Cfar, &waveform(), Delays::default(), None, Instant::now()).expect("a classifier")
     }
 
     /// Sink that runs a given function for each answer, and counts how often it is ended.
-    struct Told(fn() -> anyhow::Result<()>, Rc<Cell<usize>>);
+    struct CallbackSink(fn() -> anyhow::Result<()>, Rc<Cell<usize>>);
 
-    impl Sink for Told {
-        fn answer(&mut self, _moment: &Moment) -> anyhow::Result<()> {
+    impl Sink for CallbackSink {
+        fn answer(&mut self, _classified: &ClassifiedFrame) -> anyhow::Result<()> {
             (self.0)()
         }
 
@@ -398,17 +414,17 @@ mod tests {
         let _reader = pipeline.start(Box::new(source), Some(3));
         let ends = Rc::new(Cell::new(0));
         let mut sinks: Vec<Box<dyn Sink>> =
-            vec![Box::new(Told(|| Ok(()), ends.clone())), Box::new(Told(answer, ends.clone()))];
-        let error = run(&inlet, &mut judge(), Duration::from_millis(10), &mut sinks).expect_err("an error");
+            vec![Box::new(CallbackSink(|| Ok(()), ends.clone())), Box::new(CallbackSink(answer, ends.clone()))];
+        let error = run(&inlet, &mut classifier(), Duration::from_millis(10), &mut sinks).expect_err("an error");
         (error, ends.get())
     }
 
     #[test]
-    fn a_source_that_has_gone_without_a_word_is_an_error() {
+    fn a_source_that_ends_without_a_result_is_an_error() {
         let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
         drop(pipeline);
-        let error = run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect_err("no end was told");
+        let error = run(&inlet, &mut classifier(), Duration::from_secs(600), &mut []).expect_err("no end was sent");
         assert!(error.to_string().contains("without a result"), "{error}");
     }
 
@@ -416,7 +432,7 @@ mod tests {
     struct Gaps(Rc<RefCell<Vec<Gap>>>);
 
     impl Sink for Gaps {
-        fn answer(&mut self, _moment: &Moment) -> anyhow::Result<()> {
+        fn answer(&mut self, _classified: &ClassifiedFrame) -> anyhow::Result<()> {
             Ok(())
         }
 
@@ -426,9 +442,9 @@ mod tests {
         }
     }
 
-    /// Regression test: the gap was counted, but no sink was told of it.
+    /// Regression test: the gap was counted, but no sink received it.
     #[test]
-    fn the_gap_that_a_lost_board_leaves_at_the_end_is_told() {
+    fn sinks_receive_the_gap_that_a_lost_board_leaves_at_the_end() {
         let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("classifier", 8, Policy::Wait);
         let mut next = 0;
@@ -442,22 +458,23 @@ mod tests {
             Ok(SourceEvent::Frame)
         });
         let _reader = pipeline.start(Box::new(source), None);
-        let told = Rc::<RefCell<Vec<Gap>>>::default();
-        let mut judge = judge();
-        let outcome = run(&inlet, &mut judge, Duration::from_secs(5), &mut [Box::new(Gaps(told.clone()))]);
+        let received = Rc::<RefCell<Vec<Gap>>>::default();
+        let mut classifier = classifier();
+        let outcome = run(&inlet, &mut classifier, Duration::from_secs(5), &mut [Box::new(Gaps(received.clone()))]);
         assert!(outcome.is_err(), "the board is lost");
         let expected = Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected };
-        assert_eq!((told.take(), judge.summary().gaps_of_unknown_length), (vec![expected], 1));
+        assert_eq!((received.take(), classifier.summary().gaps_of_unknown_length), (vec![expected], 1));
     }
 
-    /// Regression test: of a stdout that nobody read while the recording ended, it was said that the source had gone.
+    /// Regression test: if nobody read stdout while the recording ended, the error said that the source had ended without a
+    /// result.
     #[test]
     fn an_end_that_could_not_be_delivered_in_time_is_an_end() {
         let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
         inlet.queue.end.set(Ok(())).expect("no end yet");
         drop(pipeline);
-        run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect("an end");
+        run(&inlet, &mut classifier(), Duration::from_secs(600), &mut []).expect("an end");
     }
 
     #[test]

@@ -86,13 +86,14 @@ impl Health {
     }
 
     /// Counts a frame that has arrived and been classified.
-    pub fn frame(&mut self, arrived: Instant, latency: Duration) {
+    pub fn add_frame(&mut self, arrived: Instant, latency: Duration) {
         self.frames += 1;
         self.latency.add(latency);
         self.arrivals.add(arrived);
     }
 
-    pub fn lost(&mut self, gap: &Gap) {
+    /// Counts a gap.
+    pub fn add_gap(&mut self, gap: &Gap) {
         match gap.frames {
             0 => self.unknown_gaps += 1,
             frames => *self.dropped.entry(gap.reason).or_default() += frames,
@@ -143,17 +144,17 @@ impl LatencyHistogram {
     /// frames.
     pub fn quantile_s(&self, q: f64) -> f64 {
         let rank = (q * self.total.saturating_sub(1) as f64).round() as u64;
-        let mut seen = 0;
+        let mut cumulative = 0;
         for (bin, count) in self.counts.iter().enumerate() {
-            seen += count;
-            if seen > rank {
+            cumulative += count;
+            if cumulative > rank {
                 return Self::SHORTEST_S * Self::RATIO.powf(bin as f64 + 0.5);
             }
         }
         0.0
     }
 
-    /// Number of latencies up to `bound_s`, to the nearest bin.
+    /// Number of latencies up to `bound_s`, rounded to the nearest bin.
     pub fn count_up_to(&self, bound_s: f64) -> u64 {
         let bins = (bound_s / Self::SHORTEST_S).max(1.0).ln() / Self::RATIO.ln();
         self.counts.iter().take(bins.round() as usize).sum()
@@ -196,9 +197,9 @@ mod tests {
         #[test]
         fn a_gap_of_unknown_length_counts_no_frames_of_its_reason() {
             let mut health = Health::new(Instant::now());
-            health.lost(&Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected });
+            health.add_gap(&Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected });
             assert_eq!((health.dropped.len(), health.unknown_gaps), (0, 1));
-            health.lost(&Gap { first_sequence: 3, frames: 2, reason: GapReason::Crc });
+            health.add_gap(&Gap { first_sequence: 3, frames: 2, reason: GapReason::Crc });
             assert_eq!((health.dropped_total(), health.unknown_gaps), (2, 1));
         }
 
@@ -207,10 +208,10 @@ mod tests {
             let now = Instant::now();
             let mut health = Health::new(now);
             assert_eq!(health.frames_per_s(), 0.0);
-            health.frame(now, Duration::ZERO);
+            health.add_frame(now, Duration::ZERO);
             assert_eq!(health.frames_per_s(), 0.0);
             for i in 1..100 {
-                health.frame(now + Duration::from_millis(100 * i), Duration::ZERO);
+                health.add_frame(now + Duration::from_millis(100 * i), Duration::ZERO);
             }
             assert!((health.frames_per_s() - 10.0).abs() < 1e-9);
         }

@@ -85,7 +85,7 @@ pub async fn serve(
     limits: Limits,
     on_event: impl Fn(Event) + Send + Sync + 'static,
 ) {
-    let router = router.layer(middleware::map_response(close_after));
+    let router = router.layer(middleware::map_response(close_after_response));
     let connections = Mutex::default();
     let server = Arc::new(Server { limits, connections, on_event: Box::new(on_event) });
     loop {
@@ -100,7 +100,7 @@ pub async fn serve(
 }
 
 /// Closes the connection after its first response, so that idle clients occupy no connection.
-async fn close_after(mut response: Response) -> Response {
+async fn close_after_response(mut response: Response) -> Response {
     if response.status() != StatusCode::SWITCHING_PROTOCOLS {
         response.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
     }
@@ -151,11 +151,11 @@ impl Server {
         let replaced = connections.make_room(&self.limits, network);
         let id = connections.next_id;
         connections.next_id += 1;
-        let entry = Entry { server: self.clone(), id };
+        let guard = ConnectionGuard { server: self.clone(), id };
         let task = tokio::spawn(async move {
-            let outcome = tokio::time::timeout(entry.server.limits.request, connection).await;
+            let outcome = tokio::time::timeout(guard.server.limits.request, connection).await;
             if !matches!(outcome, Ok(Ok(()))) {
-                (entry.server.on_event)(Event::Failed);
+                (guard.server.on_event)(Event::Failed);
             }
         });
         connections.open.push(Connection { id, network, client, task: task.abort_handle() });
@@ -168,12 +168,12 @@ impl Server {
 }
 
 /// Guard that removes a connection from the list when its task ends for any reason.
-struct Entry {
+struct ConnectionGuard {
     server: Arc<Server>,
     id: u64,
 }
 
-impl Drop for Entry {
+impl Drop for ConnectionGuard {
     fn drop(&mut self) {
         lock(&self.server.connections).open.retain(|connection| connection.id != self.id);
     }
@@ -183,15 +183,16 @@ impl Connections {
     /// Removes and returns the connection that a new one from `network` replaces, if there are too many.
     fn make_room(&mut self, limits: &Limits, network: Option<IpAddr>) -> Option<Connection> {
         let of_network = self.open.iter().filter(|connection| connection.network == network).count();
-        let is_crowd = network.is_some() && of_network >= limits.per_address;
-        if !is_crowd && self.open.len() < limits.connections {
+        let is_network_full = network.is_some() && of_network >= limits.per_address;
+        if !is_network_full && self.open.len() < limits.connections {
             return None;
         }
         // If one address has too many connections, a new one replaces one of its own.
-        let may_go = |connection: &Connection| !is_crowd || connection.network == network;
-        let stranger = self.open.iter().position(|connection| may_go(connection) && !connection.client.is_admitted());
-        let oldest = stranger.or_else(|| self.open.iter().position(may_go))?;
-        Some(self.open.remove(oldest))
+        let is_replaceable = |connection: &Connection| !is_network_full || connection.network == network;
+        let not_admitted =
+            self.open.iter().position(|connection| is_replaceable(connection) && !connection.client.is_admitted());
+        let replaced = not_admitted.or_else(|| self.open.iter().position(is_replaceable))?;
+        Some(self.open.remove(replaced))
     }
 }
 
@@ -293,7 +294,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn a_head_that_comes_byte_by_byte_is_given_up() {
+        fn a_head_that_comes_byte_by_byte_is_abandoned() {
             let server = start(Limits { head: Duration::from_millis(300), ..Limits::default() });
             let mut stream = server.connect();
             let start = Instant::now();
@@ -311,7 +312,7 @@ mod tests {
         }
 
         #[test]
-        fn a_client_that_does_not_read_its_answer_is_given_up() {
+        fn a_client_that_does_not_read_its_response_is_abandoned() {
             let server = start(Limits { request: Duration::from_secs(1), ..Limits::default() });
             let mut stream = server.connect();
             stream.write_all(b"GET /large HTTP/1.1\r\nHost: x\r\n\r\n").expect("sent");
@@ -322,7 +323,7 @@ mod tests {
         }
 
         #[test]
-        fn silent_connections_give_way_to_new_ones() {
+        fn silent_connections_are_closed_for_new_ones() {
             let server = start(Limits { connections: 4, head: PATIENCE, request: PATIENCE, ..Limits::default() });
             let silent: Vec<_> = (0..40).map(|_| server.connect()).collect();
             for _ in 0..3 {
@@ -335,7 +336,7 @@ mod tests {
         }
 
         #[test]
-        fn a_crowd_from_one_address_replaces_its_own_and_those_not_admitted_first() {
+        fn an_address_with_too_many_connections_replaces_its_own_and_those_not_admitted_first() {
             let runtime = tokio::runtime::Builder::new_current_thread().build().expect("a runtime");
             let task = runtime.spawn(async {}).abort_handle();
             let [here, near, far] =

@@ -8,7 +8,7 @@ struct Hysteresis {
     on_delay_s: f64,
     off_delay_s: f64,
     is_on: bool,
-    /// Time since which the frames have contradicted the state.
+    /// Time since which the labels have contradicted the state, s.
     contrary_since_s: Option<f64>,
 }
 
@@ -17,28 +17,28 @@ impl Hysteresis {
         Hysteresis { on_delay_s, off_delay_s, is_on: false, contrary_since_s: None }
     }
 
-    fn update(&mut self, time_s: f64, says_on: bool) {
-        if says_on == self.is_on {
+    fn update(&mut self, time_s: f64, is_on_label: bool) {
+        if is_on_label == self.is_on {
             self.contrary_since_s = None;
             return;
         }
         let since_s = *self.contrary_since_s.get_or_insert(time_s);
         let delay_s = if self.is_on { self.off_delay_s } else { self.on_delay_s };
         if time_s - since_s >= delay_s {
-            self.is_on = says_on;
+            self.is_on = is_on_label;
             self.contrary_since_s = None;
         }
     }
 }
 
-/// Longest time from the first label on for which a count of nobody is unsettled if the delays are not longer, s.
+/// Longest time after the first label for which a count of 0 is unsettled, s. A longer on delay takes its place.
 const LONGEST_SETTLING_S: f64 = 5.0;
 
 /// Number of people in a room. The same delays apply to each person, so neither the first nor the second one flickers.
 #[derive(Debug, Clone)]
 pub struct PeopleCount {
     at_least: [Hysteresis; 2],
-    /// Time from the first label on after which a count of nobody is settled, s.
+    /// Time after the first label from which on a count of 0 is settled, s.
     settling_s: f64,
     /// Time of the first label, s.
     first_s: Option<f64>,
@@ -67,14 +67,14 @@ impl PeopleCount {
         people
     }
 
-    /// Returns whether the count is due to labels. It begins at nobody, whoever is in the room.
+    /// Returns whether enough labels have come for the count. Before, it is 0, even if people are in the room.
     pub fn is_settled(&self) -> bool {
         self.is_settled
     }
 
     /// Number of people as of the last label.
     pub fn people(&self) -> usize {
-        self.at_least.iter().filter(|holds| holds.is_on).count()
+        self.at_least.iter().filter(|state| state.is_on).count()
     }
 }
 
@@ -95,10 +95,9 @@ mod tests {
         assert_eq!(at(3.0, Occupancy::Empty), 0);
     }
 
-    /// Regression test: after each start the room counted as empty until the first person's delay was over, and other
-    /// programs were told so.
+    /// Regression test: after each start, the room was reported as empty until the delay of the first person was over.
     #[test]
-    fn nobody_counts_as_settled_only_when_somebody_would_have_been_seen() {
+    fn a_count_of_nobody_is_settled_only_when_somebody_would_have_been_counted() {
         for (label, settled_s) in [(Occupancy::One, 0.5), (Occupancy::Empty, 2.0)] {
             let mut state = PeopleCount::new(0.5, 2.0);
             for tenths in 0..40 {

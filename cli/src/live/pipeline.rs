@@ -11,7 +11,7 @@ use radome_driver::BoardError;
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent};
 
 use crate::output;
-use crate::panics::{Panicked, caught};
+use crate::panics::{Panicked, catch_panic};
 
 /// Item that a consumer receives.
 pub enum Item {
@@ -39,7 +39,7 @@ impl From<SourceError> for Failure {
 
 impl Failure {
     /// Error of a source that ended without a result.
-    pub fn without_a_word() -> Self {
+    pub fn without_result() -> Self {
         SourceError::from("the source ended without a result; its last frames may be missing").into()
     }
 
@@ -71,9 +71,9 @@ pub enum Policy {
     DropOldest,
     /// No frame may be lost. If the consumer stalls for this long, the pipeline stops with an error.
     Lossless(Duration),
-    /// No frame may be lost. A consumer that stalls for this long is left behind ([`Queue::is_left_behind`]), and the others
-    /// go on.
-    LosslessOrGone(Duration),
+    /// No frame may be lost. A consumer that stalls for this long is abandoned ([`Queue::is_abandoned`]), and the others go
+    /// on.
+    LosslessOrAbandoned(Duration),
 }
 
 /// State of a consumer's queue, which both ends see.
@@ -83,9 +83,9 @@ pub struct Queue {
     pub missed: AtomicU64,
     /// Missing frames of the gaps that were dropped with them.
     pub missed_in_gaps: AtomicU64,
-    /// Whether the pipeline has given this consumer up because it stalled. It receives no further items.
-    pub is_left_behind: AtomicBool,
-    /// Whether this consumer has taken nothing for as long as it may.
+    /// Whether the pipeline has abandoned this consumer because it stalled. It receives no further items.
+    pub is_abandoned: AtomicBool,
+    /// Whether this consumer has taken nothing for the time that its policy allows.
     pub has_stalled: AtomicBool,
     /// Result of the stream. It is set before any consumer receives it.
     pub end: OnceLock<End>,
@@ -108,10 +108,10 @@ pub struct Inlet {
 }
 
 impl Inlet {
-    /// Result of a stream whose queue is closed and empty. It is known even where the last item could not be delivered in
-    /// time, because the consumer took none.
-    pub fn closed(&self) -> End {
-        self.queue.end.get().cloned().unwrap_or_else(|| Err(Failure::without_a_word()))
+    /// Result of the stream, once the queue is closed and empty. It is known even if the last item could not be delivered in
+    /// time because the consumer took none.
+    pub fn end_of_stream(&self) -> End {
+        self.queue.end.get().cloned().unwrap_or_else(|| Err(Failure::without_result()))
     }
 }
 
@@ -140,10 +140,10 @@ impl Pipeline {
     /// Starts the reader. `limit` ends the stream after this number of frames.
     pub fn start(self, source: Box<dyn FrameSource>, limit: Option<u64>) -> Reader {
         let stop = Arc::new(AtomicBool::new(false));
-        let told = stop.clone();
+        let stop_flag = stop.clone();
         let outlets = self.outlets;
         let thread = std::thread::spawn(move || {
-            let end: End = match caught(|| read(source, &outlets, limit, &told)) {
+            let end: End = match catch_panic(|| read(source, &outlets, limit, &stop_flag)) {
                 Ok(end) => end.map_err(Failure::from),
                 Err(panicked) => Err(SourceError::from(panicked).into()),
             };
@@ -167,8 +167,8 @@ impl Drop for Reader {
     fn drop(&mut self) {
         self.stop();
         // A source that waits for its board to reconnect must not delay the end of the program.
-        let patience = Instant::now() + Duration::from_secs(1);
-        while self.thread.as_ref().is_some_and(|thread| !thread.is_finished() && Instant::now() < patience) {
+        let deadline = Instant::now() + Duration::from_secs(1);
+        while self.thread.as_ref().is_some_and(|thread| !thread.is_finished() && Instant::now() < deadline) {
             std::thread::sleep(Duration::from_millis(5));
         }
         if let Some(thread) = self.thread.take().filter(JoinHandle::is_finished) {
@@ -177,11 +177,11 @@ impl Drop for Reader {
     }
 }
 
-/// Items of a source for a single consumer, for which the reader waits. They are read on a thread of their own, so that a signal
-/// ends the wait for a board that is away.
+/// Items of a source for a single consumer. A separate thread reads them and waits for the consumer, so that a signal ends the
+/// wait for a board that is away.
 pub struct Items {
     inlet: Inlet,
-    /// Dropped after the inlet: without it, the reader does not wait to deliver an item.
+    /// Dropped after the inlet: once the inlet is gone, the reader does not wait to deliver an item.
     _reader: Reader,
 }
 
@@ -207,7 +207,7 @@ impl Items {
                 Ok(delivery) => return Ok(delivery.item),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
-                    self.inlet.closed()?;
+                    self.inlet.end_of_stream()?;
                     break;
                 }
             }
@@ -223,9 +223,9 @@ fn read(
     stop: &AtomicBool,
 ) -> Result<(), SourceError> {
     let shape = source.waveform().shape();
-    // One frame for every place in a queue, one held by each consumer, and one being read.
-    let places: usize = outlets.iter().map(|o| o.sender.capacity().unwrap_or(1) + 1).sum();
-    let mut pool: Vec<Arc<Frame>> = (0..places + 1).map(|_| Arc::new(Frame::zeroed(shape))).collect();
+    // One frame for every item of a queue, one held by each consumer, and one being read.
+    let capacity: usize = outlets.iter().map(|o| o.sender.capacity().unwrap_or(1) + 1).sum();
+    let mut pool: Vec<Arc<Frame>> = (0..capacity + 1).map(|_| Arc::new(Frame::zeroed(shape))).collect();
     let mut frames = 0;
     while !stop.load(Ordering::SeqCst) && limit.is_none_or(|limit| frames < limit) {
         let free = pool.iter().position(|frame| Arc::strong_count(frame) == 1);
@@ -259,10 +259,10 @@ fn read(
 }
 
 /// Message about a consumer that must not lose frames and has stalled.
-pub fn stalled(name: &str, patience: Duration) -> String {
-    let patience_s = patience.as_secs_f64();
+pub fn stalled_message(name: &str, stall_limit: Duration) -> String {
+    let limit_s = stall_limit.as_secs_f64();
     format!(
-        "the {name} has not taken a frame for {patience_s:.1} s; stopped, because it must not lose any\n\nhint: write to a faster disk"
+        "the {name} has not taken a frame for {limit_s:.1} s; stopped, because it must not lose any\n\nhint: write to a faster disk"
     )
 }
 
@@ -272,7 +272,7 @@ impl Outlet {
         let delivery = Delivery { item: Item::End(end), arrived: Instant::now() };
         if self.oldest.is_some() {
             let _ = self.send(delivery);
-        } else if !self.queue.is_left_behind.load(Ordering::SeqCst) {
+        } else if !self.queue.is_abandoned.load(Ordering::SeqCst) {
             let _ = self.sender.send_timeout(delivery, Duration::from_secs(10));
         }
     }
@@ -288,21 +288,21 @@ impl Outlet {
                     && error.is_timeout()
                 {
                     self.queue.has_stalled.store(true, Ordering::SeqCst);
-                    return Err(stalled(self.name, deadline).into());
+                    return Err(stalled_message(self.name, deadline).into());
                 }
             }
-            Policy::LosslessOrGone(_) if self.queue.is_left_behind.load(Ordering::SeqCst) => {}
-            Policy::LosslessOrGone(deadline) => {
+            Policy::LosslessOrAbandoned(_) if self.queue.is_abandoned.load(Ordering::SeqCst) => {}
+            Policy::LosslessOrAbandoned(deadline) => {
                 let sent = self.sender.send_timeout(delivery, deadline);
                 if sent.is_err_and(|error| error.is_timeout()) {
                     self.queue.has_stalled.store(true, Ordering::SeqCst);
-                    self.queue.is_left_behind.store(true, Ordering::SeqCst);
+                    self.queue.is_abandoned.store(true, Ordering::SeqCst);
                 }
             }
             Policy::DropOldest => {
                 let mut delivery = delivery;
-                while let Err(TrySendError::Full(back)) = self.sender.try_send(delivery) {
-                    delivery = back;
+                while let Err(TrySendError::Full(returned)) = self.sender.try_send(delivery) {
+                    delivery = returned;
                     let oldest = self.oldest.as_ref().and_then(|oldest| oldest.try_recv().ok());
                     match oldest.map(|delivery| delivery.item) {
                         Some(Item::Frame(_)) => {
@@ -367,13 +367,13 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_view_misses_the_oldest_and_knows_how_many() {
+    fn a_slow_view_misses_the_oldest_frames_and_counts_them() {
         let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("view", 3, Policy::DropOldest);
         let mut reader = pipeline.start(counter(1000), Some(20));
         reader.thread.take().expect("runs").join().expect("reader ends by itself");
-        let left: Vec<_> = inlet.receiver.try_iter().collect();
-        let sequences: Vec<_> = left
+        let remaining: Vec<_> = inlet.receiver.try_iter().collect();
+        let sequences: Vec<_> = remaining
             .iter()
             .filter_map(|delivery| match &delivery.item {
                 Item::Frame(frame) => Some(frame.sequence),
@@ -381,14 +381,14 @@ mod tests {
             })
             .collect();
         assert_eq!(sequences, [19, 20], "the newest stay");
-        assert!(matches!(left.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
+        assert!(matches!(remaining.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
         assert_eq!(inlet.queue.missed.load(Ordering::Relaxed), 18);
         // The frame of the gap was missing before.
         assert_eq!(inlet.queue.missed_in_gaps.load(Ordering::Relaxed), 1);
     }
 
     #[test]
-    fn a_consumer_that_goes_away_does_not_hold_up_the_others() {
+    fn a_dropped_consumer_does_not_block_the_others() {
         let mut pipeline = Pipeline::default();
         drop(pipeline.consumer("gone", 1, Policy::Wait));
         let inlet = pipeline.consumer("stays", 64, Policy::Wait);
@@ -401,7 +401,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stalled_recorder_stops_the_pipeline_loudly() {
+    fn a_stalled_recorder_stops_the_pipeline_with_an_error() {
         let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("recorder", 2, Policy::Lossless(Duration::from_millis(50)));
         let reader = pipeline.start(counter(1000), None);
@@ -413,16 +413,16 @@ mod tests {
     }
 
     #[test]
-    fn a_stalled_recorder_is_left_behind_and_the_others_go_on() {
+    fn a_stalled_recorder_is_abandoned_and_the_others_go_on() {
         let mut pipeline = Pipeline::default();
-        let stalled = pipeline.consumer("recorder", 2, Policy::LosslessOrGone(Duration::from_millis(50)));
+        let stalled = pipeline.consumer("recorder", 2, Policy::LosslessOrAbandoned(Duration::from_millis(50)));
         let other = pipeline.consumer("classifier", 64, Policy::Wait);
         let _reader = pipeline.start(counter(50), None);
         let sent: Vec<_> = other.receiver.iter().collect();
         assert!(matches!(sent.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
         assert_eq!(sent.len(), 51);
-        assert!(stalled.queue.is_left_behind.load(Ordering::SeqCst));
-        // What was sent before remains, without an end: the consumer must not take it for all.
+        assert!(stalled.queue.is_abandoned.load(Ordering::SeqCst));
+        // Items that were sent before remain, without an end: the consumer must not take them for the whole stream.
         assert_eq!(stalled.receiver.iter().count(), 2);
     }
 
@@ -477,12 +477,12 @@ mod tests {
         }
 
         #[test]
-        fn a_board_that_is_lost_leaves_a_hole_of_unknown_length() {
+        fn a_board_that_is_lost_leaves_a_gap_of_unknown_length() {
             let lost = SourceError::from(BoardError::Stopped);
             let failure = Failure::from(lost);
             let expected = Gap { first_sequence: 7, frames: 0, reason: GapReason::Disconnected };
             assert_eq!((failure.gap(7), failure.is_panic()), (Some(expected), false));
-            assert_eq!(Failure::without_a_word().gap(7), None);
+            assert_eq!(Failure::without_result().gap(7), None);
         }
     }
 }

@@ -14,9 +14,9 @@ use radome_dsp::Gap;
 
 use super::answer::{Probabilities, Summary};
 use super::health::Health;
-use super::pipeline::{Delivery, Failure, Inlet, Item, Queue, stalled};
-use super::screen::lost_besides;
-use super::sink::{Moment, Sink};
+use super::pipeline::{Delivery, Failure, Inlet, Item, Queue, stalled_message};
+use super::screen::unknown_loss_text;
+use super::sink::{ClassifiedFrame, Sink};
 use crate::output;
 use crate::output_file::NewRecording;
 use crate::panics::Panicked;
@@ -24,14 +24,14 @@ use crate::panics::Panicked;
 /// Capacity of the queue of answers to the recorder, larger than the number of frames in its frame queue.
 const WAITING_RESULTS: usize = 1024;
 /// Time for which the recorder may take no frame.
-pub const PATIENCE: Duration = Duration::from_secs(5);
+pub const STALL_LIMIT: Duration = Duration::from_secs(5);
 /// Time for which the recorder may take no item at the end. A sync may take ten seconds, and another may be under way.
-pub const LAST_PATIENCE: Duration = Duration::from_secs(30);
-/// Silence of a source after which written data are flushed, since the source may never come back.
+pub const FINAL_STALL_LIMIT: Duration = Duration::from_secs(30);
+/// Silence of a source after which written data are flushed, since no further frame may come.
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// Message about a recording that failed. One that is no file, or none any more, cannot be repaired.
-pub fn ended_after(recorder: &Recorder) -> String {
+/// Message about a recording that failed. The hint is left out if the output is no file or was removed.
+pub fn failure_message(recorder: &Recorder) -> String {
     let frames = recorder.frames_written();
     if !recorder.path().is_file() {
         return format!("the recording ended after {frames} frames");
@@ -42,21 +42,25 @@ pub fn ended_after(recorder: &Recorder) -> String {
     )
 }
 
-/// Waits for the end of a recorder's thread, which counts the items that it has taken. A thread that takes
-/// nothing for longer than `patience` is abandoned: the disk blocks it.
+/// Waits for the end of a recorder's thread, which counts the items that it takes in `taken`. A thread that takes nothing for
+/// longer than `stall_limit` is abandoned: the disk blocks it.
 ///
 /// # Errors
 /// The disk has taken nothing for too long, or the thread has panicked.
-pub fn join_last<T>(thread: JoinHandle<T>, taken: &AtomicU64, patience: impl Fn() -> Duration) -> anyhow::Result<T> {
+pub fn join_unless_stalled<T>(
+    thread: JoinHandle<T>,
+    taken: &AtomicU64,
+    stall_limit: impl Fn() -> Duration,
+) -> anyhow::Result<T> {
     let (mut since, mut last) = (Instant::now(), 0);
     while !thread.is_finished() {
         let now = taken.load(Ordering::Relaxed);
         if std::mem::replace(&mut last, now) != now {
             since = Instant::now();
         }
-        let patience = patience();
-        if since.elapsed() > patience {
-            bail!(stalled("recorder", patience.max(PATIENCE)));
+        let stall_limit = stall_limit();
+        if since.elapsed() > stall_limit {
+            bail!(stalled_message("recorder", stall_limit.max(STALL_LIMIT)));
         }
         std::thread::sleep(Duration::from_millis(5));
     }
@@ -64,8 +68,8 @@ pub fn join_last<T>(thread: JoinHandle<T>, taken: &AtomicU64, patience: impl Fn(
 }
 
 /// Converts an answer for the recording.
-pub fn frame_result(moment: &Moment) -> FrameResult {
-    let Moment { answer, frame, .. } = moment;
+pub fn frame_result(classified: &ClassifiedFrame) -> FrameResult {
+    let ClassifiedFrame { answer, frame, .. } = classified;
     FrameResult {
         sequence: answer.sequence,
         time_ns: frame.time_ns,
@@ -90,11 +94,11 @@ pub struct RecorderSink {
     /// Error of a recorder that ended before the run.
     failure: Option<anyhow::Error>,
     /// Number of items that the recorder has taken.
-    taken: Arc<AtomicU64>,
+    taken_items: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
     /// Set once the recorder has failed, for the page.
     has_failed: Arc<AtomicBool>,
-    /// Queue from the pipeline, which may have given the recorder up.
+    /// Queue from the pipeline, which may have abandoned the recorder.
     queue: Arc<Queue>,
     file: String,
 }
@@ -123,27 +127,27 @@ impl RecorderSink {
         let file = output.path().display().to_string();
         let recorder = output.create(header, options)?;
         let (results, receiver) = bounded(WAITING_RESULTS);
-        let (has_gaps, taken) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
+        let (has_gaps, taken_items) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
         let queue = inlet.queue.clone();
         let mut writer = Writer {
             recorder,
-            ahead: VecDeque::new(),
-            newest: None,
+            waiting_results: VecDeque::new(),
+            newest_written: None,
             next_sequence: 0,
-            taken: taken.clone(),
+            taken_items: taken_items.clone(),
             has_gaps: has_gaps.clone(),
             outage,
         };
         let thread = std::thread::spawn(move || -> anyhow::Result<Recorded> {
             // After an error the file stays marked unfinished. Finishing it would fail again and hide the cause.
             let written = writer.run(&inlet, &receiver);
-            let is_left_behind = inlet.queue.is_left_behind.load(Ordering::SeqCst);
-            // Frames that the disk has not taken are none of the file's.
+            let is_abandoned = inlet.queue.is_abandoned.load(Ordering::SeqCst);
+            // Only flushed frames are in the file, so the count below comes after the flush.
             let flushed = writer.recorder.flush().map_err(anyhow::Error::from);
             let frames = writer.recorder.frames_written();
             written
-                .and_then(|()| if is_left_behind { bail!(stalled("recorder", PATIENCE)) } else { flushed })
-                .with_context(|| ended_after(&writer.recorder))?;
+                .and_then(|()| if is_abandoned { bail!(stalled_message("recorder", STALL_LIMIT)) } else { flushed })
+                .with_context(|| failure_message(&writer.recorder))?;
             Ok(match inlet.queue.end.get() {
                 Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(frames),
                 // A recording that its source or its user ended is complete.
@@ -151,10 +155,10 @@ impl RecorderSink {
             })
         });
         let (results, thread) = (Some(results), Some(thread));
-        Ok(RecorderSink { results, thread, failure: None, taken, has_gaps, has_failed, queue, file })
+        Ok(RecorderSink { results, thread, failure: None, taken_items, has_gaps, has_failed, queue, file })
     }
 
-    /// Returns the flag that tells whether frames are missing in the recording.
+    /// Returns the flag that is set when frames are missing in the recording.
     pub fn has_gaps(&self) -> Arc<AtomicBool> {
         self.has_gaps.clone()
     }
@@ -163,24 +167,28 @@ impl RecorderSink {
     fn join(&mut self) -> anyhow::Result<Recorded> {
         self.results.take();
         let Some(thread) = self.thread.take() else { bail!("the recorder has ended") };
-        // One that is left behind has already taken nothing for as long as it may.
-        let is_left_behind = || self.queue.is_left_behind.load(Ordering::SeqCst);
-        join_last(thread, &self.taken, || if is_left_behind() { Duration::ZERO } else { LAST_PATIENCE })
-            .and_then(|recorded| recorded)
-            .with_context(|| format!("{} is not whole", self.file))
+        // An abandoned recorder has already taken nothing for the permitted time.
+        let is_abandoned = || self.queue.is_abandoned.load(Ordering::SeqCst);
+        join_unless_stalled(
+            thread,
+            &self.taken_items,
+            || if is_abandoned() { Duration::ZERO } else { FINAL_STALL_LIMIT },
+        )
+        .and_then(|recorded| recorded)
+        .with_context(|| format!("{} is not whole", self.file))
     }
 }
 
 impl Sink for RecorderSink {
-    fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
+    fn answer(&mut self, classified: &ClassifiedFrame) -> anyhow::Result<()> {
         let Some(results) = &self.results else { return Ok(()) };
-        let sent = match self.queue.is_left_behind.load(Ordering::SeqCst) {
-            false => results.try_send(frame_result(moment)),
-            true => Err(TrySendError::Disconnected(frame_result(moment))),
+        let sent = match self.queue.is_abandoned.load(Ordering::SeqCst) {
+            false => results.try_send(frame_result(classified)),
+            true => Err(TrySendError::Disconnected(frame_result(classified))),
         };
         match sent {
             Ok(()) => Ok(()),
-            // The recorder has ended, and its own error tells why, or its disk hangs.
+            // The recorder has ended, and its own error gives the cause, or its disk hangs.
             Err(TrySendError::Disconnected(_)) => {
                 self.has_failed.store(true, Ordering::Relaxed);
                 let joined = self.join();
@@ -211,7 +219,7 @@ impl Sink for RecorderSink {
             return Ok(());
         }
         match self.join()? {
-            Recorded::Finished(report) => message!("{}: {}", self.file, said(&report)),
+            Recorded::Finished(report) => message!("{}: {}", self.file, report_text(&report)),
             Recorded::Unfinished(frames) => {
                 message!("{}: {frames} frames, marked unfinished because the source failed", self.file);
             }
@@ -220,27 +228,28 @@ impl Sink for RecorderSink {
     }
 }
 
-/// Content of a recording, in words.
-fn said(report: &WriteReport) -> String {
+/// Describes the content of a recording.
+fn report_text(report: &WriteReport) -> String {
     let WriteReport { frames, results, frames_lost, unknown_gaps, bytes, .. } = report;
-    let more = lost_besides(*unknown_gaps);
-    format!("{frames} frames, {results} judged, {frames_lost} lost{more}, {} MiB", bytes >> 20)
+    let unknown_loss = unknown_loss_text(*unknown_gaps);
+    format!("{frames} frames, {results} judged, {frames_lost} lost{unknown_loss}, {} MiB", bytes >> 20)
 }
 
 struct Writer {
     recorder: Recorder,
     /// Answers to frames that are still in the queue.
-    ahead: VecDeque<FrameResult>,
-    newest: Option<u64>,
+    waiting_results: VecDeque<FrameResult>,
+    /// Number of the newest frame that is written.
+    newest_written: Option<u64>,
     /// Number of the frame that should come next: behind the last frame or gap.
     next_sequence: u64,
-    taken: Arc<AtomicU64>,
+    taken_items: Arc<AtomicU64>,
     has_gaps: Arc<AtomicBool>,
     outage: Outage,
 }
 
 impl Writer {
-    /// Writes until no more answers can come, and until all frames read by then are written.
+    /// Writes until no more answers can come; then writes the remaining frames.
     fn run(&mut self, inlet: &Inlet, results: &Receiver<FrameResult>) -> anyhow::Result<()> {
         let frames = &inlet.receiver;
         let mut is_unflushed = false;
@@ -248,7 +257,7 @@ impl Writer {
         loop {
             let delivery = if has_ended {
                 match results.recv() {
-                    Ok(result) => self.ahead.push_back(result),
+                    Ok(result) => self.waiting_results.push_back(result),
                     Err(_) => break,
                 }
                 None
@@ -256,7 +265,7 @@ impl Writer {
                 crossbeam::select! {
                     recv(results) -> result => match result {
                         Ok(result) => {
-                            self.ahead.push_back(result);
+                            self.waiting_results.push_back(result);
                             None
                         }
                         Err(_) => break,
@@ -268,7 +277,7 @@ impl Writer {
             match delivery {
                 None => {}
                 Some(Ok(delivery)) => {
-                    has_ended = self.take(delivery)?;
+                    has_ended = self.write_item(delivery)?;
                     is_unflushed = true;
                 }
                 Some(Err(RecvTimeoutError::Timeout)) if std::mem::take(&mut is_unflushed) => self.recorder.flush()?,
@@ -276,13 +285,13 @@ impl Writer {
                 // The result of the stream is known even if it could not be delivered in time.
                 Some(Err(RecvTimeoutError::Disconnected)) => match inlet.queue.end.get() {
                     Some(_) => has_ended = true,
-                    None => return Err(Failure::without_a_word().into()),
+                    None => return Err(Failure::without_result().into()),
                 },
             }
             self.write_results()?;
         }
         for delivery in frames.try_iter() {
-            self.take(delivery)?;
+            self.write_item(delivery)?;
         }
         let first_sequence = self.next_sequence;
         let missing = match inlet.queue.end.get() {
@@ -290,29 +299,29 @@ impl Writer {
             None => self.outage.gap(first_sequence),
         };
         if let Some(gap) = missing {
-            self.gap(&gap)?;
+            self.write_gap(&gap)?;
         }
-        self.newest = Some(u64::MAX);
+        self.newest_written = Some(u64::MAX);
         self.write_results()
     }
 
     /// Writes an item; `true` if it is the last.
-    fn take(&mut self, delivery: Delivery) -> anyhow::Result<bool> {
-        self.taken.fetch_add(1, Ordering::Relaxed);
+    fn write_item(&mut self, delivery: Delivery) -> anyhow::Result<bool> {
+        self.taken_items.fetch_add(1, Ordering::Relaxed);
         match delivery.item {
             Item::Frame(frame) => {
                 self.recorder.frame(&frame)?;
-                self.newest = Some(frame.sequence);
+                self.newest_written = Some(frame.sequence);
                 self.next_sequence = frame.sequence.saturating_add(1);
             }
-            Item::Gap(gap) => self.gap(&gap)?,
+            Item::Gap(gap) => self.write_gap(&gap)?,
             // The classifier receives the same item and ends the run.
             Item::End(_) => return Ok(true),
         }
         Ok(false)
     }
 
-    fn gap(&mut self, gap: &Gap) -> anyhow::Result<()> {
+    fn write_gap(&mut self, gap: &Gap) -> anyhow::Result<()> {
         self.has_gaps.store(true, Ordering::Relaxed);
         self.next_sequence = gap.first_sequence.saturating_add(gap.frames);
         Ok(self.recorder.gap(gap)?)
@@ -321,11 +330,12 @@ impl Writer {
     /// Writes the answers to frames that are written. The number of waiting answers is limited, in case a source
     /// restarts its numbering. An answer may then precede its frame.
     fn write_results(&mut self) -> anyhow::Result<()> {
-        while let Some(result) = self.ahead.front()
-            && (self.ahead.len() > WAITING_RESULTS || self.newest.is_some_and(|newest| result.sequence <= newest))
+        while let Some(result) = self.waiting_results.front()
+            && (self.waiting_results.len() > WAITING_RESULTS
+                || self.newest_written.is_some_and(|newest| result.sequence <= newest))
         {
             self.recorder.result(result)?;
-            self.ahead.pop_front();
+            self.waiting_results.pop_front();
         }
         Ok(())
     }
@@ -376,13 +386,13 @@ mod tests {
         }
     }
 
-    /// An output that hung held `record` for ever.
+    /// Regression test: `record` waited forever for an output that blocked.
     #[test]
     fn a_thread_that_takes_nothing_is_abandoned_and_a_slow_one_is_not() {
         let taken = Arc::<AtomicU64>::default();
         let (release, hang) = channel::<()>();
         let hanging = std::thread::spawn(move || hang.recv());
-        let error = join_last(hanging, &taken, || Duration::from_millis(20)).err().expect("it hangs");
+        let error = join_unless_stalled(hanging, &taken, || Duration::from_millis(20)).err().expect("it hangs");
         assert!(error.to_string().contains("has not taken a frame"), "{error}");
         drop(release);
         let counter = taken.clone();
@@ -393,7 +403,7 @@ mod tests {
             }
             7
         });
-        assert_eq!(join_last(slow, &taken, || Duration::from_secs(60)).expect("it ends"), 7);
+        assert_eq!(join_unless_stalled(slow, &taken, || Duration::from_secs(60)).expect("it ends"), 7);
     }
 
     #[test]
@@ -411,16 +421,17 @@ mod tests {
         let waveform = panicking_after(0).waveform().clone();
         let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(waveform) };
         let recorder = Recorder::create(&path, &header).expect("creates");
-        let (taken, has_gaps, outage) = Default::default();
+        let (taken_items, has_gaps, outage) = Default::default();
         // The frames are numbered anew, so no frame has the number of an answer.
-        let (ahead, newest, next_sequence) = (VecDeque::new(), Some(0), 1);
-        let mut writer = Writer { recorder, ahead, newest, next_sequence, taken, has_gaps, outage };
+        let (waiting_results, newest_written, next_sequence) = (VecDeque::new(), Some(0), 1);
+        let mut writer =
+            Writer { recorder, waiting_results, newest_written, next_sequence, taken_items, has_gaps, outage };
         for sequence in 1..=2 * WAITING_RESULTS as u64 {
-            writer.ahead.push_back(FrameResult { sequence, ..FrameResult::default() });
+            writer.waiting_results.push_back(FrameResult { sequence, ..FrameResult::default() });
             writer.write_results().expect("writes");
-            assert!(writer.ahead.len() <= WAITING_RESULTS);
+            assert!(writer.waiting_results.len() <= WAITING_RESULTS);
         }
-        writer.newest = Some(u64::MAX);
+        writer.newest_written = Some(u64::MAX);
         writer.write_results().expect("writes");
         let summary = writer.recorder.finish().expect("finishes");
         assert_eq!(summary.results, 2 * WAITING_RESULTS as u64);
@@ -442,12 +453,12 @@ mod tests {
         let (recorded, has_gaps) = record(failing_after(3, |_| BoardError::Stopped.into()), &path);
         let Ok(Recorded::Finished(summary)) = &recorded else { panic!("no summary") };
         let lost = "3 frames, 0 judged, 0 lost, and an unknown number (gaps of unknown length: 1), ";
-        assert!(said(summary).starts_with(lost), "{}", said(summary));
-        let hole = Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected };
-        assert_eq!((read(&path), has_gaps), ((true, vec![0, 1, 2], vec![hole]), true));
+        assert!(report_text(summary).starts_with(lost), "{}", report_text(summary));
+        let expected = Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected };
+        assert_eq!((read(&path), has_gaps), ((true, vec![0, 1, 2], vec![expected]), true));
     }
 
-    /// The gap at the end began behind the last frame, within the gap before it.
+    /// Regression test: the gap at the end began behind the last frame, within the gap before it.
     #[test]
     fn a_gap_at_the_end_begins_behind_the_gap_before_it() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -460,12 +471,12 @@ mod tests {
             event => event,
         });
         record(Box::new(source), &path).0.expect("no error of its own");
-        let hole = Gap { first_sequence: 8, frames: 0, reason: GapReason::Disconnected };
-        assert_eq!(read(&path), (true, vec![0, 1, 2], vec![lost, hole]));
+        let expected = Gap { first_sequence: 8, frames: 0, reason: GapReason::Disconnected };
+        assert_eq!(read(&path), (true, vec![0, 1, 2], vec![lost, expected]));
     }
 
     #[test]
-    fn a_source_that_has_gone_without_a_word_is_an_error_and_leaves_the_recording_unfinished() {
+    fn a_source_that_ends_without_a_result_is_an_error_and_leaves_the_recording_unfinished() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("night.mcap");
         let mut pipeline = Pipeline::default();
@@ -474,7 +485,7 @@ mod tests {
         let mut sink = sink(&path, panicking_after(0).waveform(), inlet);
         let start = Instant::now();
         while !sink.thread.as_ref().is_some_and(JoinHandle::is_finished) {
-            assert!(start.elapsed() < Duration::from_secs(60), "the recorder waits for a source that has gone");
+            assert!(start.elapsed() < Duration::from_secs(60), "the recorder waits for a source that has ended");
             std::thread::sleep(Duration::from_millis(5));
         }
         let error = sink.join().err().expect("an error");

@@ -12,16 +12,16 @@ use serde_json::json;
 
 use super::answer::Summary;
 use super::health::Health;
-use super::sink::{Moment, Sink};
+use super::sink::{ClassifiedFrame, Sink};
 use crate::output;
 use crate::panics::Panicked;
 
 /// Number of lines that may wait for a reader of stdout.
 const WAITING_LINES: usize = 256;
-/// Interval at which a wait for the reader looks for an interrupt.
-const CHECK: Duration = Duration::from_millis(100);
-/// Time for which the reader is awaited after an interrupt.
-const LAST_PATIENCE: Duration = Duration::from_secs(1);
+/// Interval at which a wait for the reader of stdout checks for an interrupt.
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
+/// Longest wait for the reader after an interrupt.
+const FINAL_WAIT: Duration = Duration::from_secs(1);
 
 /// Sink that prints answers as JSON lines or as text. The text has one line per change; on a terminal, the current line
 /// is updated in place.
@@ -36,7 +36,7 @@ pub struct Screen {
     lines: Option<Sender<String>>,
     thread: Option<JoinHandle<anyhow::Result<()>>>,
     /// Number of lines that were lost.
-    unread: u64,
+    lost_lines: u64,
     /// Time at which the wait for the reader at the end of the run noticed an interrupt.
     interrupted: Option<Instant>,
 }
@@ -57,7 +57,7 @@ impl Screen {
         let print = move || receiver.iter().try_for_each(|line| output::text(&line));
         let thread = std::thread::Builder::new().name("stdout".into()).spawn(print)?;
         let (lines, thread) = (Some(lines), Some(thread));
-        Ok(Screen { json, is_terminal, is_live, last: None, lines, thread, unread: 0, interrupted: None })
+        Ok(Screen { json, is_terminal, is_live, last: None, lines, thread, lost_lines: 0, interrupted: None })
     }
 
     /// Prints a JSON object on a line of its own.
@@ -69,14 +69,14 @@ impl Screen {
     fn print(&mut self, mut text: String) -> anyhow::Result<()> {
         let Some(lines) = &self.lines else { return Ok(()) };
         loop {
-            match lines.send_timeout(text, if self.is_live { Duration::ZERO } else { CHECK }) {
+            match lines.send_timeout(text, if self.is_live { Duration::ZERO } else { CHECK_INTERVAL }) {
                 Ok(()) => return Ok(()),
                 Err(SendTimeoutError::Disconnected(_)) => return self.join(),
                 Err(SendTimeoutError::Timeout(_)) if self.is_live || output::interrupted() => {
-                    self.unread += 1;
+                    self.lost_lines += 1;
                     return Ok(());
                 }
-                Err(SendTimeoutError::Timeout(back)) => text = back,
+                Err(SendTimeoutError::Timeout(returned)) => text = returned,
             }
         }
     }
@@ -84,11 +84,11 @@ impl Screen {
     /// Passes the last text to the thread as soon as there is room, also for a live source, and waits until all is printed.
     fn print_last(&mut self, mut text: String) -> anyhow::Result<()> {
         while let Some(lines) = &self.lines {
-            match lines.send_timeout(text, CHECK) {
+            match lines.send_timeout(text, CHECK_INTERVAL) {
                 Ok(()) | Err(SendTimeoutError::Disconnected(_)) => break,
-                Err(SendTimeoutError::Timeout(back)) => text = back,
+                Err(SendTimeoutError::Timeout(returned)) => text = returned,
             }
-            self.check_patience()?;
+            self.check_reader()?;
         }
         self.join()
     }
@@ -98,15 +98,15 @@ impl Screen {
         self.lines = None;
         let Some(thread) = self.thread.take() else { return Ok(()) };
         while !thread.is_finished() {
-            self.check_patience()?;
+            self.check_reader()?;
             std::thread::sleep(Duration::from_millis(2));
         }
         thread.join().unwrap_or_else(|payload| Err(Panicked::new(payload.as_ref()).into()))
     }
 
-    /// Fails if a reader that does not read has been awaited for long enough after an interrupt.
-    fn check_patience(&mut self) -> anyhow::Result<()> {
-        if output::interrupted() && self.interrupted.get_or_insert_with(Instant::now).elapsed() > LAST_PATIENCE {
+    /// Fails if the reader has not read for [`FINAL_WAIT`] after an interrupt.
+    fn check_reader(&mut self) -> anyhow::Result<()> {
+        if output::interrupted() && self.interrupted.get_or_insert_with(Instant::now).elapsed() > FINAL_WAIT {
             bail!("stdout is not read: the last answers and the summary are lost");
         }
         Ok(())
@@ -120,7 +120,7 @@ fn json_text(value: &impl Serialize) -> anyhow::Result<String> {
 }
 
 /// Message about lost frames. A gap of 0 frames is one of unknown length.
-pub fn lost(gap: &Gap) -> String {
+pub fn gap_message(gap: &Gap) -> String {
     let Gap { first_sequence, frames, reason } = gap;
     match frames {
         0 => format!("frames lost from {first_sequence} on: {}", reason.name()),
@@ -129,8 +129,8 @@ pub fn lost(gap: &Gap) -> String {
     }
 }
 
-/// Continues a number of lost frames where gaps of unknown length are not in it.
-pub fn lost_besides(unknown_gaps: u64) -> String {
+/// Text behind a number of lost frames about gaps of unknown length, which the number does not include.
+pub fn unknown_loss_text(unknown_gaps: u64) -> String {
     match unknown_gaps {
         0 => String::new(),
         _ => format!(", and an unknown number (gaps of unknown length: {unknown_gaps})"),
@@ -138,8 +138,8 @@ pub fn lost_besides(unknown_gaps: u64) -> String {
 }
 
 impl Sink for Screen {
-    fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
-        let answer = moment.answer;
+    fn answer(&mut self, classified: &ClassifiedFrame) -> anyhow::Result<()> {
+        let answer = classified.answer;
         if self.json {
             return self.json_line(answer);
         }
@@ -175,28 +175,28 @@ impl Sink for Screen {
         if self.json {
             return self.json_line(&json!({ "gap": gap }));
         }
-        message!("{}", lost(gap));
+        message!("{}", gap_message(gap));
         Ok(())
     }
 
     fn end(&mut self, summary: &Summary) -> anyhow::Result<()> {
-        if self.unread > 0 {
-            message!("{} answers were not printed, because stdout was not read", self.unread);
+        if self.lost_lines > 0 {
+            message!("{} answers were not printed, because stdout was not read", self.lost_lines);
         }
         if self.json {
             return self.print_last(json_text(&json!({ "summary": summary }))?);
         }
-        let more = lost_besides(summary.gaps_of_unknown_length);
+        let unknown_loss = unknown_loss_text(summary.gaps_of_unknown_length);
         // On a terminal the line of the last answer has no end.
         let start = if self.is_terminal { "\n" } else { "" };
-        let mut line = format!("{start}{} frames, {} dropped{more}", summary.frames, summary.dropped);
+        let mut line = format!("{start}{} frames, {} dropped{unknown_loss}", summary.frames, summary.dropped);
         if let Some(accuracy) = summary.balanced_accuracy {
             line += &format!(", balanced accuracy {accuracy:.3}");
         }
-        if let Some(settled) = &summary.metrics_without_transitions {
+        if let Some(metrics) = &summary.metrics_without_transitions {
             line += &format!(
                 " ({:.3} without the {} frames of entering and leaving, marked ~)",
-                settled.balanced_accuracy, summary.transition_frames
+                metrics.balanced_accuracy, summary.transition_frames
             );
         }
         line += &format!(", latency {:.1} ms median, {:.1} ms p99", summary.latency_ms.p50, summary.latency_ms.p99);
@@ -210,12 +210,12 @@ mod tests {
 
     use super::*;
 
-    /// Regression test: `live` said of a gap of unknown length that 0 frames were lost.
+    /// Regression test: for a gap of unknown length, `live` printed that 0 frames were lost.
     #[test]
-    fn a_gap_of_unknown_length_is_not_said_to_be_none() {
+    fn the_message_about_a_gap_of_unknown_length_has_no_count() {
         let gap = Gap { first_sequence: 12, frames: 0, reason: GapReason::Disconnected };
-        assert_eq!(lost(&gap), "frames lost from 12 on: disconnected");
-        assert_eq!(lost(&Gap { frames: 1, ..gap }), "frame 12 lost: disconnected");
-        assert_eq!(lost(&Gap { frames: 3, ..gap }), "3 frames lost from 12: disconnected");
+        assert_eq!(gap_message(&gap), "frames lost from 12 on: disconnected");
+        assert_eq!(gap_message(&Gap { frames: 1, ..gap }), "frame 12 lost: disconnected");
+        assert_eq!(gap_message(&Gap { frames: 3, ..gap }), "3 frames lost from 12: disconnected");
     }
 }

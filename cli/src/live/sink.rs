@@ -8,9 +8,9 @@ use super::answer::{Answer, Summary};
 use super::health::Health;
 
 /// Classified frame with its map, answer and counters.
-pub struct Moment<'a> {
+pub struct ClassifiedFrame<'a> {
     pub answer: &'a Answer,
-    /// The frame. A sink that keeps it longer removes it from the pool, which then grows by one.
+    /// The frame. A sink that keeps it takes it from the pool, which then grows by one.
     pub frame: &'a Arc<Frame>,
     /// Map of the frame. It is meaningless while the answer warms up.
     pub map: &'a Rdm,
@@ -24,7 +24,7 @@ pub trait Sink {
     ///
     /// # Errors
     /// The answer cannot be passed on.
-    fn answer(&mut self, moment: &Moment) -> anyhow::Result<()>;
+    fn answer(&mut self, classified: &ClassifiedFrame) -> anyhow::Result<()>;
 
     /// Receives a gap: frames are missing at this position.
     ///

@@ -3,16 +3,17 @@
 //!
 //! The classifier's thread passes the newest frame on ([`feed`]) and continues. A thread of the pages keeps the answers of
 //! the last minutes ([`history`]) and makes pictures ([`picture`]), at most thirty per second and only those that a page
-//! shows. [`server`] serves the pages, [`policy`] decides on access, [`control`] handles requests of a page, and [`labels`]
-//! keeps the labels. [`adaptation`] offers a command that uses the labels, and [`partner`] is the simulation that mirrors a
-//! recording.
+//! shows. [`server`] serves the pages, [`policy`] decides on access, and [`control`] handles requests of a page. [`label_set`]
+//! holds the labels with their undo history, and [`label_store`] saves them. [`adaptation`] offers a command that uses the
+//! labels, and [`partner`] is the simulation that mirrors a recording.
 
 mod adaptation;
 mod control;
 mod cut_labels;
 mod feed;
 mod history;
-mod labels;
+mod label_set;
+mod label_store;
 mod partner;
 mod picture;
 mod policy;
@@ -36,11 +37,11 @@ use tokio::runtime::Runtime;
 use super::access::{self, Token};
 use super::answer::Summary;
 use super::health::Health;
-use super::sink::{Moment, Sink};
+use super::sink::{ClassifiedFrame, Sink};
 use crate::panics::lock;
 use crate::source::Source;
 use feed::Feed;
-use labels::Keeper;
+use label_store::LabelStore;
 use partner::Partner;
 use policy::Policy;
 use shared::{About, Shared};
@@ -78,9 +79,9 @@ pub struct Page {
 }
 
 impl Page {
-    /// Starts the server if the page is requested. If the source is not a recording, its labels go to `recording`,
-    /// which is being written, with the flag that tells whether its recorder has failed. `name` is the radar's own, if it has one.
-    /// People farther away than `max_range_m`, if given, do not count.
+    /// Starts the server if the page is requested. If the source is not a recording, labels go to `recording`, which is being
+    /// written. Its flag is set when the recorder has failed. `name` is the radar's own, if it has one. People farther away
+    /// than `max_range_m`, if given, do not count.
     ///
     /// # Errors
     /// The port cannot be opened, the token or the labels cannot be read, or a thread cannot be started.
@@ -112,7 +113,7 @@ impl Page {
         let address = listener.local_addr()?;
         show_link(address, token.as_ref(), arguments.read_only_labels);
         let shared = Arc::new(Shared {
-            labels: Keeper::open(playback.as_ref(), recording, model, max_range_m, waveform.frame_interval_s())?,
+            labels: LabelStore::open(playback.as_ref(), recording, model, max_range_m, waveform.frame_interval_s())?,
             feed: Feed::new(&waveform, playback.is_some()),
             about: About {
                 description: source.description.clone(),
@@ -125,20 +126,20 @@ impl Page {
                 playback,
             },
             policy: Policy::new(address, &arguments.access, token.as_ref()),
-            over: Mutex::new(None),
+            summary: Mutex::new(None),
         });
-        let (feed, labels, served) = (shared.clone(), shared.clone(), shared.clone());
+        let [for_maps, for_labels, for_server] = [(); 3].map(|()| shared.clone());
         let threads = vec![
             thread("page-maps", move || {
-                yield_to_others();
-                feed.feed.serve(partner);
+                lower_priority();
+                for_maps.feed.serve(partner);
             })?,
-            thread("page-labels", move || labels.labels.keep())?,
+            thread("page-labels", move || for_labels.labels.save_until_closed())?,
         ];
         // Detached thread, which ends with the program: a slow browser does not delay the end.
         thread("page-server", move || {
-            yield_to_others();
-            runtime.block_on(server::serve(listener, served));
+            lower_priority();
+            runtime.block_on(server::serve(listener, for_server));
         })?;
         Ok(Some(Page { shared, threads }))
     }
@@ -147,7 +148,7 @@ impl Page {
 /// Creates a runtime with one thread for all connections.
 fn runtime() -> std::io::Result<Runtime> {
     let mut builder = tokio::runtime::Builder::new_multi_thread();
-    builder.worker_threads(1).thread_name("page").on_thread_start(yield_to_others).enable_all().build()
+    builder.worker_threads(1).thread_name("page").on_thread_start(lower_priority).enable_all().build()
 }
 
 fn thread(name: &str, work: impl FnOnce() + Send + 'static) -> std::io::Result<JoinHandle<()>> {
@@ -173,8 +174,10 @@ fn show_link(address: SocketAddr, token: Option<&Token>, is_read_only: bool) {
         }
     }
     if !address.ip().is_loopback() {
-        let may = if is_read_only { "watch" } else { "watch and label" };
-        message!("whoever has the token can {may}; the connection is not encrypted, so use a network that you trust");
+        let permitted = if is_read_only { "watch" } else { "watch and label" };
+        message!(
+            "whoever has the token can {permitted}; the connection is not encrypted, so use a network that you trust"
+        );
     }
 }
 
@@ -193,7 +196,7 @@ fn print_code(link: &str) {
 
 /// Lowers the priority of this thread below the pipeline's threads, so that pages and their requests cause no frame
 /// loss.
-fn yield_to_others() {
+fn lower_priority() {
     // Linux stores the priority per thread. Where it does not apply or is not permitted, all threads are equal.
     if let Err(error) = rustix::process::nice(10) {
         tracing::debug!("the page's threads keep their priority: {error}");
@@ -201,9 +204,9 @@ fn yield_to_others() {
 }
 
 impl Sink for Page {
-    fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
-        self.shared.labels.at(moment.answer.time_s);
-        self.shared.feed.publish(moment);
+    fn answer(&mut self, classified: &ClassifiedFrame) -> anyhow::Result<()> {
+        self.shared.labels.set_newest_s(classified.answer.time_s);
+        self.shared.feed.publish(classified);
         Ok(())
     }
 
@@ -216,7 +219,7 @@ impl Sink for Page {
         if let Some(playback) = &self.shared.about.playback {
             playback.transport.close();
         }
-        *lock(&self.shared.over) = Some(json!({ "over": summary }));
+        *lock(&self.shared.summary) = Some(json!({ "over": summary }));
         self.shared.feed.close();
         self.shared.labels.close();
         for thread in self.threads.drain(..) {
@@ -224,8 +227,7 @@ impl Sink for Page {
                 tracing::error!("a thread of the live page has failed");
             }
         }
-        // Waits until pages have received the end of the run.
-        server::wait_for_farewells(&self.shared);
-        self.shared.labels.last_word()
+        server::wait_for_disconnections(&self.shared);
+        self.shared.labels.finish()
     }
 }

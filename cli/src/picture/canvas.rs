@@ -1,4 +1,4 @@
-//! Canvas that stores its drawing as marks until it is written.
+//! Canvas that collects marks until the picture is written.
 
 use std::path::Path;
 
@@ -14,23 +14,23 @@ use crate::files;
 pub struct Canvas {
     /// Width and height, pixels.
     size: [f64; 2],
-    paper: Ink,
+    background: Ink,
     marks: Vec<Mark>,
 }
 
 impl Canvas {
     /// Creates a canvas with a width and a height, pixels, of one colour.
-    pub fn new(width: f64, height: f64, paper: Ink) -> Self {
-        Canvas { size: [width, height], paper, marks: Vec::new() }
+    pub fn new(width: f64, height: f64, background: Ink) -> Self {
+        Canvas { size: [width, height], background, marks: Vec::new() }
     }
 
     /// Fills the union of areas; overlaps have the same colour as the rest.
     pub fn fill(&mut self, areas: &[Vec<Pixel>], ink: Ink) {
         // All areas get the same orientation, so that none counts as a hole in another.
-        let turned = |area: &Vec<Pixel>| {
+        let oriented = |area: &Vec<Pixel>| {
             if signed_area(area) < 0.0 { area.iter().rev().copied().collect() } else { area.clone() }
         };
-        self.marks.push(Mark::Fill { areas: areas.iter().map(turned).collect(), ink });
+        self.marks.push(Mark::Fill { areas: areas.iter().map(oriented).collect(), ink });
     }
 
     /// Fills a rectangle with its upper left corner at `corner`.
@@ -38,12 +38,12 @@ impl Canvas {
         self.marks.push(Mark::Rectangle { corner, size, ink });
     }
 
-    pub fn line(&mut self, places: &[Pixel], style: &Line) {
-        self.marks.push(Mark::Stroke { lines: vec![places.to_vec()], is_closed: false, style: *style });
+    pub fn line(&mut self, points: &[Pixel], style: &Line) {
+        self.marks.push(Mark::Stroke { lines: vec![points.to_vec()], is_closed: false, style: *style });
     }
 
     /// Draws the outlines of areas.
-    pub fn around(&mut self, areas: &[Vec<Pixel>], style: &Line) {
+    pub fn outline(&mut self, areas: &[Vec<Pixel>], style: &Line) {
         self.marks.push(Mark::Stroke { lines: areas.to_vec(), is_closed: true, style: *style });
     }
 
@@ -52,7 +52,7 @@ impl Canvas {
         self.marks.push(Mark::Text { corner, text: text.to_owned(), letters, ink });
     }
 
-    /// Writes the picture atomically, as SVG if the file's name says so, else as PNG.
+    /// Writes the picture atomically, as SVG if the file's name ends in .svg, else as PNG.
     ///
     /// # Errors
     /// The width or the height is zero, both are too large, or the file cannot be written.
@@ -60,8 +60,8 @@ impl Canvas {
         let is_svg = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("svg"));
         files::write_output(path, Existing::Replace, |writer| {
             let written = match is_svg {
-                true => svg::write(writer, self.size, self.paper, &self.marks),
-                false => raster::write(writer, self.size, self.paper, &self.marks),
+                true => svg::write(writer, self.size, self.background, &self.marks),
+                false => raster::write(writer, self.size, self.background, &self.marks),
             };
             written.context("cannot write the picture")
         })
@@ -77,26 +77,26 @@ fn signed_area(area: &[Pixel]) -> f64 {
 #[derive(Debug, Default)]
 pub struct Labels {
     /// Low and high corners of the occupied boxes, pixels.
-    taken: Vec<[Pixel; 2]>,
+    reserved: Vec<[Pixel; 2]>,
 }
 
 impl Labels {
     /// Reserves a box, so that no text is placed there.
-    pub fn take(&mut self, low: Pixel, high: Pixel) {
-        self.taken.push([low, high]);
+    pub fn reserve(&mut self, low: Pixel, high: Pixel) {
+        self.reserved.push([low, high]);
     }
 
-    /// Finds a place for a line of text of this size: the first of the given upper left corners at which it is free and
-    /// within a box.
-    pub fn find(&mut self, size: [f64; 2], places: &[Pixel], within: [Pixel; 2]) -> Option<Pixel> {
-        let free = |&&[x, y]: &&Pixel| {
+    /// Finds and reserves a place for a line of text of this size: the first of the candidate upper left corners at which it fits
+    /// within a box and overlaps nothing.
+    pub fn find(&mut self, size: [f64; 2], candidates: &[Pixel], within: [Pixel; 2]) -> Option<Pixel> {
+        let is_free = |&&[x, y]: &&Pixel| {
             let (low, high) = ([x - 1.0, y - 1.0], [x + size[0] + 1.0, y + size[1] + 1.0]);
-            let inside = (0..2).all(|i| low[i] >= within[0][i] && high[i] <= within[1][i]);
-            let apart = |[l, h]: &[Pixel; 2]| (0..2).any(|i| high[i] <= l[i] || low[i] >= h[i]);
-            inside && self.taken.iter().all(apart)
+            let is_inside = (0..2).all(|i| low[i] >= within[0][i] && high[i] <= within[1][i]);
+            let is_apart = |[l, h]: &[Pixel; 2]| (0..2).any(|i| high[i] <= l[i] || low[i] >= h[i]);
+            is_inside && self.reserved.iter().all(is_apart)
         };
-        let &[x, y] = places.iter().find(free)?;
-        self.take([x, y], [x + size[0], y + size[1]]);
+        let &[x, y] = candidates.iter().find(is_free)?;
+        self.reserve([x, y], [x + size[0], y + size[1]]);
         Some([x, y])
     }
 }

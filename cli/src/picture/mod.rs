@@ -10,5 +10,5 @@ mod room;
 pub mod scene;
 mod svg;
 pub mod theme;
+mod trajectories;
 mod view;
-mod ways;

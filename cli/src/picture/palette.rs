@@ -26,15 +26,16 @@ const PEOPLE: [Ink; 8] = [
 pub(super) const MOVING: Ink = Ink::solid([200, 30, 90]);
 pub(super) const STATIC: Ink = Ink::solid([60, 70, 90]);
 /// Colour of furniture that has no material.
-pub(super) const UNSAID: Ink = Ink::solid([176, 180, 188]);
+pub(super) const NO_MATERIAL: Ink = Ink::solid([176, 180, 188]);
 
 /// Colours of materials that a scene defines.
-const OWN: [[u8; 3]; 5] = [[134, 180, 92], [222, 128, 160], [110, 190, 180], [230, 160, 70], [150, 130, 210]];
+const CUSTOM_MATERIALS: [[u8; 3]; 5] =
+    [[134, 180, 92], [222, 128, 160], [110, 190, 180], [230, 160, 70], [150, 130, 210]];
 
 /// Margin to the left of each view, for numbers, pixels.
 pub(super) const LEFT: f64 = 66.0;
 
-/// Colour of a built-in material; `None` for an absent surface.
+/// Colour of a built-in material; `None` for an open side.
 fn colour(material: Material) -> Option<[u8; 3]> {
     Some(match material {
         Material::Concrete => [128, 132, 138],
@@ -57,7 +58,7 @@ pub(super) fn material_ink(scene: &Scene, material: &str) -> Ink {
         return Ink::solid(rgb);
     }
     let own = scene.file().materials.keys().position(|name| name == material).unwrap_or(0);
-    Ink::solid(OWN[own % OWN.len()])
+    Ink::solid(CUSTOM_MATERIALS[own % CUSTOM_MATERIALS.len()])
 }
 
 /// Colour of the person with this slot.
@@ -66,7 +67,7 @@ pub(super) fn person_ink(slot: usize) -> Ink {
 }
 
 /// Approximates a circle by a polygon, pixels.
-pub(super) fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
+pub(super) fn circle([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
     (0..24)
         .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
         .map(|(s, c)| [x + radius * c, y + radius * s])

@@ -30,13 +30,13 @@ const LEGEND_STEP: f64 = 20.0;
 ///
 /// # Errors
 /// The file cannot be written.
-pub fn map(path: &Path, map: &Rdm) -> anyhow::Result<()> {
+pub fn save_map(path: &Path, map: &Rdm) -> anyhow::Result<()> {
     let (doppler, range) = (map.shape.doppler, map.shape.range);
     let (cell_x, cell_y) = ((768 / range).max(1) as f64, (512 / doppler).max(1) as f64);
     let (width, height) = (range as f64 * cell_x, doppler as f64 * cell_y);
     let theme = &Theme::LIGHT;
     let (all_width, all_height) = (width + MARGIN_LEFT + MARGIN_RIGHT, height + MARGIN_TOP + MARGIN_BOTTOM);
-    let mut plot = Plot { canvas: Canvas::new(all_width, all_height, theme.paper), theme };
+    let mut plot = Plot { canvas: Canvas::new(all_width, all_height, theme.background), theme };
     let (low, high) = levels(map);
     for d in 0..doppler {
         let y = MARGIN_TOP + (doppler - 1 - d) as f64 * cell_y;
@@ -78,15 +78,15 @@ pub fn map(path: &Path, map: &Rdm) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// The picture cannot be encoded.
-pub fn cells(map: &Rdm, (low, high): (f32, f32)) -> anyhow::Result<Vec<u8>> {
+pub fn map_png(map: &Rdm, (low, high): (f32, f32)) -> anyhow::Result<Vec<u8>> {
     let (doppler, range) = (map.shape.doppler, map.shape.range);
     let steps = VIRIDIS.len() as f32 - 1.0;
     let mut rgb = Vec::with_capacity(3 * doppler * range);
     for row in (0..doppler).rev() {
         for column in 0..range {
-            let place = (map.at(0, row, column) - low) / (high - low);
-            let colour = VIRIDIS[(place.clamp(0.0, 1.0) * steps + 0.5) as usize];
-            rgb.extend_from_slice(if place.is_finite() { &colour } else { &NOT_A_NUMBER.rgb });
+            let position = (map.at(0, row, column) - low) / (high - low);
+            let colour = VIRIDIS[(position.clamp(0.0, 1.0) * steps + 0.5) as usize];
+            rgb.extend_from_slice(if position.is_finite() { &colour } else { &NOT_A_NUMBER.rgb });
         }
     }
     let mut png = Vec::new();
@@ -119,20 +119,20 @@ pub fn scatter(theme: &Theme, names: (&str, &str), series: &[Series]) -> Canvas 
     };
     let (x_low, x_high) = decades(points().map(|p| p.0.log10()).collect());
     let (y_low, y_high) = decades(points().map(|p| p.1.log10()).collect());
-    let at = |x: f64, y: f64| -> Pixel {
+    let project = |x: f64, y: f64| -> Pixel {
         [MARGIN_LEFT + (x - x_low) / (x_high - x_low) * WIDTH, MARGIN_TOP + (y_high - y) / (y_high - y_low) * HEIGHT]
     };
     for decade in x_low as i32..=x_high as i32 {
-        plot.tick_below(at(f64::from(decade), y_low), HEIGHT, &power(decade));
+        plot.tick_below(project(f64::from(decade), y_low), HEIGHT, &power(decade));
     }
     for decade in y_low as i32..=y_high as i32 {
-        plot.tick_beside(at(x_low, f64::from(decade)), WIDTH, &power(decade));
+        plot.tick_beside(project(x_low, f64::from(decade)), WIDTH, &power(decade));
     }
     plot.axes();
     plot.axis_names([WIDTH, HEIGHT], names);
     for (i, (name, points)) in series.iter().enumerate() {
         for (x, y) in points.iter().filter(|p| p.0 > 0.0 && p.1 > 0.0) {
-            plot.dot(at(x.log10(), y.log10()), i);
+            plot.dot(project(x.log10(), y.log10()), i);
         }
         plot.legend(i, name);
     }
@@ -153,39 +153,39 @@ fn power(decade: i32) -> String {
 pub fn lines(theme: &Theme, names: (&str, &str), series: &[Series], dashed: &[Series]) -> Canvas {
     let mut plot = Plot::of_series(theme, series);
     let points = || series.iter().chain(dashed).flat_map(|s| &s.1);
-    let across_values = || points().map(|p| p.0).filter(|x| x.is_finite());
-    let low = across_values().fold(f64::INFINITY, f64::min);
-    let high = across_values().fold(f64::NEG_INFINITY, f64::max);
+    let x_values = || points().map(|p| p.0).filter(|x| x.is_finite());
+    let low = x_values().fold(f64::INFINITY, f64::min);
+    let high = x_values().fold(f64::NEG_INFINITY, f64::max);
     let (low, high) = if high > low { (low, high) } else { (low.min(0.0), low.max(0.0) + 1.0) };
     let lowest = points().map(|p| p.1).filter(|y| y.is_finite()).fold(1.0, f64::min);
     let highest = points().map(|p| p.1).filter(|y| y.is_finite()).fold(0.0, f64::max);
     let floor = ((10.0 * lowest).floor() / 10.0).clamp(0.0, 0.9);
     let top = ((10.0 * highest).ceil() / 10.0).clamp(floor + 0.1, 1.0);
-    let at = |x: f64, y: f64| -> Pixel {
+    let project = |x: f64, y: f64| -> Pixel {
         [
             MARGIN_LEFT + (x - low) / (high - low) * WIDTH,
             MARGIN_TOP + (top - y.clamp(floor, top)) / (top - floor) * HEIGHT,
         ]
     };
     for tick in ticks(low, high) {
-        plot.tick_below(at(tick, floor), 0.0, &label(tick, high - low));
+        plot.tick_below(project(tick, floor), 0.0, &label(tick, high - low));
     }
     for share in ticks(floor, top) {
-        plot.tick_beside(at(low, share), WIDTH, &format!("{share:.2}"));
+        plot.tick_beside(project(low, share), WIDTH, &format!("{share:.2}"));
     }
     plot.axes();
     plot.axis_names([WIDTH, HEIGHT], names);
     // Points without a value are skipped.
-    let places = |points: &[(f64, f64)]| -> Vec<Pixel> {
-        points.iter().map(|(x, y)| at(*x, *y)).filter(|place| place.iter().all(|v| v.is_finite())).collect()
+    let points_of = |points: &[(f64, f64)]| -> Vec<Pixel> {
+        points.iter().map(|(x, y)| project(*x, *y)).filter(|point| point.iter().all(|v| v.is_finite())).collect()
     };
     for (i, (_, points)) in dashed.iter().enumerate() {
-        plot.canvas.line(&places(points), &Line { ink: plot.series_ink(i), width: 1.5, is_dashed: true });
+        plot.canvas.line(&points_of(points), &Line { ink: plot.series_ink(i), width: 1.5, is_dashed: true });
     }
     for (i, (name, points)) in series.iter().enumerate() {
-        let places = places(points);
-        plot.canvas.line(&places, &Line { ink: plot.series_ink(i), width: 3.0, is_dashed: false });
-        places.iter().for_each(|place| plot.dot(*place, i));
+        let points = points_of(points);
+        plot.canvas.line(&points, &Line { ink: plot.series_ink(i), width: 3.0, is_dashed: false });
+        points.iter().for_each(|point| plot.dot(*point, i));
         plot.legend(i, name);
     }
     plot.canvas
@@ -202,7 +202,7 @@ impl<'a> Plot<'a> {
     fn of_series(theme: &'a Theme, series: &[Series]) -> Self {
         let longest = series.iter().map(|(name, _)| Letters::Small.size(name)[0]).fold(0.0, f64::max);
         let height = (MARGIN_TOP + HEIGHT + MARGIN_BOTTOM).max(MARGIN_TOP + LEGEND_STEP * series.len() as f64 + TICK);
-        Plot { canvas: Canvas::new(MARGIN_LEFT + WIDTH + 40.0 + longest, height, theme.paper), theme }
+        Plot { canvas: Canvas::new(MARGIN_LEFT + WIDTH + 40.0 + longest, height, theme.background), theme }
     }
 
     fn axis(&self) -> Line {
@@ -260,7 +260,7 @@ impl<'a> Plot<'a> {
         let (corner, ink) = ([x.round() - 3.0, y.round() - 3.0], self.series_ink(index));
         self.canvas.rectangle(corner, [7.0, 7.0], ink);
         if !(index / self.theme.series.len()).is_multiple_of(2) {
-            self.canvas.rectangle(corner.map(|v| v + 2.0), [3.0, 3.0], self.theme.paper);
+            self.canvas.rectangle(corner.map(|v| v + 2.0), [3.0, 3.0], self.theme.background);
         }
     }
 }

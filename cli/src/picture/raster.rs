@@ -15,10 +15,15 @@ use super::mark::{DASH, Ink, Letters, Line, Mark, Pixel};
 ///
 /// # Errors
 /// The width or the height is zero, both are too large, or the writer fails.
-pub(super) fn write(writer: impl Write, [width, height]: [f64; 2], paper: Ink, marks: &[Mark]) -> anyhow::Result<()> {
+pub(super) fn write(
+    writer: impl Write,
+    [width, height]: [f64; 2],
+    background: Ink,
+    marks: &[Mark],
+) -> anyhow::Result<()> {
     let pixels = Pixmap::new(width.ceil() as u32, height.ceil() as u32).context("the picture has no size")?;
     let mut raster = Raster { pixels };
-    raster.pixels.fill(color(paper));
+    raster.pixels.fill(color(background));
     marks.iter().for_each(|mark| raster.draw(mark));
     let rgb: Vec<u8> = raster.pixels.pixels().iter().flat_map(|p| [p.red(), p.green(), p.blue()]).collect();
     Ok(write_png(writer, [raster.pixels.width(), raster.pixels.height()], &rgb)?)
@@ -83,8 +88,8 @@ impl Raster {
             let Some(glyph) = glyph else { continue };
             for (row, values) in glyph.rows().enumerate() {
                 for (column, &value) in values.iter().enumerate().filter(|(_, value)| **value > 0) {
-                    let at = [x.round() as i64 + (i * step + column) as i64, y.round() as i64 + row as i64];
-                    self.blend(at, ink, f64::from(value) / 255.0);
+                    let position = [x.round() as i64 + (i * step + column) as i64, y.round() as i64 + row as i64];
+                    self.blend(position, ink, f64::from(value) / 255.0);
                 }
             }
         }

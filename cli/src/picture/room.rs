@@ -15,7 +15,7 @@ pub(super) const WALL: f64 = 9.0;
 
 /// A side of the room's outline in a view.
 struct Side<'a> {
-    /// Place at which it begins, pixels. It ends where the next one begins.
+    /// Corner at which it begins, pixels. It ends where the next one begins.
     from: DVec2,
     /// Unit vector across it, out of the room.
     outward: DVec2,
@@ -23,13 +23,13 @@ struct Side<'a> {
     material: &'a str,
 }
 
-/// Sides of the room's outline: the walls of a plan from above, else the four sides of the box around the room.
+/// Sides of the room's outline: the walls of a floor plan seen from above, or else the four sides of the box around the room.
 fn sides<'a>(view: &View, scene: &'a Scene) -> Vec<Side<'a>> {
     let room = &scene.file().room;
     let corners: Vec<(Pixel, &str)> = match &room.plan {
         Some(plan) if view.is_plan() => {
             let corners = plan.corners_m.iter().enumerate();
-            corners.map(|(wall, [x, y])| (view.at(DVec3::new(*x, *y, 0.0)), plan.wall_surface(wall).0)).collect()
+            corners.map(|(wall, [x, y])| (view.project(DVec3::new(*x, *y, 0.0)), plan.wall_surface(wall).0)).collect()
         }
         plan => {
             let ends = |axis: usize| match (axis, plan) {
@@ -39,22 +39,22 @@ fn sides<'a>(view: &View, scene: &'a Scene) -> Vec<Side<'a>> {
                 (_, None) => [&room.y_low.material, &room.y_high.material].map(String::as_str),
             };
             let ([left, right], [low, high]) = (ends(view.across), ends(view.up));
-            let [[x0, y0], [x1, y1]] = view.frame();
+            let [[x0, y0], [x1, y1]] = view.bounds();
             vec![([x0, y1], low), ([x1, y1], right), ([x1, y0], high), ([x0, y0], left)]
         }
     };
     let next = |corner: usize| DVec2::from_array(corners[(corner + 1) % corners.len()].0);
-    let places = corners.iter().enumerate().map(|(corner, (from, _))| (DVec2::from_array(*from), next(corner)));
-    let turn = places.clone().map(|(from, to)| from.perp_dot(to)).sum::<f64>().signum();
+    let edges = corners.iter().enumerate().map(|(corner, (from, _))| (DVec2::from_array(*from), next(corner)));
+    let orientation = edges.clone().map(|(from, to)| from.perp_dot(to)).sum::<f64>().signum();
     let side = |((from, to), &(_, material)): ((DVec2, DVec2), &(Pixel, &'a str))| Side {
         from,
-        outward: (to - from).normalize_or_zero().perp() * -turn,
+        outward: (to - from).normalize_or_zero().perp() * -orientation,
         material,
     };
-    places.zip(&corners).map(side).collect()
+    edges.zip(&corners).map(side).collect()
 }
 
-/// Material of a plan at one end of an axis: of the longest wall that lies there, or else of one that leads there.
+/// Material of a floor plan at one end of an axis: that of the longest wall that lies there, or else of one that leads there.
 fn end_material(plan: &PlanFile, axis: usize, at_m: f64) -> &str {
     let corner = |number: usize| plan.corners_m[number % plan.corners_m.len()];
     let is_there = |number: usize| (corner(number)[axis] - at_m).abs() < 1e-6;
@@ -84,12 +84,12 @@ fn bands(sides: &[Side]) -> Vec<Vec<Pixel>> {
 /// Draws floor, walls, openings and doors.
 pub(super) fn draw_room(canvas: &mut Canvas, view: &View, scene: &Scene) {
     let sides = sides(view, scene);
-    let back = if view.is_plan() {
+    let floor_ink = if view.is_plan() {
         material_ink(scene, &scene.file().room.floor.material).faint(0.10)
     } else {
         GREY.faint(0.05)
     };
-    canvas.fill(&[sides.iter().map(|side| side.from.to_array()).collect()], back);
+    canvas.fill(&[sides.iter().map(|side| side.from.to_array()).collect()], floor_ink);
     // Walls of a material are one area, without seams where they meet.
     let mut walls: BTreeMap<&str, Vec<Vec<Pixel>>> = BTreeMap::new();
     for (side, band) in sides.iter().zip(bands(&sides)) {
@@ -97,7 +97,7 @@ pub(super) fn draw_room(canvas: &mut Canvas, view: &View, scene: &Scene) {
     }
     for (material, bands) in walls {
         if material == "open" {
-            canvas.around(&bands, &Line { ink: GREY.faint(0.7), width: 1.0, is_dashed: true });
+            canvas.outline(&bands, &Line { ink: GREY.faint(0.7), width: 1.0, is_dashed: true });
         } else {
             canvas.fill(&bands, material_ink(scene, material));
         }
@@ -105,28 +105,28 @@ pub(super) fn draw_room(canvas: &mut Canvas, view: &View, scene: &Scene) {
     for outline in scene.outlines() {
         let line = Line { ink: material_ink(scene, &outline.material).darker(0.35), width: 1.4, is_dashed: false };
         for edge in &outline.edges {
-            canvas.line(&edge.map(|p| view.at(p)), &line);
+            canvas.line(&edge.map(|p| view.project(p)), &line);
         }
     }
     if view.is_plan() {
-        draw_openings(canvas, view, scene, back);
+        draw_openings(canvas, view, scene, floor_ink);
     }
     for door in &scene.file().door {
         draw_door(canvas, view, door.position_m, door.width_m);
     }
 }
 
-/// Draws openings of a plan from above: a gap in the wall, and in it the pane or the door leaf. `back` is the colour of
+/// Draws openings of a plan from above: a gap in the wall, and in it the pane or the door leaf. `floor_ink` is the colour of
 /// the floor.
-fn draw_openings(canvas: &mut Canvas, view: &View, scene: &Scene, back: Ink) {
-    /// Width of the strip in which a wall's line is taken away, pixels.
+fn draw_openings(canvas: &mut Canvas, view: &View, scene: &Scene, floor_ink: Ink) {
+    /// Width of the strip in which a wall's line is erased, pixels.
     const STRIP: f64 = 4.0;
     let sides = sides(view, scene);
     let openings = scene.openings();
     for opening in &openings {
-        let [a, b] = opening.ends.map(|end| view.at(end.extend(0.0)));
-        // Paper takes the line away; the floor goes on over it.
-        for ink in [Ink::solid([255, 255, 255]), back] {
+        let [a, b] = opening.ends.map(|end| view.project(end.extend(0.0)));
+        // White erases the line; then the floor is drawn over it.
+        for ink in [Ink::solid([255, 255, 255]), floor_ink] {
             canvas.line(&[a, b], &Line { ink, width: STRIP, is_dashed: false });
         }
         // Partitions are lines without a thickness.
@@ -134,13 +134,13 @@ fn draw_openings(canvas: &mut Canvas, view: &View, scene: &Scene, back: Ink) {
             draw_gap(canvas, [a, b], side.outward.to_array());
         }
     }
-    // After all gaps, for a leaf may stand before another opening.
+    // Leaves and panes come after all gaps, since a leaf may cover another opening.
     for opening in &openings {
         let leaf = opening.leaf.zip(opening.file.door.as_ref()).map(|(ends, door)| (ends, &door.material));
         let pane = opening.file.material.as_ref().map(|material| (opening.ends, material));
         if let Some((ends, material)) = leaf.or(pane).filter(|(_, material)| *material != "open") {
             let ink = material_ink(scene, material).darker(0.35);
-            let ends: [Pixel; 2] = ends.map(|end| view.at(end.extend(0.0)));
+            let ends: [Pixel; 2] = ends.map(|end| view.project(end.extend(0.0)));
             canvas.line(&ends, &Line { ink, width: 1.4, is_dashed: false });
         }
     }
@@ -155,6 +155,7 @@ fn draw_gap(canvas: &mut Canvas, [a, b]: [Pixel; 2], outward: Pixel) {
     }
 }
 
+/// Draws a door: a gap in the plan, an outline from the side.
 fn draw_door(canvas: &mut Canvas, view: &View, [x, y]: [f64; 2], width_m: f64) {
     /// Height of a door, m.
     const HEIGHT_M: f64 = 2.0;
@@ -163,13 +164,12 @@ fn draw_door(canvas: &mut Canvas, view: &View, [x, y]: [f64; 2], width_m: f64) {
     let along = if in_x_wall { DVec3::Y } else { DVec3::X } * half;
     let middle = DVec3::new(x, y, 0.0);
     if view.is_plan() {
-        // A gap in the wall, with both leaves' ends.
         let outward =
             if in_x_wall { [if x < 1e-6 { -1.0 } else { 1.0 }, 0.0] } else { [0.0, if y < 1e-6 { 1.0 } else { -1.0 }] };
-        draw_gap(canvas, [view.at(middle - along), view.at(middle + along)], outward);
+        draw_gap(canvas, [view.project(middle - along), view.project(middle + along)], outward);
     } else if in_x_wall == (view.across == 1) {
         let high = middle + along + DVec3::Z * HEIGHT_M.min(view.size_m.z);
         let door = view.rectangle(middle - along, high);
-        canvas.around(&[door], &Line { ink: GREY.faint(0.6), width: 1.2, is_dashed: true });
+        canvas.outline(&[door], &Line { ink: GREY.faint(0.6), width: 1.2, is_dashed: true });
     }
 }

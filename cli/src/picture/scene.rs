@@ -1,5 +1,5 @@
-//! A picture of a scene before anything is simulated: from above and from the side, with what stands in it, what the radar
-//! looks at, and who goes where.
+//! Picture of a scene before anything is simulated, from above and from the side: furniture, the radar's beam, and the
+//! trajectories of people.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,23 +12,24 @@ use radome_sim::people::walking_mesh::WalkingMesh;
 use radome_sim::scene_file::{BodyFile, FurnitureFile};
 
 use super::canvas::{Canvas, Labels, Letters, Line, Pixel};
-use super::legend::{draw_sign, legend, legend_rows};
-use super::palette::{BEAM, GREY, INK, LEFT, MOVING, STATIC, UNSAID, material_ink, ring};
+use super::legend::{draw_symbol, legend, legend_rows};
+use super::palette::{BEAM, GREY, INK, LEFT, MOVING, NO_MATERIAL, STATIC, circle, material_ink};
 use super::room::{WALL, draw_room};
 use super::theme::Theme;
+use super::trajectories::{Trajectory, draw_trajectory, label_times, trajectories};
 use super::view::View;
-use super::ways::{Way, draw_way, label_times, ways};
 
-/// Room below each view, above it, and to the right of it, pixels; below there are numbers and the axis's name.
+/// Space below, above and to the right of each view, pixels. Numbers and the name of the axis are below it.
 const BELOW: f64 = 62.0;
 const TOP: f64 = 64.0;
 const RIGHT: f64 = 30.0;
-/// Pixels of a metre: no more than this, and so many that views fill this width, or one of them this height.
-const MOST_PER_M: f64 = 200.0;
+/// Largest scale, pixels per metre. The scale is otherwise such that the views fill this width, or one of them this height,
+/// pixels.
+const MOST_PIXELS_PER_M: f64 = 200.0;
 const WIDTH: f64 = 1480.0;
 const HEIGHT: f64 = 860.0;
-/// Rooms this many times as long as wide have their views one above the other.
-const LONG: f64 = 2.2;
+/// Ratio of length to width above which a room has its views one above the other.
+const LONG_RATIO: f64 = 2.2;
 
 /// Scene and options of its picture.
 pub struct Preview<'a> {
@@ -37,19 +38,19 @@ pub struct Preview<'a> {
     pub seed: u64,
     /// Number of people; the scene's own number if `None`.
     pub people: Option<usize>,
-    /// Ways are drawn up to here, s.
+    /// Time up to which trajectories are drawn, s.
     pub until_s: f64,
-    /// Ways of waves.
+    /// Propagation paths to draw.
     pub paths: &'a [DrawnPath],
 }
 
-/// The way of a wave.
+/// Propagation path in a picture.
 pub struct DrawnPath {
-    /// Its corners, m.
+    /// Corners, m.
     pub points: Vec<DVec3>,
-    /// Whether it changes: it is drawn in another colour.
+    /// Whether people affect it: it then has another colour.
     pub is_moving: bool,
-    /// From 0, as faint as lines get, to 1.
+    /// Opacity of its line, from 0 for the faintest to 1.
     pub strength: f64,
 }
 
@@ -60,14 +61,15 @@ pub struct DrawnPath {
 pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     let scene = preview.scene;
     let views = views(scene);
-    let ways = ways(scene, preview.seed, preview.people, preview.until_s);
-    let people: Vec<(usize, f64)> = ways.iter().map(|way| (way.slot, way.motion.person.build.height_m)).collect();
+    let trajectories = trajectories(scene, preview.seed, preview.people, preview.until_s);
+    let people: Vec<(usize, f64)> =
+        trajectories.iter().map(|trajectory| (trajectory.slot, trajectory.motion.person.build.height_m)).collect();
     let legend = legend(scene, &people);
-    let [right, below] = [0, 1].map(|axis| views.iter().map(|view| view.frame()[1][axis]).fold(0.0, f64::max));
+    let [right, below] = [0, 1].map(|axis| views.iter().map(|view| view.bounds()[1][axis]).fold(0.0, f64::max));
     let width = (right + RIGHT).max(900.0);
     let rows = legend_rows(&legend, width);
     let below = below + BELOW;
-    let mut canvas = Canvas::new(width, below + 22.0 * rows.len() as f64 + 12.0, Theme::LIGHT.paper);
+    let mut canvas = Canvas::new(width, below + 22.0 * rows.len() as f64 + 12.0, Theme::LIGHT.background);
 
     let (seed, note) = (format!(", seed {}", preview.seed), format!("0 to {:.0} s", preview.until_s));
     let (left, seed_width) = (LEFT - WALL, Letters::Title.size(&seed)[0] + 24.0);
@@ -76,13 +78,13 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     canvas.text([left, 10.0], &title, Letters::Title, INK);
     canvas.text([left + Letters::Title.size(&title)[0] + 24.0, 16.0], &note, Letters::Small, GREY);
     for view in &views {
-        draw_view(&mut canvas, view, preview, &ways);
+        draw_view(&mut canvas, view, preview, &trajectories);
     }
     let mut y = below;
     for row in rows {
         let mut x = LEFT - WALL;
-        for (sign, name) in row {
-            draw_sign(&mut canvas, [x, y], sign);
+        for (symbol, name) in row {
+            draw_symbol(&mut canvas, [x, y], symbol);
             canvas.text([x + 30.0, y], name, Letters::Small, INK);
             x += 30.0 + Letters::Small.size(name)[0] + 26.0;
         }
@@ -91,18 +93,19 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     canvas.save(path)
 }
 
-/// The plan, and the view from the side.
+/// Computes the view from above and the view from the side.
 fn views(scene: &Scene) -> [View; 2] {
     let size_m = scene.room().size_m;
     // Seen along the horizontal axis that is across the boresight.
     let ahead = scene.radar_from_world().transpose() * DVec3::X;
     let across = if ahead.x.abs() >= ahead.y.abs() { 0 } else { 1 };
-    let is_long = size_m.x > LONG * size_m.y;
+    let is_long = size_m.x > LONG_RATIO * size_m.y;
     let widths_m = if is_long { size_m.x.max(size_m[across]) } else { size_m.x + size_m[across] };
     let views = if is_long { 1.0 } else { 2.0 };
-    let per_m = ((WIDTH - views * (LEFT + RIGHT)) / widths_m).min(HEIGHT / size_m.y.max(size_m.z)).min(MOST_PER_M);
+    let per_m =
+        ((WIDTH - views * (LEFT + RIGHT)) / widths_m).min(HEIGHT / size_m.y.max(size_m.z)).min(MOST_PIXELS_PER_M);
     let view = |across, up, corner| View { across, up, corner, per_m, size_m };
-    // Floors are level with the plan's lower edge.
+    // Both views have the same lower edge.
     let top = |lower_m: f64| TOP + lower_m.max(0.0) * per_m;
     let plan = view(0, 1, [LEFT, if is_long { TOP } else { top(size_m.z - size_m.y) }]);
     let beside = match is_long {
@@ -113,29 +116,32 @@ fn views(scene: &Scene) -> [View; 2] {
 }
 
 /// Draws everything in a view, from back to front.
-fn draw_view(canvas: &mut Canvas, view: &View, preview: &Preview, ways: &[Way]) {
+fn draw_view(canvas: &mut Canvas, view: &View, preview: &Preview, trajectories: &[Trajectory]) {
     let scene = preview.scene;
     let mut labels = Labels::default();
     draw_room(canvas, view, scene);
     draw_beam(canvas, view, scene);
     draw_furniture(canvas, view, scene);
-    ways.iter().for_each(|way| draw_bodies(canvas, view, scene, way));
-    ways.iter().for_each(|way| draw_way(canvas, view, way));
+    trajectories.iter().for_each(|trajectory| draw_bodies(canvas, view, scene, trajectory));
+    trajectories.iter().for_each(|trajectory| draw_trajectory(canvas, view, trajectory));
     preview.paths.iter().for_each(|path| draw_path(canvas, view, path));
     draw_radar(canvas, view, scene, &mut labels);
-    ways.iter().for_each(|way| label_times(canvas, view, way, &mut labels));
-    // Names of furniture keep off bodies too.
-    for (way, &time_s) in ways.iter().filter_map(|way| Some((way, way.bodies.first()?))) {
-        for part in way.motion.body(time_s) {
+    trajectories.iter().for_each(|trajectory| label_times(canvas, view, trajectory, &mut labels));
+    // Names of furniture must not cover bodies.
+    for (trajectory, &time_s) in
+        trajectories.iter().filter_map(|trajectory| Some((trajectory, trajectory.bodies.first()?)))
+    {
+        for part in trajectory.motion.body(time_s) {
             let (low, high) = bounds(&silhouette(view, &part));
-            labels.take(low, high);
+            labels.reserve(low, high);
         }
     }
     label_furniture(canvas, view, scene, &mut labels);
     draw_axes(canvas, view);
 }
 
-/// Directions of the beam's cut through the boresight in which the pattern is at least half as strong, in the room.
+/// Directions of the beam in the plane of a view through the boresight, in which the power pattern is at least half its maximum.
+/// They are in coordinates of the room.
 fn beam(view: &View, scene: &Scene) -> Vec<DVec3> {
     /// Steps of the angle, rad.
     const STEP_RAD: f64 = 0.005;
@@ -151,7 +157,7 @@ fn beam(view: &View, scene: &Scene) -> Vec<DVec3> {
     (0..=steps).map(|i| world_from_radar * cut(half * (2.0 * f64::from(i) / f64::from(steps) - 1.0))).collect()
 }
 
-/// Point where a ray from a place in the room meets a wall.
+/// Point where a ray from a point in the room meets a wall.
 fn to_wall(from: DVec3, direction: DVec3, size: DVec3) -> DVec3 {
     let length = (0..3)
         .filter(|&i| direction[i].abs() > 1e-9)
@@ -163,8 +169,8 @@ fn to_wall(from: DVec3, direction: DVec3, size: DVec3) -> DVec3 {
 fn draw_beam(canvas: &mut Canvas, view: &View, scene: &Scene) {
     let radar = scene.radar_position();
     let directions = beam(view, scene);
-    let mut fan = vec![view.at(radar)];
-    fan.extend(directions.iter().map(|&d| view.at(to_wall(radar, d, view.size_m))));
+    let mut fan = vec![view.project(radar)];
+    fan.extend(directions.iter().map(|&d| view.project(to_wall(radar, d, view.size_m))));
     let edge = Line { ink: BEAM.darker(0.15), width: 1.4, is_dashed: true };
     for end in [fan.get(1), fan.last()].into_iter().flatten() {
         canvas.line(&[fan[0], *end], &edge);
@@ -175,7 +181,7 @@ fn draw_beam(canvas: &mut Canvas, view: &View, scene: &Scene) {
 fn draw_path(canvas: &mut Canvas, view: &View, path: &DrawnPath) {
     let ink = if path.is_moving { MOVING } else { STATIC };
     let line = Line { ink: ink.faint(0.15 + 0.75 * path.strength), width: 1.2, is_dashed: false };
-    let places: Vec<Pixel> = path.points.iter().map(|p| view.at(*p)).collect();
+    let places: Vec<Pixel> = path.points.iter().map(|p| view.project(*p)).collect();
     canvas.line(&places, &line);
 }
 
@@ -183,25 +189,25 @@ fn draw_radar(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labe
     /// Size of the sign, pixels.
     const SIZE: f64 = 11.0;
     let ahead = scene.radar_from_world().transpose() * DVec3::X;
-    let at = view.at(scene.radar_position());
+    let center = view.project(scene.radar_position());
     let (dx, dy) = (ahead[view.across], -ahead[view.up]);
     let length = dx.hypot(dy);
     let (dx, dy) = if length > 0.05 { (dx / length, dy / length) } else { (0.0, 1.0) };
-    let place = |along: f64, across: f64| [at[0] + along * dx - across * dy, at[1] + along * dy + across * dx];
+    let place = |along: f64, across: f64| [center[0] + along * dx - across * dy, center[1] + along * dy + across * dx];
     let arrow = vec![place(SIZE, 0.0), place(-0.6 * SIZE, 0.75 * SIZE), place(-0.6 * SIZE, -0.75 * SIZE)];
     canvas.fill(std::slice::from_ref(&arrow), BEAM);
-    canvas.around(&[arrow], &Line { ink: INK, width: 1.6, is_dashed: false });
-    labels.take([at[0] - SIZE, at[1] - SIZE], [at[0] + SIZE, at[1] + SIZE]);
+    canvas.outline(&[arrow], &Line { ink: INK, width: 1.6, is_dashed: false });
+    labels.reserve([center[0] - SIZE, center[1] - SIZE], [center[0] + SIZE, center[1] + SIZE]);
 }
 
-/// Furniture without the walls of meshes, which are drawn by their outlines.
+/// Furniture without the walls of meshes, whose outlines are drawn instead.
 fn furniture(scene: &Scene) -> impl Iterator<Item = &FurnitureFile> {
     let all = scene.file().furniture.iter().enumerate();
     all.filter(move |(number, _)| !scene.is_wall_of_mesh(*number)).map(|(_, furniture)| furniture)
 }
 
 fn draw_furniture(canvas: &mut Canvas, view: &View, scene: &Scene) {
-    // What is nearer to who looks hides the rest a little.
+    // Furniture that is nearer to the viewer is drawn last, so that it partly covers the rest.
     let mut all: Vec<_> = furniture(scene).collect();
     let depth = if view.is_plan() { 2 } else { 1 - view.across };
     let sign = if view.is_plan() || view.across == 1 { 1.0 } else { -1.0 };
@@ -211,19 +217,19 @@ fn draw_furniture(canvas: &mut Canvas, view: &View, scene: &Scene) {
     for furniture in all {
         let low = DVec3::from_array(furniture.position_m);
         let area = view.rectangle(low, low + DVec3::from_array(furniture.size_m));
-        let ink = furniture.material.as_deref().map_or(UNSAID, |material| material_ink(scene, material));
+        let ink = furniture.material.as_deref().map_or(NO_MATERIAL, |material| material_ink(scene, material));
         canvas.fill(std::slice::from_ref(&area), ink.faint(0.45));
-        canvas.around(&[area], &Line { ink: ink.darker(0.35), width: 1.6, is_dashed: false });
+        canvas.outline(&[area], &Line { ink: ink.darker(0.35), width: 1.6, is_dashed: false });
     }
     let places = scene.file().seat.iter().map(|s| (s.position_m, s.heading_deg, s.height_m));
     let places = places.chain(scene.file().bed.iter().map(|b| (b.position_m, b.heading_deg, b.height_m)));
     for ([x, y], heading_deg, height_m) in places {
-        // Where hips rest, and where one looks or feet point.
+        // A circle for the hips, and a line in the direction of view or of the feet.
         let (sine, cosine) = heading_deg.to_radians().sin_cos();
         let hips = DVec3::new(x, y, height_m);
         let mark = Line { ink: INK.faint(0.75), width: 1.6, is_dashed: false };
-        canvas.around(&[ring(view.at(hips), 4.0)], &mark);
-        canvas.line(&[view.at(hips), view.at(hips + DVec3::new(cosine, sine, 0.0) * 0.22)], &mark);
+        canvas.outline(&[circle(view.project(hips), 4.0)], &mark);
+        canvas.line(&[view.project(hips), view.project(hips + DVec3::new(cosine, sine, 0.0) * 0.22)], &mark);
     }
 }
 
@@ -235,13 +241,13 @@ fn label_furniture(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut
         let [width, height] = Letters::Small.size(&furniture.name);
         let (x, y) = (0.5 * (x0 + x1 - width), 0.5 * (y0 + y1 - height));
         let mut places = vec![[x, y], [x, y0 + 2.0], [x, y1 - height - 2.0]];
-        // Words that are wider than their thing go beside it.
+        // A name that is wider than its furniture is placed beside it.
         if width > x1 - x0 - 4.0 || height > y1 - y0 {
             places =
                 vec![[x1 + 4.0, y], [x0 - width - 4.0, y], [x, y1 + 3.0], [x, y0 - height - 3.0], [x1 + 4.0, y0 + 3.0]];
         }
-        if let Some(at) = labels.find([width, height], &places, view.frame()) {
-            canvas.text(at, &furniture.name, Letters::Small, INK);
+        if let Some(corner) = labels.find([width, height], &places, view.bounds()) {
+            canvas.text(corner, &furniture.name, Letters::Small, INK);
         }
     }
 }
@@ -252,43 +258,46 @@ fn bounds(area: &[Pixel]) -> (Pixel, Pixel) {
     })
 }
 
-/// An ellipsoid seen from far away.
+/// Outline of an ellipsoid in orthographic projection.
 fn silhouette(view: &View, e: &Ellipsoid) -> Vec<Pixel> {
     let columns = [e.axes.x_axis * e.semi_axes_m.x, e.axes.y_axis * e.semi_axes_m.y, e.axes.z_axis * e.semi_axes_m.z];
     let covariance = |i: usize, j: usize| columns.iter().map(|c| c[i] * c[j]).sum::<f64>();
-    // Its shadow is the ellipse of a square root of that.
+    // The outline is the ellipse of a Cholesky factor of the projected covariance.
     let a = covariance(view.across, view.across).sqrt();
     let b = covariance(view.across, view.up) / a.max(1e-12);
     let c = (covariance(view.up, view.up) - b * b).max(0.0).sqrt();
-    let centre = view.at(e.centre);
+    let centre = view.project(e.centre);
     let place = |(sine, cosine): (f64, f64)| {
         [centre[0] + a * cosine * view.per_m, centre[1] - (b * cosine + c * sine) * view.per_m]
     };
     (0..40).map(|i| place((f64::from(i) * std::f64::consts::TAU / 40.0).sin_cos())).collect()
 }
 
-fn draw_bodies(canvas: &mut Canvas, view: &View, scene: &Scene, way: &Way) {
+fn draw_bodies(canvas: &mut Canvas, view: &View, scene: &Scene, trajectory: &Trajectory) {
     let is_mesh = scene.file().people.body == BodyFile::Mesh;
-    let mesh = is_mesh.then(|| WalkingMesh::new(Arc::clone(&way.motion), 1.5 * EDGE_M));
-    for (i, &time_s) in way.bodies.iter().enumerate().rev() {
+    let mesh = is_mesh.then(|| WalkingMesh::new(Arc::clone(&trajectory.motion), 1.5 * EDGE_M));
+    for (i, &time_s) in trajectory.bodies.iter().enumerate().rev() {
         let opacity = if i == 0 { 0.80 } else { 0.26 };
         if let Some(mesh) = &mesh {
             let mesh = mesh.mesh_at(time_s);
-            let corners = |t: usize| mesh.corners(t).map(|c| c.map(|p| view.at(p)).to_vec());
+            let corners = |t: usize| mesh.corners(t).map(|c| c.map(|p| view.project(p)).to_vec());
             let triangles: Vec<Vec<Pixel>> = (0..mesh.triangles.len()).filter_map(corners).collect();
-            canvas.fill(&triangles, way.ink.faint(opacity));
+            canvas.fill(&triangles, trajectory.ink.faint(opacity));
         } else {
-            let parts: Vec<Vec<Pixel>> = way.motion.body(time_s).iter().map(|e| silhouette(view, e)).collect();
-            canvas.fill(&parts, way.ink.faint(opacity));
-            let line =
-                Line { ink: way.ink.darker(0.4).faint(if i == 0 { 0.55 } else { 0.2 }), width: 1.0, is_dashed: false };
-            canvas.around(&parts, &line);
+            let parts: Vec<Vec<Pixel>> = trajectory.motion.body(time_s).iter().map(|e| silhouette(view, e)).collect();
+            canvas.fill(&parts, trajectory.ink.faint(opacity));
+            let line = Line {
+                ink: trajectory.ink.darker(0.4).faint(if i == 0 { 0.55 } else { 0.2 }),
+                width: 1.0,
+                is_dashed: false,
+            };
+            canvas.outline(&parts, &line);
         }
     }
 }
 
 fn draw_axes(canvas: &mut Canvas, view: &View) {
-    let [[x0, _], [_, y1]] = view.frame();
+    let [[x0, _], [_, y1]] = view.bounds();
     let line = Line { ink: INK, width: 1.2, is_dashed: false };
     let step = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0].into_iter().find(|step| step * view.per_m >= 48.0).unwrap_or(50.0);
     let digits = usize::from(step < 1.0);
@@ -331,18 +340,18 @@ mod tests {
         Scene::load(&files::fixture(&format!("scenes/{name}.toml")).expect("a fixture")).expect("a scene")
     }
 
-    /// A metre is as long across as up, and up is up.
+    /// A metre has the same length in both directions, and up is up.
     #[test]
-    fn metres_are_as_long_either_way() {
+    fn the_scale_is_the_same_in_both_directions() {
         let view = view();
-        let [x, y] = view.at(DVec3::ZERO);
+        let [x, y] = view.project(DVec3::ZERO);
         assert_eq!((x, y), (10.0, 20.0 + 125.0));
-        assert_eq!(view.at(DVec3::new(1.0, 9.0, 1.0)), [x + 50.0, y - 50.0]);
+        assert_eq!(view.project(DVec3::new(1.0, 9.0, 1.0)), [x + 50.0, y - 50.0]);
     }
 
-    /// An ellipsoid's outline reaches as far as it does, however it is turned.
+    /// The outline of a rotated ellipsoid has the ellipsoid's extent.
     #[test]
-    fn outlines_of_ellipsoids_are_their_shadows() {
+    fn outlines_of_ellipsoids_are_their_projections() {
         let axes = DMat3::from_rotation_y(0.7) * DMat3::from_rotation_z(0.4) * DMat3::from_rotation_x(1.1);
         let e = Ellipsoid { centre: DVec3::new(2.0, 1.0, 1.2), axes, semi_axes_m: DVec3::new(0.1, 0.2, 0.6) };
         let half = radome_sim::people::body::half_extent(&e) * 50.0;
@@ -361,7 +370,7 @@ mod tests {
         (image.width as usize, pixels.as_chunks().0.to_vec())
     }
 
-    /// Every shipped scene has a picture, with something in it.
+    /// Every shipped scene gives a picture that is not blank.
     #[test]
     fn every_shipped_scene_is_drawn() {
         let folder = files::fixture("scenes").expect("a fixture");
@@ -393,7 +402,7 @@ mod tests {
         let (width, pixels) = rgb_of(file.path());
         let [plan, _] = views(&scene);
         let differ = |a: [f64; 2], b: [f64; 2]| {
-            let [a, b] = [a, b].map(|[x, y]| plan.at(DVec3::new(x, y, 0.0)));
+            let [a, b] = [a, b].map(|[x, y]| plan.project(DVec3::new(x, y, 0.0)));
             let [a, b] = [a, b].map(|[x, y]| pixels[y as usize * width + x as usize]);
             (0..3).map(|i| a[i].abs_diff(b[i])).max() > Some(20)
         };
@@ -402,7 +411,7 @@ mod tests {
         assert!(differ([3.182, 1.818], [3.6, 2.2]));
     }
 
-    /// Floor and thick walls filled the box around a plan, all in the material of `walls`.
+    /// Regression test: floor and thick walls filled the box around a plan, all in the material of `walls`.
     #[test]
     fn plans_are_drawn_with_their_own_walls() {
         let path = files::fixture("scenes/l-corridor.toml").expect("a fixture");
@@ -415,7 +424,7 @@ mod tests {
         let (width, pixels) = rgb_of(file.path());
         let [plan, beside] = views(&scene);
         let is = |view: &View, place_m: [f64; 3], off: Pixel, rgb: [u8; 3]| {
-            let [x, y] = view.at(DVec3::from_array(place_m));
+            let [x, y] = view.project(DVec3::from_array(place_m));
             let found = pixels[(y + off[1]) as usize * width + (x + off[0]) as usize];
             assert!((0..3).all(|i| found[i].abs_diff(rgb[i]) <= 3), "{place_m:?}: {found:?}, expected {rgb:?}");
         };
@@ -437,13 +446,13 @@ mod tests {
             draw(&preview, file.path()).expect("a picture");
             let (width, pixels) = rgb_of(file.path());
             let [plan, _] = views(scene);
-            let [x, y] = plan.at(DVec3::new(place_m[0], place_m[1], 0.0));
+            let [x, y] = plan.project(DVec3::new(place_m[0], place_m[1], 0.0));
             pixels[y as usize * width + x as usize]
         });
         a != b
     }
 
-    /// Two walls of a file, at a right angle, were drawn as furniture on the floor between them.
+    /// Regression test: two walls of a file at a right angle were drawn as furniture on the floor between them.
     #[test]
     fn inner_walls_of_meshes_leave_the_floor_free() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -463,9 +472,9 @@ mod tests {
         assert!(!differ([&without, &with], [1.5, 0.5]), "the floor between the walls");
     }
 
-    /// The beam ends where the pattern has lost half its power.
+    /// The beam ends where the power pattern is half its maximum.
     #[test]
-    fn beams_are_as_wide_as_the_antenna_says() {
+    fn beams_have_the_width_of_the_antenna_pattern() {
         let scene = scene("corridor");
         for (view, width_deg) in [
             (View { up: 1, ..view() }, scene.receiver().antenna.azimuth_beamwidth_deg),

@@ -14,7 +14,7 @@ const FONT_SIZE: f64 = 0.734;
 ///
 /// # Errors
 /// The writer fails.
-pub(super) fn write(mut writer: impl Write, size: [f64; 2], paper: Ink, marks: &[Mark]) -> anyhow::Result<()> {
+pub(super) fn write(mut writer: impl Write, size: [f64; 2], background: Ink, marks: &[Mark]) -> anyhow::Result<()> {
     let [width, height] = size.map(f64::ceil);
     let mut out = String::new();
     // Writing to a string does not fail.
@@ -22,7 +22,7 @@ pub(super) fn write(mut writer: impl Write, size: [f64; 2], paper: Ink, marks: &
         out,
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" \
          font-family=\"'Noto Sans Mono', ui-monospace, monospace\">\n<rect width=\"{width}\" height=\"{height}\" {}/>",
-        colour("fill", paper)
+        colour("fill", background)
     );
     for mark in marks {
         let _ = draw(&mut out, mark);

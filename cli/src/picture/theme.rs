@@ -6,7 +6,7 @@ use super::palette::INK;
 /// Colours of a plot.
 pub struct Theme {
     /// Background.
-    pub paper: Ink,
+    pub background: Ink,
     /// Text and axes.
     pub ink: Ink,
     /// Grid lines behind the data.
@@ -19,7 +19,7 @@ impl Theme {
     /// Theme of light pages. The colour of each series has the largest possible CIE Lab distance from those before it,
     /// for normal, red-blind and green-blind vision. The first two are Okabe and Ito's.
     pub const LIGHT: Theme = Theme {
-        paper: Ink::solid([255, 255, 255]),
+        background: Ink::solid([255, 255, 255]),
         ink: INK,
         grid: Ink::solid([221, 225, 230]),
         series: [
@@ -40,7 +40,7 @@ impl Theme {
 
     /// Theme of dark pages, with series colours chosen by the same rule.
     pub const DARK: Theme = Theme {
-        paper: Ink::solid([13, 17, 23]),
+        background: Ink::solid([13, 17, 23]),
         ink: Ink::solid([230, 237, 243]),
         grid: Ink::solid([45, 51, 59]),
         series: [
@@ -98,10 +98,10 @@ mod tests {
     /// Contrast of 4.5 to 1 for text and 3 to 1 for lines: levels AA of the guidelines for text and for graphics.
     #[test]
     fn plots_have_the_contrast_that_readers_need() {
-        for Theme { paper, ink, series, .. } in [Theme::LIGHT, Theme::DARK] {
-            assert!(contrast(ink, paper) >= 4.5);
+        for Theme { background, ink, series, .. } in [Theme::LIGHT, Theme::DARK] {
+            assert!(contrast(ink, background) >= 4.5);
             for line in series {
-                assert!(contrast(line, paper) >= 3.0, "{line:?}: {}", contrast(line, paper));
+                assert!(contrast(line, background) >= 3.0, "{line:?}: {}", contrast(line, background));
             }
         }
     }
@@ -109,7 +109,7 @@ mod tests {
     /// Red-blind and green-blind vision by Machado, Oliveira and Fernandes, "A Physiologically-based Model for
     /// Simulation of Color Vision Deficiency", 2009, severity 1. A difference of 2 is barely visible.
     #[test]
-    fn series_are_told_apart_by_the_colour_blind() {
+    fn series_are_distinguishable_by_the_colour_blind() {
         let eyes = [
             [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
             [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],

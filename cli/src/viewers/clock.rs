@@ -15,7 +15,7 @@ pub struct Clock {
 impl Clock {
     /// Updates the clock with the next frame. If the frames' own clock went backwards, it has restarted, and the offset
     /// is computed anew.
-    pub fn follow(&mut self, frame: &Frame) {
+    pub fn update(&mut self, frame: &Frame) {
         if self.newest_frame_ns.is_none_or(|newest_ns| frame.time_ns < newest_ns) {
             self.origin_ns = frame.host_time_ns.max(self.last_ns).saturating_sub(frame.time_ns);
         }
@@ -24,7 +24,7 @@ impl Clock {
 
     /// Returns the time of a message, ns since 1970, from the frames' own clock, ns; no earlier than the message
     /// before.
-    pub fn at(&mut self, time_ns: u64) -> u64 {
+    pub fn message_time_ns(&mut self, time_ns: u64) -> u64 {
         self.last_ns = self.last_ns.max(self.origin_ns.saturating_add(time_ns));
         self.last_ns
     }
@@ -41,26 +41,29 @@ mod tests {
     }
 
     #[test]
-    fn time_goes_on_from_the_first_frame_whatever_the_clocks_do() {
+    fn time_continues_from_the_first_frame_if_clocks_are_set_back() {
         let mut clock = Clock::default();
-        let mut at = |time_ns, host_time_ns| {
-            clock.follow(&frame(time_ns, host_time_ns));
-            clock.at(time_ns)
+        let mut time_of_message = |time_ns, host_time_ns| {
+            clock.update(&frame(time_ns, host_time_ns));
+            clock.message_time_ns(time_ns)
         };
-        assert_eq!(at(500, 10_500), 10_500);
+        assert_eq!(time_of_message(500, 10_500), 10_500);
         // The host's clock is set back; the frames' own clock is not.
-        assert_eq!(at(600, 3), 10_600);
+        assert_eq!(time_of_message(600, 3), 10_600);
         // The board restarts.
-        assert_eq!(at(0, 20_000), 20_000);
-        assert_eq!(at(100, 20_100), 20_100);
-        assert_eq!(at(0, 0), 20_100);
-        assert_eq!(at(7, 0), 20_107);
+        assert_eq!(time_of_message(0, 20_000), 20_000);
+        assert_eq!(time_of_message(100, 20_100), 20_100);
+        assert_eq!(time_of_message(0, 0), 20_100);
+        assert_eq!(time_of_message(7, 0), 20_107);
     }
 
     #[test]
     fn a_simulation_keeps_its_own_time() {
         let mut clock = Clock::default();
-        clock.follow(&frame(0, 0));
-        assert_eq!((clock.at(0), clock.at(300), clock.at(200), clock.last_ns), (0, 300, 300, 300));
+        clock.update(&frame(0, 0));
+        assert_eq!(
+            (clock.message_time_ns(0), clock.message_time_ns(300), clock.message_time_ns(200), clock.last_ns),
+            (0, 300, 300, 300)
+        );
     }
 }

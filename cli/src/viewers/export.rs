@@ -31,7 +31,7 @@ const METADATA: &str = "radome.viewers";
 const FRAME_ID: &str = "radar";
 /// Fast compression level, since most bytes are raw codes, which compress little.
 const COMPRESSION_LEVEL: u32 = 1;
-const CANNOT: &str = "cannot write the file for viewers";
+const WRITE_ERROR: &str = "cannot write the file for viewers";
 
 /// Writes a recording as an MCAP file for viewers. Chirps and maps are images; answers and the board's state are
 /// numbers. Gaps, labels and changes of the number of people form a log. `after_event` is called after every frame and
@@ -67,7 +67,7 @@ struct Topics {
 }
 
 struct Export<W: Write + Seek> {
-    /// Dropped only where nothing has failed: its `Drop` finishes the file, and panics after some errors.
+    /// Dropped only if nothing has failed: `Drop` finishes the file, and panics after some errors.
     mcap: ManuallyDrop<mcap::Writer<W>>,
     topics: Topics,
     /// Number of messages so far.
@@ -84,8 +84,8 @@ struct Export<W: Write + Seek> {
     results: Peekable<Flatten<std::option::IntoIter<Results>>>,
     /// Number of people in the previous answer.
     people: Option<u8>,
-    /// Sequence number and time of the previous frame, ns.
-    before: Option<(u64, u64)>,
+    /// Sequence number and time, ns, of the previous frame.
+    previous: Option<(u64, u64)>,
     report: WriteReport,
 }
 
@@ -98,11 +98,11 @@ impl<W: Write + Seek> Export<W> {
             .library(concat!("radome ", env!("CARGO_PKG_VERSION")))
             .compression_level(COMPRESSION_LEVEL)
             .compression_threads(0);
-        let mut mcap = ManuallyDrop::new(options.create(out).context(CANNOT)?);
+        let mut mcap = ManuallyDrop::new(options.create(out).context(WRITE_ERROR)?);
         let mut channel = |topic: &str, message_type: &MessageType| -> anyhow::Result<u16> {
             let schema = mcap.add_schema(&message_type.full_name(), "protobuf", &message_type.descriptor_set());
-            let schema = schema.context(CANNOT)?;
-            mcap.add_channel(schema, topic, "protobuf", &BTreeMap::new()).context(CANNOT)
+            let schema = schema.context(WRITE_ERROR)?;
+            mcap.add_channel(schema, topic, "protobuf", &BTreeMap::new()).context(WRITE_ERROR)
         };
         let topics = Topics {
             chirps: channel("/radome/chirps", &RAW_IMAGE)?,
@@ -124,7 +124,7 @@ impl<W: Write + Seek> Export<W> {
             spans,
             results: source.results()?.into_iter().flatten().peekable(),
             people: None,
-            before: None,
+            previous: None,
             report: WriteReport::default(),
         })
     }
@@ -133,42 +133,42 @@ impl<W: Write + Seek> Export<W> {
         let sequence = self.messages;
         self.messages = sequence.wrapping_add(1);
         let header = MessageHeader { channel_id, sequence, log_time: time_ns, publish_time: time_ns };
-        self.mcap.write_to_known_channel(&header, &message.encode_to_vec()).context(CANNOT)
+        self.mcap.write_to_known_channel(&header, &message.encode_to_vec()).context(WRITE_ERROR)
     }
 
-    fn event(&mut self, time_ns: u64, level: i32, name: &str, message: String) -> anyhow::Result<()> {
+    fn log(&mut self, time_ns: u64, level: i32, name: &str, message: String) -> anyhow::Result<()> {
         let timestamp = timestamp(time_ns);
         let log = Log { timestamp, level, message, name: name.to_owned(), file: String::new(), line: 0 };
         self.write(self.topics.events, time_ns, &log)
     }
 
     fn frame(&mut self, frame: &Frame) -> anyhow::Result<()> {
-        self.clock.follow(frame);
-        self.labels_up_to(frame.time_ns)?;
-        let time_ns = self.clock.at(frame.time_ns);
+        self.clock.update(frame);
+        self.write_labels_up_to(frame.time_ns)?;
+        let time_ns = self.clock.message_time_ns(frame.time_ns);
         self.write(self.topics.chirps, time_ns, &chirps(frame, time_ns))?;
         let status = self.processor.process(frame, &mut self.map)?;
         if status == MapStatus::Ready {
             let levels = *self.levels.get_or_insert_with(|| plot::levels(&self.map));
-            let data = plot::cells(&self.map, levels)?;
+            let data = plot::map_png(&self.map, levels)?;
             let (timestamp, format, frame_id) = (timestamp(time_ns), "png".to_owned(), FRAME_ID.to_owned());
             self.write(self.topics.map, time_ns, &CompressedImage { timestamp, data, format, frame_id })?;
         }
         let state = self.state(frame, time_ns);
         self.write(self.topics.state, time_ns, &state)?;
-        self.before = Some((frame.sequence, frame.time_ns));
+        self.previous = Some((frame.sequence, frame.time_ns));
         self.report.frames += 1;
-        self.answers_up_to(frame.sequence)
+        self.write_answers_up_to(frame.sequence)
     }
 
     fn state(&self, frame: &Frame, time_ns: u64) -> State {
         let people = |occupancy: Option<Occupancy>| occupancy.map_or(f64::NAN, |class| class.index() as f64);
         let interval_ns = self
-            .before
+            .previous
             .filter(|(sequence, _)| sequence.checked_add(1) == Some(frame.sequence))
             .and_then(|(_, before_ns)| frame.time_ns.checked_sub(before_ns))
             .filter(|interval_ns| *interval_ns > 0);
-        let labelled = labels::by_span(&self.spans, frame, &self.waveform);
+        let labelled = labels::truth_of_frame(&self.spans, frame, &self.waveform);
         State {
             timestamp: timestamp(time_ns),
             sequence: frame.sequence,
@@ -190,21 +190,21 @@ impl<W: Write + Seek> Export<W> {
             frames => format!("{frames} frames"),
         };
         let message = format!("{lost} lost from frame {} on: {}", gap.first_sequence, gap.reason.name());
-        self.event(self.clock.last_ns, WARNING, "gap", message)
+        self.log(self.clock.last_ns, WARNING, "gap", message)
     }
 
     /// Writes the starts and ends of labels up to a time of the frames' own clock.
-    fn labels_up_to(&mut self, time_ns: u64) -> anyhow::Result<()> {
+    fn write_labels_up_to(&mut self, time_ns: u64) -> anyhow::Result<()> {
         while let Some((event_ns, text)) = self.label_events.pop_front_if(|(event_ns, _)| *event_ns <= time_ns) {
-            let at_ns = self.clock.at(event_ns);
-            self.event(at_ns, INFO, "label", text)?;
+            let at_ns = self.clock.message_time_ns(event_ns);
+            self.log(at_ns, INFO, "label", text)?;
         }
         Ok(())
     }
 
     /// Writes the answers to frames up to this number.
-    fn answers_up_to(&mut self, sequence: u64) -> anyhow::Result<()> {
-        // An error counts as due at any frame.
+    fn write_answers_up_to(&mut self, sequence: u64) -> anyhow::Result<()> {
+        // An error is returned at the next frame, whatever its number.
         while let Some(result) =
             self.results.next_if(|result| !result.as_ref().is_ok_and(|result| result.sequence > sequence))
         {
@@ -214,7 +214,7 @@ impl<W: Write + Seek> Export<W> {
     }
 
     fn answer(&mut self, result: &FrameResult) -> anyhow::Result<()> {
-        let time_ns = self.clock.at(result.time_ns);
+        let time_ns = self.clock.message_time_ns(result.time_ns);
         let [p_empty, p_one, p_two] = result.probabilities.unwrap_or([f32::NAN; 3]);
         let answer = Answer {
             timestamp: timestamp(time_ns),
@@ -229,16 +229,16 @@ impl<W: Write + Seek> Export<W> {
         };
         self.write(self.topics.answer, time_ns, &answer)?;
         match self.people.replace(result.people) {
-            Some(before) if before != result.people => {
-                self.event(time_ns, INFO, "people", format!("people: {before} to {}", result.people))
+            Some(previous) if previous != result.people => {
+                self.log(time_ns, INFO, "people", format!("people: {previous} to {}", result.people))
             }
             _ => Ok(()),
         }
     }
 
     fn finish(mut self) -> anyhow::Result<WriteReport> {
-        self.answers_up_to(u64::MAX)?;
-        self.labels_up_to(u64::MAX)?;
+        self.write_answers_up_to(u64::MAX)?;
+        self.write_labels_up_to(u64::MAX)?;
         let map = json!({
             "range_step_m": self.map.range_step_m,
             "velocity_step_m_per_s": self.map.velocity_step_m_per_s,
@@ -246,11 +246,11 @@ impl<W: Write + Seek> Export<W> {
             "rows": "radial velocity, receding above, 0 at row height / 2 from below",
             "levels_db": self.levels.map(|(low, high)| [low, high]),
         });
-        let waveform = serde_json::to_string(&self.waveform).context(CANNOT)?;
+        let waveform = serde_json::to_string(&self.waveform).context(WRITE_ERROR)?;
         let metadata = BTreeMap::from([("waveform".to_owned(), waveform), ("map".to_owned(), map.to_string())]);
-        self.mcap.write_metadata(&Metadata { name: METADATA.to_owned(), metadata }).context(CANNOT)?;
-        self.mcap.finish().context(CANNOT)?;
-        self.report.bytes = ManuallyDrop::into_inner(self.mcap).into_inner().stream_position().context(CANNOT)?;
+        self.mcap.write_metadata(&Metadata { name: METADATA.to_owned(), metadata }).context(WRITE_ERROR)?;
+        self.mcap.finish().context(WRITE_ERROR)?;
+        self.report.bytes = ManuallyDrop::into_inner(self.mcap).into_inner().stream_position().context(WRITE_ERROR)?;
         Ok(self.report)
     }
 }

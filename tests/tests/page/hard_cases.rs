@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use radome_tests::browser::{Socket, page};
 use radome_tests::failure;
-use radome_tests::running::{PATIENCE, ask, wait_for};
+use radome_tests::running::{PATIENCE, send_request, wait_for};
 use tungstenite::Message;
 use tungstenite::client::IntoClientRequest;
 
@@ -31,7 +31,7 @@ fn get(address: &str, path: &str, headers: &str) -> u16 {
 }
 
 /// Reads until a message satisfies `holds` (returns `true`) or the server closes the connection (returns `false`).
-fn until(socket: &mut Socket, holds: impl Fn(&str) -> bool) -> bool {
+fn read_until(socket: &mut Socket, holds: impl Fn(&str) -> bool) -> bool {
     let end = Instant::now() + PATIENCE;
     while Instant::now() < end {
         match socket.read() {
@@ -46,12 +46,12 @@ fn until(socket: &mut Socket, holds: impl Fn(&str) -> bool) -> bool {
 /// Health report of the program, requested with additional headers.
 fn health(address: &str, headers: &str) -> Value {
     let request = format!("GET /health.json HTTP/1.1\r\nHost: {address}\r\n{headers}\r\n");
-    let text = ask(address, &request);
+    let text = send_request(address, &request);
     let body = text.split_once("\r\n\r\n").expect("a body").1;
     serde_json::from_str(body).expect("JSON")
 }
 
-fn refused(address: &str) -> Value {
+fn refused_counts(address: &str) -> Value {
     health(address, "")["refused"].clone()
 }
 
@@ -107,15 +107,15 @@ fn upgrade(path: &str) -> &'static str {
 #[test]
 fn off_loopback_nothing_is_served_without_the_token() {
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = walk(folder.path(), 2.0, 4.0, 20);
-    let served = Served::start_at("0.0.0.0:0", &mut watch(&recording, "0"));
+    let recording = simulate_walk(folder.path(), 2.0, 4.0, 20);
+    let served = Served::start_at("0.0.0.0:0", &mut replay_command(&recording, "0"));
     let address = served.address.clone();
     let token = served.token.clone().expect("a token in the link");
     assert!(token.len() >= 22, "128 bits: {token}");
     let port = address.rsplit(':').next().expect("a port");
     let asked = |method: &str, path: &str, headers: &str| {
         let upgrade = upgrade(path);
-        ask(&address, format!("{method} {path} HTTP/1.1\r\nHost: {address}\r\n{upgrade}{headers}\r\n"))
+        send_request(&address, format!("{method} {path} HTTP/1.1\r\nHost: {address}\r\n{upgrade}{headers}\r\n"))
     };
 
     let wrong_bearer = "Authorization: Bearer 00000000000000000000000000000000\r\n";
@@ -157,7 +157,7 @@ fn off_loopback_nothing_is_served_without_the_token() {
     }
     assert!(page_with(&address, "Authorization", "Bearer wrong-wrong-wrong").is_err());
     let mut socket = page_with(&address, "Authorization", &format!("Bearer {token}")).expect("a page");
-    assert!(until(&mut socket, |said| said.contains("\"hello\"")));
+    assert!(read_until(&mut socket, |said| said.contains("\"hello\"")));
 
     // Browsers exchange the link's token for a cookie, and a redirect removes the token from the address.
     let answer = asked("GET", &format!("/?token={token}"), "");
@@ -175,7 +175,7 @@ fn off_loopback_nothing_is_served_without_the_token() {
         assert!(asked("GET", path, &with_cookie).starts_with("HTTP/1.1 200 "), "{path}");
     }
     let mut socket = page_with(&address, "Cookie", cookie).expect("a page");
-    assert!(until(&mut socket, |said| said.contains("\"hello\"")));
+    assert!(read_until(&mut socket, |said| said.contains("\"hello\"")));
     // A valid token does not permit another host or site.
     assert_eq!(get(&address, "/", &format!("Host: evil.example:{port}\r\n{bearer}")), 403);
     assert_eq!(get(&address, "/", &format!("Host: {address}\r\nOrigin: http://evil.example\r\n{bearer}")), 403);
@@ -190,10 +190,10 @@ fn off_loopback_nothing_is_served_without_the_token() {
 #[test]
 fn a_token_file_protects_loopback_too_and_is_its_owners_alone() {
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = walk(folder.path(), 2.0, 4.0, 20);
+    let recording = simulate_walk(folder.path(), 2.0, 4.0, 20);
     let file = folder.path().join("token");
     let start = || {
-        let served = Served::start(watch(&recording, "0").args(["-vv", "--token-file"]).arg(&file));
+        let served = Served::start(replay_command(&recording, "0").args(["-vv", "--token-file"]).arg(&file));
         (served.program, served.address)
     };
     let (mut running, address) = start();
@@ -217,7 +217,7 @@ fn a_token_file_protects_loopback_too_and_is_its_owners_alone() {
     drop(running);
 
     let with_file = || {
-        let mut command = watch(&recording, "0");
+        let mut command = replay_command(&recording, "0");
         command.args(["--view", "--listen", "127.0.0.1:0", "--token-file"]).arg(&file);
         command
     };
@@ -235,13 +235,13 @@ fn a_token_file_protects_loopback_too_and_is_its_owners_alone() {
 #[test]
 fn labels_that_are_read_only_are_watched_and_downloaded_but_not_changed() {
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = walk(folder.path(), 2.0, 4.0, 20);
+    let recording = simulate_walk(folder.path(), 2.0, 4.0, 20);
     let track = write_file(folder.path(), "track.txt", "0.1\t0.5\tempty\n");
     json_lines(command!("recording labels --json", &recording, "--import", &track));
-    let served = Served::start(watch(&recording, "0").arg("--read-only-labels"));
+    let served = Served::start(replay_command(&recording, "0").arg("--read-only-labels"));
     let mut socket = page(&served.address);
-    assert!(until(&mut socket, |said| said.contains("\"read_only_labels\":true")));
-    assert!(until(&mut socket, |said| said.contains("\"label\":\"empty\"")), "pages see labels");
+    assert!(read_until(&mut socket, |said| said.contains("\"read_only_labels\":true")));
+    assert!(read_until(&mut socket, |said| said.contains("\"label\":\"empty\"")), "pages see labels");
     for edit in [
         "{\"do\":\"label\",\"occupancy\":\"one\"}",
         "{\"do\":\"stop\"}",
@@ -253,26 +253,26 @@ fn labels_that_are_read_only_are_watched_and_downloaded_but_not_changed() {
         "{\"do\":\"redo\"}",
     ] {
         socket.send(Message::text(edit)).expect("sent");
-        assert!(until(&mut socket, |said| said.contains("read-only")), "{edit}");
+        assert!(read_until(&mut socket, |said| said.contains("read-only")), "{edit}");
     }
     // Viewing still works.
     socket.send(Message::text("{\"do\":\"seek_frame\",\"sequence\":3}")).expect("sent");
-    let text = ask(&served.address, format!("GET /labels.txt HTTP/1.1\r\nHost: {}\r\n\r\n", served.address));
+    let text = send_request(&served.address, format!("GET /labels.txt HTTP/1.1\r\nHost: {}\r\n\r\n", served.address));
     assert!(text.ends_with("\tempty\n"), "{text}");
     drop(socket);
     assert!(served.stop(), "an orderly end");
-    assert_eq!(labels(&recording), [(0.1, 0.5, "empty".to_owned())]);
+    assert_eq!(read_labels(&recording), [(0.1, 0.5, "empty".to_owned())]);
 }
 
 #[test]
-fn a_crowd_that_sends_a_byte_now_and_then_does_not_close_the_page_to_others() {
+fn many_slow_connections_do_not_block_the_page_for_others() {
     const CROWD: usize = 130;
     let folder = tempfile::tempdir().expect("a folder");
-    let served = replay(&walk(folder.path(), 2.0, 4.0, 20), "0");
+    let served = replay(&simulate_walk(folder.path(), 2.0, 4.0, 20), "0");
     let address = served.address.clone();
     // This page was open before and stays open until the end of the run.
     let mut socket = page(&address);
-    let before = std::thread::spawn(move || until(&mut socket, |said| said.contains("\"over\"")));
+    let before = std::thread::spawn(move || read_until(&mut socket, |said| said.contains("\"over\"")));
     let is_over = Arc::new(AtomicBool::new(false));
     let came = Arc::new(AtomicUsize::new(0));
     let crowd = {
@@ -300,17 +300,17 @@ fn a_crowd_that_sends_a_byte_now_and_then_does_not_close_the_page_to_others() {
     }
     is_over.store(true, Ordering::Relaxed);
     crowd.join().expect("an end");
-    let counted = refused(&address);
+    let counted = refused_counts(&address);
     assert!(counted["connections"].as_u64().expect("a number") >= 1, "{counted}");
     assert!(served.stop(), "an orderly end");
     assert!(before.join().expect("an end"), "the page that was there before is not");
 }
 
 #[test]
-fn two_hundred_upgrades_at_once_are_sixteen_pages() {
+fn two_hundred_upgrades_at_once_open_sixteen_pages() {
     const UPGRADES: usize = 200;
     let folder = tempfile::tempdir().expect("a folder");
-    let served = replay(&walk(folder.path(), 2.0, 4.0, 20), "0");
+    let served = replay(&simulate_walk(folder.path(), 2.0, 4.0, 20), "0");
     let address = served.address.clone();
     for _ in 0..3 {
         let barrier = Arc::new(Barrier::new(UPGRADES));
@@ -338,11 +338,11 @@ fn two_hundred_upgrades_at_once_are_sixteen_pages() {
 }
 
 #[test]
-fn a_page_that_asks_for_pictures_and_reads_none_is_given_up() {
+fn a_page_that_requests_pictures_and_reads_none_is_closed() {
     let folder = tempfile::tempdir().expect("a folder");
-    let served = replay(&walk(folder.path(), 2.0, 4.0, 20), "0");
+    let served = replay(&simulate_walk(folder.path(), 2.0, 4.0, 20), "0");
     let mut socket = page(&served.address);
-    assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
+    assert!(read_until(&mut socket, |said| said.contains("\"at_end\":true")));
     let start = Instant::now();
     // The client acknowledges pictures but reads nothing, so that the kernel's socket buffer fills up.
     for turn in 0.. {
@@ -357,17 +357,17 @@ fn a_page_that_asks_for_pictures_and_reads_none_is_given_up() {
     }
     wait_for("its end", || (health(&served.address, "")["pages"] == 0).then_some(()));
     let mut socket = page(&served.address);
-    assert!(until(&mut socket, |said| said.contains("\"hello\"")));
+    assert!(read_until(&mut socket, |said| said.contains("\"hello\"")));
     drop(socket);
     assert!(served.stop(), "an orderly end");
 }
 
 #[test]
-fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing() {
+fn malicious_requests_are_refused_and_counted_and_the_pipeline_loses_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
     // The source is a file and waits for a slow machine. Lost frames would therefore be the page's fault.
     let frames = 60;
-    let recording = walk(folder.path(), 2.0, 8.0, frames);
+    let recording = simulate_walk(folder.path(), 2.0, 8.0, frames);
     let served = Served::start(live_command(recording, "--speed 4 --json"));
     let answers = served.program.stdout.clone();
     let address = served.address.clone();
@@ -438,23 +438,23 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
         &format!("{{\"do\":\"label\",\"occupancy\":\"one\",\"who\":\"{}\"}}", "x".repeat(61)),
     ] {
         socket.send(Message::text(text)).expect("sent");
-        assert!(until(&mut socket, |said| said.contains("\"refused\":\"")), "{text}");
+        assert!(read_until(&mut socket, |said| said.contains("\"refused\":\"")), "{text}");
     }
     // The page still works.
     socket.send(Message::text("{\"do\":\"label\",\"occupancy\":\"one\",\"who\":null}")).expect("sent");
-    assert!(until(&mut socket, |said| said.contains("\"label\":\"one\"")));
+    assert!(read_until(&mut socket, |said| said.contains("\"label\":\"one\"")));
     for _ in 0..30 {
         let _ = socket.send(Message::binary(vec![0xff; 100]));
     }
-    assert!(!until(&mut socket, |_| false), "thrown out");
+    assert!(!read_until(&mut socket, |_| false), "thrown out");
     let mut socket = page(&address);
     let _ = socket.send(Message::text("x".repeat(5_000_000)));
-    assert!(!until(&mut socket, |_| false), "thrown out");
+    assert!(!read_until(&mut socket, |_| false), "thrown out");
     let mut socket = page(&address);
     for _ in 0..2_000 {
         let _ = socket.send(Message::text("{\"do\":\"seen\"}"));
     }
-    assert!(!until(&mut socket, |_| false), "thrown out");
+    assert!(!read_until(&mut socket, |_| false), "thrown out");
     // Frames that break the WebSocket protocol: unmasked, of an unknown kind, or longer than memory.
     for bytes in [
         &[0x81u8, 0x02, b'h', b'i'][..],
@@ -465,7 +465,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
         if let tungstenite::stream::MaybeTlsStream::Plain(stream) = socket.get_mut() {
             stream.write_all(bytes).expect("sent");
         }
-        assert!(!until(&mut socket, |_| false), "thrown out: {bytes:x?}");
+        assert!(!read_until(&mut socket, |_| false), "thrown out: {bytes:x?}");
     }
 
     // More pages than the limit.
@@ -486,7 +486,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
         assert!(Instant::now() < end, "the page does not come back");
         std::thread::sleep(Duration::from_millis(50));
     }
-    let counted = refused(&address);
+    let counted = refused_counts(&address);
     for (what, least) in [
         ("host", 5),
         ("origin", 8),
@@ -502,7 +502,7 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
     }
 
     let mut socket = page(&address);
-    assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
+    assert!(read_until(&mut socket, |said| said.contains("\"at_end\":true")));
     drop(socket);
     assert!(served.stop(), "an orderly end");
     let lines: Vec<Value> = answers.all().iter().map(|line| serde_json::from_str(line).expect("JSON")).collect();
@@ -515,41 +515,41 @@ fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing(
 #[test]
 fn a_step_back_ends_the_open_label_as_a_seek_does() {
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = walk(folder.path(), 2.0, 4.0, 20);
+    let recording = simulate_walk(folder.path(), 2.0, 4.0, 20);
     let served = replay(&recording, "0");
     let mut socket = page(&served.address);
-    assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
+    assert!(read_until(&mut socket, |said| said.contains("\"at_end\":true")));
     socket.send(Message::text("{\"do\":\"label\",\"occupancy\":\"one\"}")).expect("sent");
-    assert!(until(&mut socket, |said| said.contains("\"open\":{")));
+    assert!(read_until(&mut socket, |said| said.contains("\"open\":{")));
     socket.send(Message::text("{\"do\":\"step\",\"frames\":-10}")).expect("sent");
-    assert!(until(&mut socket, |said| said.contains("\"at_end\":false")));
+    assert!(read_until(&mut socket, |said| said.contains("\"at_end\":false")));
     drop(socket);
     assert!(served.stop(), "an orderly end");
-    let kept = labels(&recording);
+    let kept = read_labels(&recording);
     assert!(kept.len() == 1 && kept[0].2 == "one", "{kept:?}");
 }
 
 #[test]
 fn labels_that_another_program_has_changed_are_not_overwritten() {
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = walk(folder.path(), 2.0, 4.0, 20);
+    let recording = simulate_walk(folder.path(), 2.0, 4.0, 20);
     let served = replay(&recording, "0");
     let mut socket = page(&served.address);
-    assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
+    assert!(read_until(&mut socket, |said| said.contains("\"at_end\":true")));
     let track = write_file(folder.path(), "track.txt", "0.1\t0.5\tempty\n");
     json_lines(command!("recording labels --json", &recording, "--import", &track));
     socket.send(Message::text("{\"do\":\"add\",\"start_s\":1,\"end_s\":1.5,\"occupancy\":\"one\"}")).expect("sent");
-    assert!(until(&mut socket, |said| said.contains("another program")));
+    assert!(read_until(&mut socket, |said| said.contains("another program")));
     drop(socket);
     assert!(!served.stop(), "what was not saved is a failure");
-    assert_eq!(labels(&recording), [(0.1, 0.5, "empty".to_owned())]);
+    assert_eq!(read_labels(&recording), [(0.1, 0.5, "empty".to_owned())]);
 }
 
 /// A step within 0.2 s after two seeks was counted from the first one and lost to the second one, which was sent later.
 #[test]
-fn a_step_soon_after_seeks_is_counted_from_the_frame_that_was_sought_last() {
+fn a_step_soon_after_seeks_starts_at_the_target_of_the_last_seek() {
     let folder = tempfile::tempdir().expect("a folder");
-    let served = replay(&walk(folder.path(), 2.0, 4.0, 20), SLOW);
+    let served = replay(&simulate_walk(folder.path(), 2.0, 4.0, 20), SLOW);
     let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
     pause(&mut browser);
     browser.evaluate(

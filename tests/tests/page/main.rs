@@ -8,20 +8,20 @@ use radome_tests::{command, fixture, json_lines, labels_of, live_command, maps_o
 use serde_json::{Value, json};
 
 /// Simulates a recording of a corridor in which one person walks between two ranges.
-fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
-    let scene = radome_tests::walk(folder, from_m, to_m);
+fn simulate_walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
+    let scene = radome_tests::write_walking_scene(folder, from_m, to_m);
     let recording = folder.join("walk.mcap");
     simulate(&scene, &format!("--frames {frames}"), &recording);
     recording
 }
 
 /// Command that replays a recording.
-fn watch(recording: &Path, speed: &str) -> Command {
+fn replay_command(recording: &Path, speed: &str) -> Command {
     live_command(recording, &format!("--speed {speed}"))
 }
 
 fn replay(recording: &Path, speed: &str) -> Served {
-    Served::start(watch(recording, speed))
+    Served::start(replay_command(recording, speed))
 }
 
 /// Speed at which a recording does not end before a key pauses it, however long the browser takes to start.
@@ -29,13 +29,13 @@ const SLOW: &str = "0.001";
 
 /// Pauses the playback by its key. The page has to know first that the recording plays: the same key plays one that
 /// has ended again.
-fn pause(browser: &mut Browser) {
+fn pause_playback(browser: &mut Browser) {
     browser.wait_until("window.radome?.header && radome.labels && radome.playback?.playing");
     browser.key(" ");
     browser.wait_until("!radome.playback.playing");
 }
 
-fn labels(recording: &Path) -> Vec<(f64, f64, String)> {
+fn read_labels(recording: &Path) -> Vec<(f64, f64, String)> {
     let span = |s: &Value| {
         let time = |name: &str| s[name].as_f64().expect("a time");
         (time("start_s"), time("end_s"), s["label"].as_str().expect("a label").to_owned())
@@ -43,18 +43,18 @@ fn labels(recording: &Path) -> Vec<(f64, f64, String)> {
     labels_of(recording).iter().map(span).collect()
 }
 
-fn sequence(browser: &mut Browser) -> u64 {
+fn shown_sequence(browser: &mut Browser) -> u64 {
     browser.evaluate("radome.header.answer.sequence").as_u64().expect("a number")
 }
 
 #[test]
-fn the_map_moves_with_who_walks_and_velocity_has_the_right_sign() {
+fn the_map_follows_a_walker_and_velocity_has_the_right_sign() {
     for (from_m, to_m, sign) in [(2.0, 8.0, 1.0), (8.0, 2.0, -1.0)] {
         let folder = tempfile::tempdir().expect("a folder");
-        let recording = walk(folder.path(), from_m, to_m, 50);
+        let recording = simulate_walk(folder.path(), from_m, to_m, 50);
         let served = replay(&recording, SLOW);
         let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
-        pause(&mut browser);
+        pause_playback(&mut browser);
         let (mut ranges, mut with, mut pictures) = (Vec::new(), 0, std::collections::BTreeSet::new());
         for at in [10, 20, 30, 40] {
             browser.evaluate(&format!("radome.send({{do: 'seek_frame', sequence: {at}}})"));
@@ -79,11 +79,11 @@ fn the_map_moves_with_who_walks_and_velocity_has_the_right_sign() {
 #[test]
 fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = walk(folder.path(), 2.0, 8.0, 60);
+    let recording = simulate_walk(folder.path(), 2.0, 8.0, 60);
     let before = maps_of(&recording);
     let served = replay(&recording, SLOW);
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1000) else { return };
-    pause(&mut browser);
+    pause_playback(&mut browser);
 
     // Goes to the first frame, ten frames forward and one back; the page shows the requested frame.
     browser.key("Home");
@@ -118,7 +118,7 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     browser.key("1");
     browser.wait_until("radome.labels.open?.label === 'one'");
     for (key, open) in [("2", "radome.labels.open?.label === 'two'"), ("e", "!radome.labels.open")] {
-        let from = sequence(&mut browser);
+        let from = shown_sequence(&mut browser);
         for _ in 0..10 {
             browser.key("ArrowRight");
         }
@@ -128,7 +128,7 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     }
     browser.wait_until("radome.labels.saved && radome.labels.spans.length === 2");
     let near = |a: f64, b: f64| (a - b).abs() < 1e-6;
-    let kept = labels(&recording);
+    let kept = read_labels(&recording);
     assert!(near(kept[0].0, 1.0) && near(kept[0].1, 2.0) && kept[0].2 == "one", "{kept:?}");
     assert!(near(kept[1].0, 2.0) && near(kept[1].1, 3.0) && kept[1].2 == "two", "{kept:?}");
 
@@ -144,10 +144,10 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     let (from, to) = (place(&mut browser, 3.0), place(&mut browser, 4.0));
     browser.drag((from.0 - 1.0, from.1), to);
     browser.wait_until("radome.labels.saved && Math.abs(radome.labels.spans[1].end_s - 4) < 1e-6");
-    assert!(near(labels(&recording)[1].1, 4.0));
+    assert!(near(read_labels(&recording)[1].1, 4.0));
     browser.key("u");
     browser.wait_until("radome.labels.saved && Math.abs(radome.labels.spans[1].end_s - 3) < 1e-6");
-    assert!(near(labels(&recording)[1].1, 3.0));
+    assert!(near(read_labels(&recording)[1].1, 3.0));
 
     // Tests exports, and a label that is still open at the end of the run.
     let text = browser.evaluate("fetch('labels.txt').then(r => r.text())");
@@ -157,7 +157,7 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     assert!(browser.faults.is_empty(), "{:?}", browser.faults);
     drop(browser);
     assert!(served.stop());
-    let kept = labels(&recording);
+    let kept = read_labels(&recording);
     assert!(kept.len() == 3 && kept[2].2 == "empty" && near(kept[2].0, 3.0) && near(kept[2].1, 3.1), "{kept:?}");
     assert!(maps_of(&recording) == before, "labels leave frames alone");
 }
@@ -165,7 +165,7 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
 #[test]
 fn the_page_fits_a_phone_asks_for_nothing_from_elsewhere_and_shows_what_it_is_told_to() {
     let folder = tempfile::tempdir().expect("a folder");
-    let served = replay(&walk(folder.path(), 2.0, 8.0, 30), "1");
+    let served = replay(&simulate_walk(folder.path(), 2.0, 8.0, 30), "1");
     let Some(mut browser) = Browser::open(&served.url(), 390, 844) else { return };
     browser.wait_until("window.radome?.header && radome.hello");
     let width = browser.evaluate("document.documentElement.scrollWidth").as_f64().expect("a width");
@@ -214,7 +214,7 @@ fn the_page_fits_a_phone_asks_for_nothing_from_elsewhere_and_shows_what_it_is_to
 #[test]
 fn a_simulated_partner_stands_beside_its_recording() {
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = walk(folder.path(), 2.0, 6.0, 30);
+    let recording = simulate_walk(folder.path(), 2.0, 6.0, 30);
     let pair = folder.path().join("walk-pair");
     let corridor = fixture("scenes/corridor.toml");
     json_lines(command!("scene pair --json --people 1 --corrections 0 -o", &pair, &recording, corridor));
@@ -343,7 +343,7 @@ fn memory_bytes(id: u32) -> f64 {
 #[test]
 #[ignore = "takes half an hour: tests/long page"]
 #[allow(clippy::print_stderr)]
-fn hours_of_frames_leave_no_trace_in_memory() {
+fn hours_of_frames_need_constant_memory() {
     let length_s: f64 = std::env::var("RADOME_PAGE_S").ok().and_then(|s| s.parse().ok()).unwrap_or(1800.0);
     // The desk scene has twenty frames a second and is simulated fast enough.
     let frames = (200.0 * (length_s + 120.0)) as u64;

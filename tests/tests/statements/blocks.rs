@@ -39,7 +39,7 @@ const PAPER_CELLS: [(&str, Occupancy, [f64; 2], [f64; 2]); 6] = [
 ];
 
 /// Mean with its half-width, both multiplied by a factor.
-fn told(of: Option<Interval>, factor: f64, digits: usize) -> String {
+fn format_interval(of: Option<Interval>, factor: f64, digits: usize) -> String {
     let Some(Interval { mean, half_width, .. }) = of else { return "-".to_owned() };
     mean_with_half(factor * mean, half_width.map(|half| factor * half), digits)
 }
@@ -50,14 +50,14 @@ fn mean_with_half(mean: f64, half_width: Option<f64>, digits: usize) -> String {
 }
 
 /// Our figure and the paper's. Adds "agrees" if the paper's lies in our interval, otherwise the difference.
-fn compared(ours: Option<Interval>, paper: Option<f64>, factor: f64, digits: usize) -> String {
-    let Some(paper) = paper else { return told(ours, factor, digits) };
+fn format_comparison(ours: Option<Interval>, paper: Option<f64>, factor: f64, digits: usize) -> String {
+    let Some(paper) = paper else { return format_interval(ours, factor, digits) };
     let verdict = ours.map_or(String::new(), |of| {
         let more = of.mean - paper / factor;
         let agrees = of.half_width.is_some_and(|half| more.abs() <= half);
         if agrees { " (agrees)".to_owned() } else { format!(" ({:+.digits$})", factor * more) }
     });
-    format!("{} / {paper:.digits$}{verdict}", told(ours, factor, digits))
+    format!("{} / {paper:.digits$}{verdict}", format_interval(ours, factor, digits))
 }
 
 /// Markdown table with these column heads and rows.
@@ -90,7 +90,7 @@ pub fn block(study: &str, kind: &str, way: &str) -> String {
             of.title
         );
     }
-    let Some((kind, group)) = kind.split_once(": ") else { return clean(&of, kind) };
+    let Some((kind, group)) = kind.split_once(": ") else { return clean_table(&of, kind) };
     let found: Vec<&ConditionReport> =
         of.conditions.iter().filter(|condition| condition.group.as_deref().unwrap_or("Other sets") == group).collect();
     if found.is_empty() {
@@ -99,18 +99,18 @@ pub fn block(study: &str, kind: &str, way: &str) -> String {
     match kind {
         "conditions" => conditions(&of, &found),
         "rungs" => rungs(&of, &found),
-        "pairs" => pairs(&of, &found),
+        "pairs" => pair_table(&of, &found),
         other => panic!("{other} is no kind of table"),
     }
 }
 
 /// Networks trained on all labels.
-fn whole(of: &Report) -> impl Iterator<Item = &Cell> {
+fn cells_of_all_labels(of: &Report) -> impl Iterator<Item = &Cell> {
     of.cells.iter().filter(|cell| cell.label_fraction == 1.0 && cell.done > 0)
 }
 
 /// Table of the scores on the test split, under noise on decibels and by share of the labels, with the paper's scores.
-fn clean(of: &Report, kind: &str) -> String {
+fn clean_table(of: &Report, kind: &str) -> String {
     let heads: &[&str] = match kind {
         "clean" => &["failed", "test", "training"],
         "accuracy" => &["test %", "training %"],
@@ -124,10 +124,10 @@ fn clean(of: &Report, kind: &str) -> String {
         let cells = clean_row(of, free.as_ref(), cell, kind);
         [vec![cell.variant.clone(), cell.done.to_string()], cells].concat()
     };
-    table(&[&["network", "seeds"][..], heads].concat(), whole(of).map(row))
+    table(&[&["network", "seeds"][..], heads].concat(), cells_of_all_labels(of).map(row))
 }
 
-/// Cells of a network in the table of [`clean`]. `free` is the study without the leak.
+/// Cells of a network in the table of [`clean_table`]. `free` is the study without the leak.
 fn clean_row(of: &Report, free: Option<&Report>, cell: &Cell, kind: &str) -> Vec<String> {
     let same = |of: &Report, share: f64| -> Option<Cell> {
         of.cells.iter().find(|other| other.variant == cell.variant && other.label_fraction == share).cloned()
@@ -135,7 +135,7 @@ fn clean_row(of: &Report, free: Option<&Report>, cell: &Cell, kind: &str) -> Vec
     // Joins our figures with the paper's.
     let beside = |ours: &[Option<Interval>], paper: Option<&[f64]>, factor: f64, digits: usize| -> Vec<String> {
         let paper = |index: usize| paper.and_then(|values| values.get(index).copied());
-        ours.iter().enumerate().map(|(index, of)| compared(*of, paper(index), factor, digits)).collect()
+        ours.iter().enumerate().map(|(index, of)| format_comparison(*of, paper(index), factor, digits)).collect()
     };
     let accuracy = PAPER_CLEAN.iter().find(|(name, ..)| *name == cell.variant).map(|(_, a, b)| [*a, *b]);
     let noise = PAPER_NOISE.iter().find(|(name, _)| *name == cell.variant).map(|(_, values)| &values[..]);
@@ -162,14 +162,14 @@ fn clean_row(of: &Report, free: Option<&Report>, cell: &Cell, kind: &str) -> Vec
     }
 }
 
-fn under<'a>(condition: &'a ConditionReport, variant: &str) -> Option<&'a ConditionCell> {
+fn cell_of_variant<'a>(condition: &'a ConditionReport, variant: &str) -> Option<&'a ConditionCell> {
     condition.cells.iter().find(|cell| cell.variant == variant)
 }
 
 /// Scores of a network's trainings, each the mean over conditions.
 fn mean_over(found: &[&ConditionReport], variant: &str) -> Vec<Score> {
     let sets: Option<Vec<&[Score]>> =
-        found.iter().map(|condition| Some(under(condition, variant)?.scores.as_slice())).collect();
+        found.iter().map(|condition| Some(cell_of_variant(condition, variant)?.scores.as_slice())).collect();
     sets.map_or_else(Vec::new, |sets| mean_scores(&sets))
 }
 
@@ -179,23 +179,23 @@ fn conditions(of: &Report, found: &[&ConditionReport]) -> String {
     let heads: Vec<&str> = ["network", "seeds", "clean"].into_iter().chain(names).collect();
     let row = |cell: &Cell| -> Vec<String> {
         let score = |condition: &&ConditionReport| {
-            told(under(condition, &cell.variant).and_then(|of| of.balanced_accuracy), 1.0, 3)
+            format_interval(cell_of_variant(condition, &cell.variant).and_then(|of| of.balanced_accuracy), 1.0, 3)
         };
-        let first = [cell.variant.clone(), cell.done.to_string(), told(cell.test, 1.0, 3)];
+        let first = [cell.variant.clone(), cell.done.to_string(), format_interval(cell.test, 1.0, 3)];
         first.into_iter().chain(found.iter().map(score)).collect()
     };
-    table(&heads, whole(of).map(row))
+    table(&heads, cells_of_all_labels(of).map(row))
 }
 
 /// Table of conditions by network, with the study's own maps in the first row and the mean in the last. The highest of
 /// each row is bold.
 fn rungs(of: &Report, found: &[&ConditionReport]) -> String {
-    let cells: Vec<&Cell> = whole(of).collect();
+    let cells: Vec<&Cell> = cells_of_all_labels(of).collect();
     let row = |name: &str, score: &dyn Fn(&Cell) -> Option<Interval>| -> Vec<String> {
         let scores: Vec<Option<Interval>> = cells.iter().map(|cell| score(cell)).collect();
         let most = scores.iter().flatten().map(|of| of.mean).fold(f64::NEG_INFINITY, f64::max);
         let texts = scores.iter().map(|of| {
-            let text = told(*of, 1.0, 3);
+            let text = format_interval(*of, 1.0, 3);
             if of.is_some_and(|of| of.mean == most) { format!("**{text}**") } else { text }
         });
         std::iter::once(name.to_owned()).chain(texts).collect()
@@ -206,7 +206,7 @@ fn rungs(of: &Report, found: &[&ConditionReport]) -> String {
     };
     let mut rows = vec![row("its training maps", &|cell| cell.training), row("test split", &|cell| cell.test)];
     for condition in found {
-        rows.push(row(&condition.name, &|cell| under(condition, &cell.variant)?.balanced_accuracy));
+        rows.push(row(&condition.name, &|cell| cell_of_variant(condition, &cell.variant)?.balanced_accuracy));
     }
     rows.push(row("mean of these sets", &mean));
     let names = cells.iter().map(|cell| cell.variant.as_str());
@@ -215,11 +215,12 @@ fn rungs(of: &Report, found: &[&ConditionReport]) -> String {
 
 /// Table of paired differences between the networks of [`PAIRS`] that a study has, under the same seed. Columns are the
 /// test split, each condition, the mean over conditions, and its excess over the test split.
-fn pairs(of: &Report, found: &[&ConditionReport]) -> String {
-    let has = |variant: &str| whole(of).any(|cell| cell.variant == variant);
+fn pair_table(of: &Report, found: &[&ConditionReport]) -> String {
+    let has = |variant: &str| cells_of_all_labels(of).any(|cell| cell.variant == variant);
     let pairs: Vec<(&str, &str)> = PAIRS.into_iter().filter(|&(circuit, linear)| has(circuit) && has(linear)).collect();
-    let home =
-        |variant: &str| whole(of).find(|cell| cell.variant == variant).map_or(Vec::new(), |cell| cell.scores.clone());
+    let home = |variant: &str| {
+        cells_of_all_labels(of).find(|cell| cell.variant == variant).map_or(Vec::new(), |cell| cell.scores.clone())
+    };
     let change = |variant: &str| -> Vec<Score> {
         let home = home(variant);
         let less = |score: Score| {
@@ -386,10 +387,10 @@ mod tests {
     /// Asserts that paired seeds show a difference that means hide. On the study's own split, seeds differ by 0.05 and
     /// networks by 0.02; on the other sets the seeds are independent.
     #[test]
-    fn pairs_of_seeds_tell_what_means_do_not() {
+    fn pairs_of_seeds_show_a_difference_that_means_hide() {
         let of = study();
         let found: Vec<&ConditionReport> = of.conditions.iter().collect();
-        let table = pairs(&of, &found);
+        let table = pair_table(&of, &found);
         let row = |name: &str| {
             table
                 .lines()

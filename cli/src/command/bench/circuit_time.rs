@@ -52,20 +52,20 @@ pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
     points.push(point("closed form, f64, the reference".into(), ms, None));
     for count in [100, 1_000, 4_096] {
         let execution = Execution::Shots(Shots { count, seed: 1, gradient: ShotGradient::Shots });
-        let of = Circuit::new(&CircuitSpec { execution, ..CircuitSpec::default() })?;
-        let mut told = vec![[0.0; 2]; BATCH];
+        let circuit = Circuit::new(&CircuitSpec { execution, ..CircuitSpec::default() })?;
+        let mut estimates = vec![[0.0; 2]; BATCH];
         let ms = least_ms(rounds.min(10), || {
-            for (row, (x, told)) in x.iter().zip(&mut told).enumerate() {
+            for (row, (x, estimate)) in x.iter().zip(&mut estimates).enumerate() {
                 let draw = Draw { call: 0, row: row as u64 };
                 let x = x.map(f64::from);
-                if let [a, b] = of.expectations(&x, &theta, draw)?[..] {
-                    *told = [a, b];
+                if let [a, b] = circuit.expectations(&x, &theta, draw)?[..] {
+                    *estimate = [a, b];
                 }
-                std::hint::black_box(of.gradients(&x, &theta, &[0.3, -0.5], draw)?);
+                std::hint::black_box(circuit.gradients(&x, &theta, &[0.3, -0.5], draw)?);
             }
             Ok(())
         })?;
-        points.push(point(format!("{count} shots"), ms, Some(rms(&|k| told[k]))));
+        points.push(point(format!("{count} shots"), ms, Some(rms(&|k| estimates[k]))));
     }
     Ok(points)
 }

@@ -119,10 +119,10 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
                 continue;
             }
             let largest = portable.iter().map(|a| f64::from(a.abs())).fold(f64::MIN_POSITIVE, f64::max);
-            let apart =
+            let difference =
                 portable.iter().zip(&logits).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max) / largest;
             let way = format!("native, {:.0} k parameters", spec.parameter_count() as f64 * 1e-3);
-            points.push(point(stage, way, milliseconds, Some(apart), false));
+            points.push(point(stage, way, milliseconds, Some(difference), false));
         }
         let threads = rayon::current_num_threads();
         for onnx in [None, Some(folder.as_path())] {
@@ -187,26 +187,26 @@ fn compare(
         };
         // The cost of the circuit shows in comparison with the same network with a linear head, which takes turns too.
         let linear = if what == "train" && name == NETWORKS[0] { NetworkSpec::named(NETWORKS[1]) } else { None };
-        let mut own = vec![("radome".to_owned(), ours(&spec, name, &folder)?)];
+        let mut own_runs = vec![("radome".to_owned(), ours(&spec, name, &folder)?)];
         if let Some(spec) = &linear {
-            own.push(("linear head".to_owned(), ours(spec, NETWORKS[1], &folder)?));
+            own_runs.push(("linear head".to_owned(), ours(spec, NETWORKS[1], &folder)?));
         }
         let python = arguments.python.as_deref();
         let start = |onnx| Peer::start(python, what, name, threads, batch, repeats, onnx);
-        let in_onnxruntime = if what == "infer" { start(Some(folder.as_path())) } else { None };
-        let peers: Vec<Peer> = start(None).into_iter().chain(in_onnxruntime).collect();
-        let mut of_network = Vec::new();
-        for (peer, mut times) in take_turns(own, peers, arguments.turns.max(1), repeats)? {
+        let onnxruntime = if what == "infer" { start(Some(folder.as_path())) } else { None };
+        let peers: Vec<Peer> = start(None).into_iter().chain(onnxruntime).collect();
+        let mut network_rows = Vec::new();
+        for (peer, mut times) in take_turns(own_runs, peers, arguments.turns.max(1), repeats)? {
             times.sort_by(f64::total_cmp);
             let (Some(&milliseconds), Some(&median_milliseconds)) = (times.first(), times.get(times.len() / 2)) else {
                 continue;
             };
-            of_network.push(Row { model: name.clone(), peer, batch, threads, milliseconds, median_milliseconds });
+            network_rows.push(Row { model: name.clone(), peer, batch, threads, milliseconds, median_milliseconds });
         }
         if !arguments.json {
-            print(&of_network)?;
+            print(&network_rows)?;
         }
-        rows.extend(of_network);
+        rows.extend(network_rows);
     }
     std::fs::remove_dir_all(&folder)?;
     if arguments.json { output::json_line(&rows) } else { Ok(()) }
@@ -214,25 +214,25 @@ fn compare(
 
 /// Runs this program's networks and the peers in turns. Returns the names with the times of all their runs, ms.
 fn take_turns(
-    mut own: Vec<(String, Run)>,
+    mut own_runs: Vec<(String, Run)>,
     mut peers: Vec<Peer>,
     turns: usize,
     repeats: usize,
 ) -> anyhow::Result<Vec<(String, Vec<f64>)>> {
-    let (mut of_own, mut of_peers) = (vec![Vec::new(); own.len()], vec![Vec::new(); peers.len()]);
+    let (mut own_times, mut peer_times) = (vec![Vec::new(); own_runs.len()], vec![Vec::new(); peers.len()]);
     for _ in 0..turns {
-        for ((_, run), found) in own.iter_mut().zip(&mut of_own) {
-            found.extend(times(repeats, run)?);
+        for ((_, run), times_of_run) in own_runs.iter_mut().zip(&mut own_times) {
+            times_of_run.extend(times(repeats, run)?);
             std::thread::sleep(PAUSE);
         }
-        for (peer, found) in peers.iter_mut().zip(&mut of_peers) {
-            found.extend(peer.turn());
+        for (peer, times_of_run) in peers.iter_mut().zip(&mut peer_times) {
+            times_of_run.extend(peer.turn());
             std::thread::sleep(PAUSE);
         }
     }
     // A peer reports its name in its first turn.
-    let names = own.into_iter().map(|(name, _)| name).chain(peers.iter().map(|peer| peer.name.clone()));
-    Ok(names.zip(of_own.into_iter().chain(of_peers)).collect())
+    let names = own_runs.into_iter().map(|(name, _)| name).chain(peers.iter().map(|peer| peer.name.clone()));
+    Ok(names.zip(own_times.into_iter().chain(peer_times)).collect())
 }
 
 /// Prints the rows of one network, this program's first.

@@ -51,17 +51,17 @@ impl Peer {
             return Some(peer);
         }
         let stderr = peer.child.stderr.take().map(BufReader::new);
-        let said = stderr.and_then(|stderr| stderr.lines().map_while(Result::ok).last());
-        message!("no peer for {network}: {}", said.as_deref().unwrap_or("it failed without a message"));
+        let last_line = stderr.and_then(|stderr| stderr.lines().map_while(Result::ok).last());
+        message!("no peer for {network}: {}", last_line.as_deref().unwrap_or("it failed without a message"));
         None
     }
 
     /// Runs a turn and returns the time of each run, ms; empty if it failed.
     pub fn turn(&mut self) -> Vec<f64> {
         let mut line = String::new();
-        let asked =
+        let is_requested =
             self.input.as_mut().is_some_and(|input| input.write_all(b"\n").and_then(|()| input.flush()).is_ok());
-        if !asked || self.output.read_line(&mut line).is_err() {
+        if !is_requested || self.output.read_line(&mut line).is_err() {
             return Vec::new();
         }
         let Ok(turn) = serde_json::from_str::<Turn>(&line) else { return Vec::new() };

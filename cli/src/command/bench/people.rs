@@ -31,10 +31,11 @@ pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
     let mut points = Vec::new();
     for tolerance_db in [0.5, 2.0, 0.2] {
         let simulator = simulator(tolerance_db)?;
-        let mut apart = (0.0, 0.0);
+        let (mut squared_error, mut power) = (0.0, 0.0);
         for (&index, exact) in FRAMES.iter().zip(&exact) {
             for (a, b) in simulator.echo_samples(index).iter().zip(exact) {
-                apart = (apart.0 + f64::from(a - b).powi(2), apart.1 + f64::from(*b).powi(2));
+                squared_error += f64::from(a - b).powi(2);
+                power += f64::from(*b).powi(2);
             }
         }
         let ms = least_ms(rounds, || {
@@ -48,7 +49,7 @@ pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
             stage: STAGE,
             way: format!("tolerance {tolerance_db} dB"),
             milliseconds: ms / FRAMES.len() as f64,
-            error: Some(10.0 * (apart.0 / apart.1).log10()),
+            error: Some(10.0 * (squared_error / power).log10()),
             error_unit: "dB of echoes",
             is_peer: false,
         });

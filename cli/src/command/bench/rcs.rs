@@ -74,8 +74,8 @@ pub struct Arguments {
     #[arg(long, value_parser = one_of(POLARISATIONS), default_value = "vertical")]
     polarisation: Polarisation,
     /// Method of the solver
-    #[arg(long, value_enum, default_value_t = How::Auto)]
-    method: How,
+    #[arg(long, value_enum, default_value_t = MethodChoice::Auto)]
+    method: MethodChoice,
     /// Use a mesh with edges of this length instead of the exact shape
     #[arg(long, value_name = "METRES")]
     mesh_edge_m: Option<f64>,
@@ -96,7 +96,7 @@ const POLARISATIONS: &[(&str, Polarisation)] =
     &[("vertical", Polarisation::Vertical), ("horizontal", Polarisation::Horizontal)];
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum How {
+enum MethodChoice {
     /// Method that suits the target
     Auto,
     /// Stationary phase on the exact shape
@@ -113,7 +113,7 @@ enum How {
 }
 
 #[derive(Serialize)]
-struct Answer {
+struct Solution {
     target: String,
     method: &'static str,
     value_dbsm: Option<f64>,
@@ -143,19 +143,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let target = target(arguments)?;
     let setup = setup(arguments, &target)?;
     let method = match arguments.method {
-        How::Auto => Method::automatic(&target, arguments.mesh_edge_m.is_some()),
-        How::Specular => Method::Specular,
-        How::Skin => Method::Skin,
-        How::Facets => Method::Facets,
-        How::Images => Method::Images,
-        How::Dense => Method::Dense,
+        MethodChoice::Auto => Method::automatic(&target, arguments.mesh_edge_m.is_some()),
+        MethodChoice::Specular => Method::Specular,
+        MethodChoice::Skin => Method::Skin,
+        MethodChoice::Facets => Method::Facets,
+        MethodChoice::Images => Method::Images,
+        MethodChoice::Dense => Method::Dense,
     };
     let started = Instant::now();
-    let problem = Problem::new(&target, &setup, method, arguments.mesh_edge_m).map_err(refused)?;
+    let problem = Problem::new(&target, &setup, method, arguments.mesh_edge_m).map_err(solver_error)?;
     let prepare_milliseconds = started.elapsed().as_secs_f64() * 1e3;
     let mut outcome = None;
     let milliseconds = least_ms(arguments.rounds.clamp(1, 10_000), || {
-        outcome = Some(problem.solve(arguments.tolerance_db).map_err(refused)?);
+        outcome = Some(problem.solve(arguments.tolerance_db).map_err(solver_error)?);
         Ok(())
     })?;
     let Some(outcome) = outcome else { bail!("nothing was solved") };
@@ -163,7 +163,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let decibels = |sigma: f64| Some(10.0 * sigma.log10()).filter(|db| db.is_finite());
     let value_dbsm = decibels(outcome.sigma_m2);
     let analytic_dbsm = known.and_then(|k| decibels(k.sigma_m2));
-    let answer = Answer {
+    let answer = Solution {
         target: arguments.target.clone(),
         method: method.name(),
         value_dbsm,
@@ -185,14 +185,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// Converts an error of the solver. It is wrong use, unless it is about the content of a mesh file.
-fn refused(error: RcsError) -> anyhow::Error {
+fn solver_error(error: RcsError) -> anyhow::Error {
     match error {
         RcsError::Faces(_) | RcsError::Empty => error.into(),
-        of_options => WrongUse(of_options.into()).into(),
+        other => WrongUse(other.into()).into(),
     }
 }
 
-fn print(answer: &Answer) -> anyhow::Result<()> {
+fn print(answer: &Solution) -> anyhow::Result<()> {
     let decibels = |v: Option<f64>, unit: &str| v.map_or_else(|| "none".to_owned(), |v| format!("{v:.3} {unit}"));
     let range = answer.range_m.map_or_else(|| "far".to_owned(), |r| format!("at {r} m"));
     let (azimuth, elevation) = (answer.azimuth_deg, answer.elevation_deg);

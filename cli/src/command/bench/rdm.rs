@@ -77,10 +77,10 @@ pub fn points(rounds: usize, python: Option<&Path>) -> anyhow::Result<Vec<Point>
         Ok(())
     })?;
     add("realfft and rustfft f32".into(), ms, Some(worst_error_dbc(&cells, &exact)), true);
-    for (way, library_logarithm) in [("any length: realfft f64", false), ("the same, library log10", true)] {
+    for (way, uses_library_logarithm) in [("any length: realfft f64", false), ("the same, library log10", true)] {
         let mut processor = RdmProcessor::new(&spec, &waveform)?;
         processor.use_realfft();
-        if library_logarithm {
+        if uses_library_logarithm {
             processor.use_library_logarithm();
         }
         let mut map = processor.empty_map();
@@ -100,8 +100,8 @@ pub fn scipy_ms(python: Option<&Path>, shape: FrameShape) -> Option<f64> {
     let mut command = Command::new(python.unwrap_or(Path::new("python3")));
     // The script is embedded in the program, so it is found from any working directory.
     command.args(["-c", include_str!("../../../bench/rdm.py"), &format!("{rx}x{chirps}x{samples}")]);
-    let said: serde_json::Value = serde_json::from_slice(&command.output().ok()?.stdout).ok()?;
-    Some(said.get("scipy_f32_microseconds")?.as_f64()? * 1e-3)
+    let response: serde_json::Value = serde_json::from_slice(&command.output().ok()?.stdout).ok()?;
+    Some(response.get("scipy_f32_microseconds")?.as_f64()? * 1e-3)
 }
 
 /// Test frame with leakage, offset, three targets and a pseudo-random last bit.

@@ -11,9 +11,9 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use rustfft::num_complex::Complex64;
 use serde::Serialize;
 
-use super::kept_dense::DenseFrame;
 use super::point::least_ms;
 use super::scene_speed;
+use super::stored_dense::DenseFrame;
 use crate::output;
 use crate::source::DEFAULT_SEED;
 
@@ -67,7 +67,7 @@ struct Row {
 /// Measures error against time of one scene, or, if none is named, the times of several scenes.
 ///
 /// # Errors
-/// A scene cannot be read or simulated, or the dense frames cannot be kept.
+/// A scene cannot be read or simulated, or the dense frames cannot be stored.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.scene {
         Some(path) => run_tolerances(arguments, path),
@@ -99,7 +99,7 @@ fn run_tolerances(arguments: &Arguments, path: &Path) -> anyhow::Result<()> {
         for &tolerance_db in &arguments.tolerances_db {
             let simulator = simulator(tolerance_db)?;
             let samples: Vec<f64> = simulator.echo_samples(frame).into_iter().map(f64::from).collect();
-            let (error_db, cells, beyond_1_db) = error(&exact, &map(&samples, shape), &floor, shape);
+            let MapError { error_db, cells, beyond_1_db } = compare(&exact, &map(&samples, shape), &floor, shape);
             let milliseconds = one_thread.install(|| {
                 least_ms(5, || {
                     simulator.frame(frame);
@@ -171,19 +171,27 @@ fn noise_floor(density_lsb2: &[f64], shape: FrameShape) -> Vec<f64> {
     density_lsb2.iter().take(shape.samples / 2).map(|d| d * gain).collect()
 }
 
-/// Rms error over the cells above noise, dB; number of these cells; and the fraction of them that is more than 1 dB
-/// off.
-fn error(exact: &[Complex64], found: &[Complex64], floor: &[f64], shape: FrameShape) -> (f64, usize, f64) {
+/// Error of a map over the cells above noise.
+struct MapError {
+    /// Rms error, dB.
+    error_db: f64,
+    /// Number of cells above noise.
+    cells: usize,
+    /// Fraction of them that is more than 1 dB off.
+    beyond_1_db: f64,
+}
+
+fn compare(exact: &[Complex64], computed: &[Complex64], floor: &[f64], shape: FrameShape) -> MapError {
     let (mut squares, mut cells, mut beyond) = (0.0, 0usize, 0usize);
-    for (i, (exact, found)) in exact.iter().zip(found).enumerate() {
+    for (i, (exact, computed)) in exact.iter().zip(computed).enumerate() {
         if exact.norm_sqr() <= floor[i % (shape.samples / 2)] {
             continue;
         }
-        let off_db = 20.0 * (found.norm() / exact.norm()).log10();
-        squares += off_db * off_db;
+        let difference_db = 20.0 * (computed.norm() / exact.norm()).log10();
+        squares += difference_db * difference_db;
         cells += 1;
-        beyond += usize::from(off_db.abs() > 1.0);
+        beyond += usize::from(difference_db.abs() > 1.0);
     }
     let count = cells.max(1) as f64;
-    ((squares / count).sqrt(), cells, beyond as f64 / count)
+    MapError { error_db: (squares / count).sqrt(), cells, beyond_1_db: beyond as f64 / count }
 }

@@ -129,6 +129,6 @@ fn sionna_ms(python: Option<&Path>, scene: &Scene) -> Option<f64> {
     let written = child.stdin.take()?.write_all(request.to_string().as_bytes());
     let output = child.wait_with_output().ok()?;
     written.ok()?;
-    let said: serde_json::Value = serde_json::from_slice(&output.stdout).ok()?;
-    said.get("sionna_milliseconds")?.as_f64()
+    let response: serde_json::Value = serde_json::from_slice(&output.stdout).ok()?;
+    response.get("sionna_milliseconds")?.as_f64()
 }

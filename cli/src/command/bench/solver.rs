@@ -55,27 +55,28 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let bar = output::progress(targets.len() as u64, "targets");
     let mut rows = Vec::new();
     for (name, target, setup) in targets {
-        let mut of_target = Vec::new();
+        let mut target_rows = Vec::new();
         for method in Method::ALL.into_iter().filter(|m| m.suits(&target)) {
             if method == Method::Skin {
                 let Some(size_m) = size_m(&target) else { continue };
                 for triangles in TRIANGLES {
                     let edge_m = size_m * (4.0 * std::f64::consts::PI / (0.433 * triangles)).sqrt();
-                    of_target.push(row(name, &target, &setup, method, (0.3, Some(edge_m)), arguments.rounds)?);
+                    target_rows.push(row(name, &target, &setup, method, (0.3, Some(edge_m)), arguments.rounds)?);
                 }
                 continue;
             }
             for tolerance_db in TOLERANCES_DB {
-                of_target.push(row(name, &target, &setup, method, (tolerance_db, None), arguments.rounds)?);
+                target_rows.push(row(name, &target, &setup, method, (tolerance_db, None), arguments.rounds)?);
             }
         }
         let dense: Vec<(f64, f64)> =
-            of_target.iter().filter(|r| r.method == "dense").map(|r| (r.error_db.abs(), r.milliseconds)).collect();
-        for row in &mut of_target {
-            let as_good = dense.iter().filter(|(error, _)| *error <= row.error_db.abs().max(0.01)).map(|(_, ms)| *ms);
-            row.dense_over_this = as_good.reduce(f64::min).map(|ms| ms / row.milliseconds);
+            target_rows.iter().filter(|r| r.method == "dense").map(|r| (r.error_db.abs(), r.milliseconds)).collect();
+        for row in &mut target_rows {
+            let equally_accurate =
+                dense.iter().filter(|(error, _)| *error <= row.error_db.abs().max(0.01)).map(|(_, ms)| *ms);
+            row.dense_over_this = equally_accurate.reduce(f64::min).map(|ms| ms / row.milliseconds);
         }
-        rows.extend(of_target);
+        rows.extend(target_rows);
         bar.inc(1);
     }
     bar.finish_and_clear();

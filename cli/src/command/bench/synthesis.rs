@@ -92,7 +92,7 @@ fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
     let chirp = Chirp::new(&waveform);
     let samples = waveform.request.samples_per_chirp;
     let synthesiser = Synthesiser::new(samples);
-    let place = |i: usize| i as f64 / FRAME_CHIRPS as f64;
+    let position = |i: usize| i as f64 / FRAME_CHIRPS as f64;
     let mut rows = Vec::new();
     for &count in counts {
         let paths = walkers(count);
@@ -105,11 +105,11 @@ fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
             let started = Instant::now();
             let mut spreading = 0.0;
             for (block, out) in fast.chunks_mut(CHIRPS * samples).enumerate() {
-                let begin = Instant::now();
+                let spreading_started = Instant::now();
                 grids[0].clear();
-                let places = ChirpPositions::new(0..CHIRPS, |lane| place(block * CHIRPS + lane));
+                let places = ChirpPositions::new(0..CHIRPS, |lane| position(block * CHIRPS + lane));
                 synthesiser.spread_tracks(&chirp, &paths, &places, &mut grids);
-                spreading += begin.elapsed().as_secs_f64() * 1e6;
+                spreading += spreading_started.elapsed().as_secs_f64() * 1e6;
                 for (lane, out) in out.chunks_mut(samples).enumerate() {
                     grids[0].extract(lane, &mut grid);
                     synthesiser.transform(&grid, out, &mut scratch);
@@ -119,15 +119,15 @@ fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
             spread_us = spread_us.min(spreading);
         }
         // A subset of the chirps is compared.
-        let (mut apart, mut power, mut exact_us, mut told) = (0.0, 0.0, 0.0, 0.0);
+        let (mut squared_error, mut power, mut exact_us, mut compared) = (0.0, 0.0, 0.0, 0.0);
         for i in (0..FRAME_CHIRPS).step_by(16) {
-            let tones: Vec<Tone> = paths.iter().map(|path| tone(&path.first, &chirp, place(i))).collect();
+            let tones: Vec<Tone> = paths.iter().map(|path| tone(&path.first, &chirp, position(i))).collect();
             let started = Instant::now();
             let exact = exact_chirp(&tones, samples);
             exact_us += started.elapsed().as_secs_f64() * 1e6;
-            told += 1.0;
+            compared += 1.0;
             for (exact, fast) in exact.iter().zip(fast.iter().skip(i * samples)) {
-                apart += (exact - f64::from(*fast)).powi(2);
+                squared_error += (exact - f64::from(*fast)).powi(2);
                 power += exact * exact;
             }
         }
@@ -135,19 +135,19 @@ fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
             paths: count,
             microseconds: all_us,
             microseconds_a_path: spread_us / count.max(1) as f64,
-            relative_error: (apart / power).sqrt(),
-            exact_over_this: exact_us / told * FRAME_CHIRPS as f64 / all_us,
+            relative_error: (squared_error / power).sqrt(),
+            exact_over_this: exact_us / compared * FRAME_CHIRPS as f64 / all_us,
         });
     }
     Ok(rows)
 }
 
-fn tone(path: &PathSegment, chirp: &Chirp, place: f64) -> Tone {
-    let (delay_s, rate) = path.delay(place);
+fn tone(path: &PathSegment, chirp: &Chirp, position: f64) -> Tone {
+    let (delay_s, rate) = path.delay(position);
     Tone {
         phase_cycles: chirp.phase_cycles(delay_s),
         cycles_per_sample: chirp.beat_hz(delay_s, rate) / chirp.sample_rate_hz,
-        amplitude: path.amplitude(place),
+        amplitude: path.amplitude(position),
     }
 }
 
@@ -160,11 +160,11 @@ fn walkers(count: usize) -> Vec<Track> {
     for _ in 0..count {
         let delay_s = rng.random_range(3e-9..100e-9);
         let delay_rate = rng.random_range(-2e-8..2e-8);
-        let mut key = |delay_s| {
+        let mut sample = |delay_s| {
             let amplitude = Complex64::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0));
             (PathSample { delay_s, delay_rate, amplitude }, PathDerivatives::default())
         };
-        let (first, last) = (key(delay_s), key(delay_s + delay_rate * INTERVAL_S));
+        let (first, last) = (sample(delay_s), sample(delay_s + delay_rate * INTERVAL_S));
         paths.push(Track { first: PathSegment::between(&first, &last, INTERVAL_S), others: Default::default() });
     }
     paths

@@ -98,7 +98,7 @@ fn draw(path: &std::path::Path, points: &[Point]) -> anyhow::Result<()> {
     for point in points {
         let Some(error) = relative(point).filter(|error| *error > 0.0) else { continue };
         match series.iter_mut().find(|(stage, _)| *stage == point.stage) {
-            Some((_, of_stage)) => of_stage.push((point.milliseconds, error)),
+            Some((_, points)) => points.push((point.milliseconds, error)),
             None => series.push((point.stage, vec![(point.milliseconds, error)])),
         }
     }

@@ -42,7 +42,7 @@ struct Row {
     input_gradient_square: f64,
 }
 
-/// Measures gradients of circuits by their number of qubits. They tell how well circuits can be trained from a random
+/// Measures gradients of circuits by their number of qubits. They show how well circuits can be trained from a random
 /// start (McClean, Boixo, Smelyanskiy, Babbush and Neven, "Barren plateaus in quantum neural network training
 /// landscapes", 2018).
 ///

@@ -105,7 +105,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let board = EmulatedBoard::spawn(feed, options)?;
     let mut path = board.path().display().to_string();
     if kind == Kind::Mcu7Bulk && !path.contains('/') {
-        // `usb:FOLDER` is told from a serial number by its slash.
+        // `usb:FOLDER` is distinguished from a serial number by its slash.
         path.insert_str(0, "./");
     }
     if let Some(Gadget::FunctionFs(mount)) = gadget {
@@ -162,13 +162,13 @@ fn serve_probe(node: &Path) -> anyhow::Result<()> {
     let mut probe = EmulatedProbe::default();
     let resets = probe.resets.clone();
     std::thread::spawn(move || {
-        let mut told = 0;
+        let mut reported = 0;
         loop {
             let resets = resets.load(Ordering::Relaxed);
-            if resets > told && output::text_line(&format!("target reset {resets}")).is_err() {
+            if resets > reported && output::text_line(&format!("target reset {resets}")).is_err() {
                 return;
             }
-            told = resets;
+            reported = resets;
             std::thread::sleep(Duration::from_millis(20));
         }
     });

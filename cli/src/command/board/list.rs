@@ -8,7 +8,7 @@ use super::reset;
 use crate::output;
 
 /// Polling interval of `--watch`.
-const LOOK_INTERVAL: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 
 /// `radome board list`
 #[derive(clap::Args)]
@@ -59,7 +59,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let is_empty = candidates.is_empty();
     for candidate in candidates {
         let state = Some(discover::ask(&candidate, arguments.probe));
-        say(&Report { event: None, candidate, state }, arguments.json)?;
+        print_report(&Report { event: None, candidate, state }, arguments.json)?;
     }
     if is_empty && !arguments.json {
         message!("nothing found\n\nhint: radome demo needs no board; radome board emulate makes one");
@@ -67,7 +67,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn say(report: &Report, as_json: bool) -> anyhow::Result<()> {
+fn print_report(report: &Report, as_json: bool) -> anyhow::Result<()> {
     if as_json { output::json_line(report) } else { output::text_line(&describe(report)) }
 }
 
@@ -82,9 +82,9 @@ fn watch(arguments: &Arguments) -> anyhow::Result<()> {
                 Change::Removed(candidate) => ("removed", candidate),
             };
             let state = (event != "removed").then(|| discover::ask(&candidate, arguments.probe));
-            say(&Report { event: Some(event), candidate, state }, arguments.json)?;
+            print_report(&Report { event: Some(event), candidate, state }, arguments.json)?;
         }
-        std::thread::sleep(LOOK_INTERVAL);
+        std::thread::sleep(POLL_INTERVAL);
     }
     Ok(())
 }

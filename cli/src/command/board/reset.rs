@@ -34,10 +34,10 @@ fn find_probe(name: &str) -> anyhow::Result<Candidate> {
     let is_named = |c: &&Candidate| {
         c.path == Path::new(name) || c.usb.as_ref().is_some_and(|usb| usb.serial_number.as_deref() == Some(name))
     };
-    let named: Vec<&Candidate> = candidates.iter().filter(is_named).collect();
-    let beside = named.iter().find_map(|c| c.debug_probe.as_ref());
-    let found = candidates.iter().find(|c| c.is_probe() && (named.contains(c) || Some(&c.path) == beside));
-    match (found, named.is_empty()) {
+    let matching: Vec<&Candidate> = candidates.iter().filter(is_named).collect();
+    let neighbour = matching.iter().find_map(|c| c.debug_probe.as_ref());
+    let found = candidates.iter().find(|c| c.is_probe() && (matching.contains(c) || Some(&c.path) == neighbour));
+    match (found, matching.is_empty()) {
         (Some(probe), _) => Ok(probe.clone()),
         (None, false) => bail!("{name} has no debug probe\n\nhint: radome board list lists the probes"),
         (None, true) => bail!("{name} is no debug probe\n\nhint: radome board list lists the probes"),

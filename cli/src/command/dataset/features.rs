@@ -3,7 +3,7 @@
 use crate::dataset::features::Row;
 use crate::output;
 
-/// Prints features of maps with their measured ranges. `has_frames` tells whether frames were given too.
+/// Prints features of maps with their measured ranges. `has_frames` is whether frames were given too.
 ///
 /// # Errors
 /// Standard output cannot be written.

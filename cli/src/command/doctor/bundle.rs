@@ -14,7 +14,7 @@ use super::check::Check;
 use super::checks::Examined;
 use super::redact::{Kind, Redactor};
 use super::wire::WireLog;
-use crate::{files, judge};
+use crate::{classifier, files};
 
 const EXISTS_HINT: &str = "hint: choose another name for --bundle, or remove that file";
 
@@ -42,7 +42,7 @@ pub fn parts(
 ) -> anyhow::Result<Vec<(&'static str, Vec<u8>)>> {
     let candidates = radome_driver::candidates();
     let serials = candidates.iter().filter_map(|candidate| candidate.usb.as_ref()?.serial_number.clone());
-    let board = examined.and_then(|seen| seen.header.board.as_ref());
+    let board = examined.and_then(|examined| examined.header.board.as_ref());
     for serial in serials.chain(wire.identities()).chain(board.map(|board| board.uuid.clone())) {
         // A board without an identity reports zeros.
         if serial.contains(|c| c != '0') {
@@ -64,13 +64,12 @@ pub fn parts(
         ("devices.json", redacted(&candidates, redactor)?),
         ("wire.txt", redactor.wire(&wire.text()).into_bytes()),
     ];
-    if let Some(seen) = examined {
-        let source =
-            json!({ "description": seen.description, "waveform": seen.header.waveform, "board": seen.header.board });
+    if let Some(examined) = examined {
+        let source = json!({ "description": examined.description, "waveform": examined.header.waveform, "board": examined.header.board });
         parts.push(("source.json", redacted(&source, redactor)?));
-        let registers = seen.header.registers.iter().map(|r| format!("{:#04x} {:#08x}\n", r.address, r.value));
+        let registers = examined.header.registers.iter().map(|r| format!("{:#04x} {:#08x}\n", r.address, r.value));
         parts.push(("registers.txt", registers.collect::<String>().into_bytes()));
-        parts.push(("frames.mcap", recording(seen, redactor)?));
+        parts.push(("frames.mcap", recording(examined, redactor)?));
     }
     if let Some(card) = model.and_then(card) {
         parts.push(("model.json", redacted(&card, redactor)?));
@@ -80,8 +79,8 @@ pub fn parts(
 
 /// Card of a model; `None` of the classical detector, which has none, and of a file that cannot be read.
 fn card(model: &Path) -> Option<ModelCard> {
-    if judge::is_built_in(model) {
-        return Some(judge::network(model).ok()?.card);
+    if classifier::is_built_in(model) {
+        return Some(classifier::network(model).ok()?.card);
     }
     ModelCard::load(model).ok()
 }
@@ -97,17 +96,17 @@ pub fn write(path: &Path, parts: &[(&'static str, Vec<u8>)]) -> anyhow::Result<(
         archive.write_all(bytes).context("cannot pack the archive")?;
     }
     let bytes = archive.finish().context("cannot pack the archive")?.into_inner();
-    let named = || format!("cannot write {}", path.display());
+    let context = || format!("cannot write {}", path.display());
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(folder).with_context(named)?;
-    file.write_all(&bytes).with_context(named)?;
-    file.as_file().sync_all().with_context(named)?;
+    let mut file = tempfile::NamedTempFile::new_in(folder).with_context(context)?;
+    file.write_all(&bytes).with_context(context)?;
+    file.as_file().sync_all().with_context(context)?;
     match file.persist_noclobber(path) {
         Ok(_) => Ok(()),
         Err(error) if error.error.kind() == std::io::ErrorKind::AlreadyExists => {
             bail!("{} exists and is not written over\n\n{EXISTS_HINT}", path.display())
         }
-        Err(error) => Err(error.error).with_context(named),
+        Err(error) => Err(error.error).with_context(context),
     }
 }
 
@@ -136,8 +135,8 @@ fn redacted(value: &impl Serialize, redactor: &mut Redactor) -> anyhow::Result<V
 }
 
 /// Formats the frames as a recording in which a token replaces the board's identity.
-fn recording(seen: &Examined, redactor: &mut Redactor) -> anyhow::Result<Vec<u8>> {
-    let mut header = seen.header.clone();
+fn recording(examined: &Examined, redactor: &mut Redactor) -> anyhow::Result<Vec<u8>> {
+    let mut header = examined.header.clone();
     if let Some(board) = &mut header.board {
         for text in [&mut board.name, &mut board.extended_version, &mut board.uuid] {
             *text = redactor.text(text);
@@ -146,7 +145,7 @@ fn recording(seen: &Examined, redactor: &mut Redactor) -> anyhow::Result<Vec<u8>
     let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
     let path = folder.path().join("frames.mcap");
     let mut recorder = Recorder::create(&path, &header)?;
-    seen.frames.iter().try_for_each(|frame| recorder.frame(frame))?;
+    examined.frames.iter().try_for_each(|frame| recorder.frame(frame))?;
     recorder.finish()?;
     std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
 }

@@ -12,10 +12,10 @@ use radome_driver::recording::utc;
 use radome_dsp::{Frame, KernelLevel, SourceEvent, Waveform};
 
 use super::check::Check;
-use crate::judge::{Judge, Model, Prediction};
+use crate::classifier::{FrameClassifier, Model, Prediction};
 use crate::live::integrations::broker::{Broker, BrokerArguments};
 use crate::live::integrations::mqtt;
-use crate::live::screen::lost_besides;
+use crate::live::screen::unknown_loss_text;
 use crate::source::{self, SourceOptions};
 
 pub fn program() -> Check {
@@ -73,10 +73,10 @@ pub fn page_port() -> Check {
 pub fn model(path: &Path) -> (Check, Option<Model>) {
     match Model::open(path) {
         Ok(model) => {
-            let wants = model
+            let requirement = model
                 .waveform()
                 .map_or("any waveform of at least 20 samples and 2 chirps".to_owned(), |w| w.shape().to_string());
-            (Check::ok("model", format!("{}: {wants}", path.display())), Some(model))
+            (Check::ok("model", format!("{}: {requirement}", path.display())), Some(model))
         }
         Err(error) => (Check::error("model", &error), None),
     }
@@ -160,7 +160,7 @@ pub struct Examined {
 
 /// Number of frames that are classified, and the time limit for them.
 const FRAMES: usize = 20;
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIME_LIMIT: Duration = Duration::from_secs(20);
 
 /// Checks whether a source opens, delivers frames, and can be classified.
 pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>) {
@@ -178,10 +178,10 @@ pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>
     let mut checks = vec![Check::ok("source", format!("{}, {}", opened.description, waveform.shape()))];
     let header = opened.header(None);
     let mut examined = Examined { description: opened.description, header, frames: Vec::new() };
-    let mut judge = match model.map(|model| model.judge(&waveform, None)) {
-        Some(Ok(judge)) => {
+    let mut classifier = match model.map(|model| model.for_waveform(&waveform, None)) {
+        Some(Ok(classifier)) => {
             checks.push(Check::ok("fit", "the model takes these frames"));
-            Some(judge)
+            Some(classifier)
         }
         Some(Err(error)) => {
             checks.push(Check::error("fit", &error));
@@ -189,13 +189,13 @@ pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>
         }
         None => None,
     };
-    checks.push(frames(opened.frames, opened.is_live, &mut judge, &mut examined.frames));
+    checks.push(frames(opened.frames, opened.is_live, &mut classifier, &mut examined.frames));
     (checks, Some(examined))
 }
 
 /// Numbers of the first frames of a source.
 #[derive(Default)]
-struct Seen {
+struct FrameCounts {
     /// Frames known to be lost.
     lost: u64,
     /// Gaps of unknown length.
@@ -212,48 +212,48 @@ struct Seen {
 fn frames(
     mut source: Box<dyn radome_dsp::FrameSource>,
     is_live: bool,
-    judge: &mut Option<Judge>,
-    kept: &mut Vec<Frame>,
+    classifier: &mut Option<FrameClassifier>,
+    frames: &mut Vec<Frame>,
 ) -> Check {
     let interval_s = source.waveform().frame_interval_s();
     let mut frame = Frame::zeroed(source.waveform().shape());
     let start = Instant::now();
-    let mut seen = Seen::default();
-    while kept.len() < FRAMES && start.elapsed() < PATIENCE {
+    let mut counts = FrameCounts::default();
+    while frames.len() < FRAMES && start.elapsed() < TIME_LIMIT {
         match source.next_frame(&mut frame) {
             Ok(SourceEvent::Frame) => {
-                seen.saturated += u64::from(frame.saturated_samples());
-                seen.dead.extend((0..frame.shape.rx).filter(|rx| frame.is_receiver_dead(*rx)));
-                let asked = Instant::now();
-                match judge.as_mut().map(|judge| judge.frame(&frame)) {
+                counts.saturated += u64::from(frame.saturated_samples());
+                counts.dead.extend((0..frame.shape.rx).filter(|rx| frame.is_receiver_dead(*rx)));
+                let classification_start = Instant::now();
+                match classifier.as_mut().map(|classifier| classifier.classify(&frame)) {
                     Some(Err(error)) => return Check::error("frames", &error),
                     // The first frame is not timed: it includes the setup.
-                    Some(Ok(Prediction::Probabilities(_))) if !kept.is_empty() => {
-                        seen.slowest = seen.slowest.max(Some(asked.elapsed()))
+                    Some(Ok(Prediction::Probabilities(_))) if !frames.is_empty() => {
+                        counts.slowest = counts.slowest.max(Some(classification_start.elapsed()))
                     }
                     _ => {}
                 }
-                kept.push(frame.clone());
+                frames.push(frame.clone());
             }
             Ok(SourceEvent::Gap(gap)) => {
-                seen.lost = seen.lost.saturating_add(gap.frames);
-                seen.unknown += u64::from(gap.frames == 0);
+                counts.lost = counts.lost.saturating_add(gap.frames);
+                counts.unknown += u64::from(gap.frames == 0);
             }
             Ok(SourceEvent::End) => break,
             Err(error) => return Check::error("frames", &anyhow::Error::from_boxed(error)),
         }
     }
-    seen.check(kept.len(), start.elapsed(), interval_s, is_live, frame.shape.rx)
+    counts.check(frames.len(), start.elapsed(), interval_s, is_live, frame.shape.rx)
 }
 
-impl Seen {
-    /// Reports the numbers for `count` frames that came in the time `took`.
-    fn check(&self, count: usize, took: Duration, interval_s: f64, is_live: bool, receivers: usize) -> Check {
-        let Seen { lost, unknown, saturated, dead, slowest } = self;
-        let more = lost_besides(*unknown);
+impl FrameCounts {
+    /// Reports the numbers for `count` frames that came in the time `elapsed`.
+    fn check(&self, count: usize, elapsed: Duration, interval_s: f64, is_live: bool, receivers: usize) -> Check {
+        let FrameCounts { lost, unknown, saturated, dead, slowest } = self;
+        let unknown_loss = unknown_loss_text(*unknown);
         let found = format!(
-            "{count} frames in {:.1} s, {lost} lost{more}, {saturated} saturated samples{}",
-            took.as_secs_f64(),
+            "{count} frames in {:.1} s, {lost} lost{unknown_loss}, {saturated} saturated samples{}",
+            elapsed.as_secs_f64(),
             slowest.map_or_else(String::new, |slowest| {
                 format!(", slowest answer {:.1} ms of {:.0} ms", slowest.as_secs_f64() * 1e3, interval_s * 1e3)
             }),
@@ -301,7 +301,7 @@ impl Seen {
 /// Checks free space and write speed for recordings.
 pub fn disk(folder: &Path, waveform: &Waveform) -> Vec<Check> {
     const PROBE_BYTES: usize = 32 << 20;
-    let named = folder.display();
+    let name = folder.display();
     // Two bytes per code, before compression.
     let needed_bytes_per_s = 2.0 * waveform.shape().codes() as f64 / waveform.frame_interval_s();
     let mut checks = Vec::new();
@@ -310,7 +310,7 @@ pub fn disk(folder: &Path, waveform: &Waveform) -> Vec<Check> {
             let free_bytes = fs.f_bavail as f64 * fs.f_frsize as f64;
             let hours = free_bytes / needed_bytes_per_s / 3600.0;
             let found = format!(
-                "{named}: {:.1} GiB free, {hours:.1} h of frames ({}, not compressed)",
+                "{name}: {:.1} GiB free, {hours:.1} h of frames ({}, not compressed)",
                 free_bytes / f64::from(1 << 30),
                 waveform.shape()
             );
@@ -323,7 +323,7 @@ pub fn disk(folder: &Path, waveform: &Waveform) -> Vec<Check> {
             });
         }
         Err(error) => {
-            checks.push(Check::fail("space", format!("{named}: {error}"), "name a folder that exists"));
+            checks.push(Check::fail("space", format!("{name}: {error}"), "name a folder that exists"));
             return checks;
         }
     }
@@ -347,7 +347,7 @@ pub fn disk(folder: &Path, waveform: &Waveform) -> Vec<Check> {
     let speed = probe();
     checks.push(match speed {
         Ok(speed) => {
-            let found = format!("{named}: writes {:.0} MB/s, frames need {:.1}", speed / 1e6, needed_bytes_per_s / 1e6);
+            let found = format!("{name}: writes {:.0} MB/s, frames need {:.1}", speed / 1e6, needed_bytes_per_s / 1e6);
             match speed / needed_bytes_per_s {
                 ratio if ratio < 1.0 => Check::fail("speed", found, "record to a faster disk: recordings would stop"),
                 ratio if ratio < 3.0 => {
@@ -356,7 +356,7 @@ pub fn disk(folder: &Path, waveform: &Waveform) -> Vec<Check> {
                 _ => Check::ok("speed", found),
             }
         }
-        Err(error) => Check::fail("speed", format!("{named}: {error}"), remedy(error.kind())),
+        Err(error) => Check::fail("speed", format!("{name}: {error}"), remedy(error.kind())),
     });
     checks
 }

@@ -50,42 +50,43 @@ pub struct Redactor {
 /// Pattern of a path. One of its components may hold up to two spaces, as `Program Files` does, if a slash follows.
 const PATH: &str = r#"/(?:[^\s/"'`<>|:]*[^\s/"'`<>|:,;)](?: [^\s/"'`<>|:]*[^\s/"'`<>|:,;)]){0,2}/+)*[^\s/"'`<>|:]*"#;
 
-static ABSOLUTE_PATH: LazyLock<Option<Regex>> = LazyLock::new(|| anchored(&format!(r"(?:~\w*)?{PATH}")));
-static REST_OF_PATH: LazyLock<Option<Regex>> = LazyLock::new(|| anchored(PATH));
+static ABSOLUTE_PATH: LazyLock<Option<Regex>> = LazyLock::new(|| compile_anchored(&format!(r"(?:~\w*)?{PATH}")));
+static REST_OF_PATH: LazyLock<Option<Regex>> = LazyLock::new(|| compile_anchored(PATH));
 /// Paths that are the same on every machine: device nodes by the kernel's names, and the file of udev rules.
 static PUBLIC_PATH: LazyLock<Option<Regex>> = LazyLock::new(|| {
-    anchored(
+    compile_anchored(
         r"(?:/dev/(?:tty[A-Za-z]{1,4}\d{1,3}|pts/\d+|hidraw\d+|bus/usb/\d+/\d+)|/(?:etc|run|lib|usr/lib)/udev/rules\.d/70-radome\.rules)",
     )
 });
 /// Pattern of a URL: scheme, login, host and port.
-static URL: LazyLock<Option<Regex>> =
-    LazyLock::new(|| anchored(r#"([A-Za-z][A-Za-z0-9+.-]*://)([^\s"'`<>]*@)?(\[[^\]\s]*\]|[^\s/:"'`<>@]*)(:\d+)?"#));
-static LOGIN: LazyLock<Option<Regex>> = LazyLock::new(|| anchored(r#"[^\s"'`<>(),;:/@\[\]]+@[\w.-]*\w"#));
+static URL: LazyLock<Option<Regex>> = LazyLock::new(|| {
+    compile_anchored(r#"([A-Za-z][A-Za-z0-9+.-]*://)([^\s"'`<>]*@)?(\[[^\]\s]*\]|[^\s/:"'`<>@]*)(:\d+)?"#)
+});
+static LOGIN: LazyLock<Option<Regex>> = LazyLock::new(|| compile_anchored(r#"[^\s"'`<>(),;:/@\[\]]+@[\w.-]*\w"#));
 static LOCAL_HOST_NAME: LazyLock<Option<Regex>> = LazyLock::new(|| {
-    anchored(
+    compile_anchored(
         r"(?i)\w[\w-]*(?:\.[\w-]+)*\.(?:local|lan|home|internal|intranet|corp|localdomain|fritz\.box|home\.arpa)\b",
     )
 });
-static IPV4: LazyLock<Option<Regex>> = LazyLock::new(|| anchored(r"\d{1,3}(?:\.\d{1,3}){3}"));
-static IPV6: LazyLock<Option<Regex>> = LazyLock::new(|| anchored(r"[0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*"));
+static IPV4: LazyLock<Option<Regex>> = LazyLock::new(|| compile_anchored(r"\d{1,3}(?:\.\d{1,3}){3}"));
+static IPV6: LazyLock<Option<Regex>> = LazyLock::new(|| compile_anchored(r"[0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*"));
 static MAC: LazyLock<Option<Regex>> = LazyLock::new(|| {
-    anchored(r"(?:[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5,7}|[0-9A-Fa-f]{4}\.[0-9A-Fa-f]{4}\.[0-9A-Fa-f]{4})")
+    compile_anchored(r"(?:[0-9A-Fa-f]{2}(?:[:-][0-9A-Fa-f]{2}){5,7}|[0-9A-Fa-f]{4}\.[0-9A-Fa-f]{4}\.[0-9A-Fa-f]{4})")
 });
 
 /// Compiles a pattern that matches only at the beginning of a text. The patterns are constants; the tests compile them
 /// all.
-fn anchored(pattern: &str) -> Option<Regex> {
+fn compile_anchored(pattern: &str) -> Option<Regex> {
     Regex::new(&format!(r"\A(?:{pattern})")).ok()
 }
 
 /// Returns the length of a pattern's match at the beginning of a text.
-fn matched(pattern: &Option<Regex>, text: &str) -> Option<usize> {
+fn match_length(pattern: &Option<Regex>, text: &str) -> Option<usize> {
     pattern.as_ref()?.find(text).map(|found| found.end()).filter(|&length| length > 0)
 }
 
 /// Kind of name at the beginning of a text, and its length in bytes.
-enum Found {
+enum Match {
     /// Text that may be shown.
     Public(usize),
     /// Text that becomes a token.
@@ -94,11 +95,11 @@ enum Found {
     Url([usize; 4]),
 }
 
-impl Found {
+impl Match {
     fn length(&self) -> usize {
         match self {
-            Found::Public(length) | Found::Hidden(length, _) => *length,
-            Found::Url(lengths) => lengths.iter().sum(),
+            Match::Public(length) | Match::Hidden(length, _) => *length,
+            Match::Url(lengths) => lengths.iter().sum(),
         }
     }
 }
@@ -174,7 +175,7 @@ impl Redactor {
         let secrets = self.known.iter().filter(is_secret).map(|(secret, _)| secret);
         let Some(secret) = secrets.filter(|secret| text.contains(secret.as_str())).max_by_key(|s| s.len()).cloned()
         else {
-            return self.words(text);
+            return self.replace_names(text);
         };
         let token = self.token(Kind::Secret, &secret);
         let parts: Vec<String> = text.split(secret.as_str()).map(|part| self.text(part)).collect();
@@ -182,35 +183,35 @@ impl Redactor {
     }
 
     /// Replaces names in a text that holds no password.
-    fn words(&mut self, text: &str) -> String {
+    fn replace_names(&mut self, text: &str) -> String {
         let mut result = String::with_capacity(text.len());
-        let mut before: Option<char> = None;
+        let mut previous: Option<char> = None;
         let mut rest = text;
         while let Some(next) = rest.chars().next() {
-            let found = self.longest(rest, before);
-            let length = found.as_ref().map_or(next.len_utf8(), Found::length);
-            let (here, behind) = rest.split_at(length);
-            before = here.chars().last();
+            let found = self.longest_match(rest, previous);
+            let length = found.as_ref().map_or(next.len_utf8(), Match::length);
+            let (matched, following) = rest.split_at(length);
+            previous = matched.chars().last();
             match found {
-                None | Some(Found::Public(_)) => result.push_str(here),
-                Some(Found::Hidden(_, kind)) => result.push_str(&self.token(kind, here)),
-                Some(Found::Url([scheme, login, host, _])) => {
-                    result.push_str(&here[..scheme]);
+                None | Some(Match::Public(_)) => result.push_str(matched),
+                Some(Match::Hidden(_, kind)) => result.push_str(&self.token(kind, matched)),
+                Some(Match::Url([scheme, login, host, _])) => {
+                    result.push_str(&matched[..scheme]);
                     if login > 0 {
-                        result.push_str(&self.token(Kind::User, &here[scheme..scheme + login - 1]));
+                        result.push_str(&self.token(Kind::User, &matched[scheme..scheme + login - 1]));
                         result.push('@');
                     }
-                    let (host, port) = here[scheme + login..].split_at(host);
+                    let (host, port) = matched[scheme + login..].split_at(host);
                     match host.is_empty() || is_public_host(host) {
                         true => result.push_str(host),
                         false => result.push_str(&self.token(Kind::Host, host)),
                     }
                     result.push_str(port);
                     // The path of the URL is handled like any other path.
-                    before = None;
+                    previous = None;
                 }
             }
-            rest = behind;
+            rest = following;
         }
         result
     }
@@ -229,7 +230,7 @@ impl Redactor {
     pub fn wire(&mut self, text: &str) -> String {
         let mut text = Cow::Borrowed(text);
         for (serial, _) in self.known.iter().filter(|(_, kind)| *kind == Kind::Serial) {
-            for bytes in [hexadecimal(serial), spelt(serial)] {
+            for bytes in [hexadecimal(serial), hexadecimal_of_bytes(serial)] {
                 // A message may be cut within an identity, so a prefix of four bytes or more is replaced too.
                 for count in (4..=bytes.len()).rev() {
                     let end = if count == bytes.len() { "" } else { " and " };
@@ -250,29 +251,29 @@ impl Redactor {
     }
 
     /// Finds the longest text at the beginning that is to be replaced or kept whole.
-    fn longest(&self, rest: &str, before: Option<char>) -> Option<Found> {
-        let is_within = before.is_some_and(is_word);
-        let known = self.known.iter().filter_map(|(text, kind)| known_at(rest, is_within, text, *kind));
-        let mut found: Vec<Found> = known.collect();
+    fn longest_match(&self, rest: &str, previous: Option<char>) -> Option<Match> {
+        let is_within = previous.is_some_and(is_word);
+        let known = self.known.iter().filter_map(|(text, kind)| match_known(rest, is_within, text, *kind));
+        let mut matches: Vec<Match> = known.collect();
         if !is_within {
-            found.extend(formed_at(rest));
+            matches.extend(match_forms(rest));
         }
         // Of equally long matches the known text wins; it comes first.
-        found.into_iter().reduce(|best, other| if other.length() > best.length() { other } else { best })
+        matches.into_iter().reduce(|best, other| if other.length() > best.length() { other } else { best })
     }
 }
 
 /// Matches a known text at the beginning, where it is a separate word. A known path also covers all paths below it.
-fn known_at(rest: &str, is_within: bool, text: &str, kind: Kind) -> Option<Found> {
-    let here = rest.get(..text.len()).filter(|here| here.eq_ignore_ascii_case(text))?;
-    let behind = &rest[here.len()..];
+fn match_known(rest: &str, is_within: bool, text: &str, kind: Kind) -> Option<Match> {
+    let matched = rest.get(..text.len()).filter(|matched| matched.eq_ignore_ascii_case(text))?;
+    let following = &rest[matched.len()..];
     let is_part = |c: Option<char>| c.is_some_and(is_word);
-    let begins_within = is_within && is_part(text.chars().next());
-    if begins_within || is_part(behind.chars().next()) && is_part(text.chars().last()) {
+    let continues_word = is_within && is_part(text.chars().next());
+    if continues_word || is_part(following.chars().next()) && is_part(text.chars().last()) {
         return None;
     }
-    let below = if kind == Kind::Path { matched(&REST_OF_PATH, behind).unwrap_or(0) } else { 0 };
-    Some(Found::Hidden(text.len() + below, kind))
+    let path_length = if kind == Kind::Path { match_length(&REST_OF_PATH, following).unwrap_or(0) } else { 0 };
+    Some(Match::Hidden(text.len() + path_length, kind))
 }
 
 /// Returns whether a character belongs to a word or number.
@@ -280,42 +281,44 @@ fn is_word(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 
-/// Finds names at the beginning of a text by their form. Callers ask only at the beginning of a word.
-fn formed_at(rest: &str) -> Vec<Found> {
-    let mut found = Vec::new();
-    let Some(first) = rest.chars().next() else { return found };
-    let ends = |length: usize| rest[length..].chars().next().is_none_or(|c| !is_word(c));
+/// Finds names at the beginning of a text by their form. Only for the beginning of a word.
+fn match_forms(rest: &str) -> Vec<Match> {
+    let mut matches = Vec::new();
+    let Some(first) = rest.chars().next() else { return matches };
+    let ends_word = |length: usize| rest[length..].chars().next().is_none_or(|c| !is_word(c));
     if matches!(first, '/' | '~') {
-        if let Some(length) =
-            matched(&PUBLIC_PATH, rest).filter(|&length| ends(length) && !rest[length..].starts_with(['/', '-', '.']))
+        if let Some(length) = match_length(&PUBLIC_PATH, rest)
+            .filter(|&length| ends_word(length) && !rest[length..].starts_with(['/', '-', '.']))
         {
-            found.push(Found::Public(length));
-        } else if let Some(length) = matched(&ABSOLUTE_PATH, rest) {
+            matches.push(Match::Public(length));
+        } else if let Some(length) = match_length(&ABSOLUTE_PATH, rest) {
             // Punctuation at the end of a sentence does not belong to the path, and a single slash is not a path.
             let length = rest[..length].trim_end_matches(['.', ',', ';', ')', ']', '}']).len();
-            found.extend((length > 1).then_some(Found::Hidden(length, Kind::Path)));
+            matches.extend((length > 1).then_some(Match::Hidden(length, Kind::Path)));
         }
-        return found;
+        return matches;
     }
     if let Some(parts) = (*URL).as_ref().and_then(|url| url.captures(rest)) {
         let length = |index: usize| parts.get(index).map_or(0, |part| part.len());
-        found.push(Found::Url([length(1), length(2), length(3), length(4)]));
+        matches.push(Match::Url([length(1), length(2), length(3), length(4)]));
     }
-    found.extend(matched(&LOGIN, rest).map(|length| Found::Hidden(length, Kind::User)));
-    found.extend(matched(&LOCAL_HOST_NAME, rest).map(|length| Found::Hidden(length, Kind::Host)));
-    found.extend(matched(&MAC, rest).filter(|&length| ends(length)).map(|length| Found::Hidden(length, Kind::Address)));
+    matches.extend(match_length(&LOGIN, rest).map(|length| Match::Hidden(length, Kind::User)));
+    matches.extend(match_length(&LOCAL_HOST_NAME, rest).map(|length| Match::Hidden(length, Kind::Host)));
+    matches.extend(
+        match_length(&MAC, rest).filter(|&length| ends_word(length)).map(|length| Match::Hidden(length, Kind::Address)),
+    );
     let address = |length: usize| match is_public_host(&rest[..length]) {
-        true => Found::Public(length),
-        false => Found::Hidden(length, Kind::Address),
+        true => Match::Public(length),
+        false => Match::Hidden(length, Kind::Address),
     };
-    found.extend(matched(&IPV4, rest).filter(|&length| ends(length)).map(address));
-    if let Some(length) = matched(&IPV6, rest).filter(|&length| ends(length)) {
+    matches.extend(match_length(&IPV4, rest).filter(|&length| ends_word(length)).map(address));
+    if let Some(length) = match_length(&IPV6, rest).filter(|&length| ends_word(length)) {
         // A colon after an address belongs to the sentence or precedes a port.
         let whole = (0..=length).rev().take(3).filter(|&end| rest.is_char_boundary(end));
         let parsed = whole.into_iter().find(|&end| rest[..end].parse::<Ipv6Addr>().is_ok());
-        found.extend(parsed.map(address));
+        matches.extend(parsed.map(address));
     }
-    found
+    matches
 }
 
 /// Returns whether a host is a loopback or unspecified address.
@@ -339,7 +342,7 @@ fn hexadecimal(text: &str) -> Vec<String> {
 }
 
 /// Encodes the bytes of the text itself in hexadecimal.
-fn spelt(text: &str) -> Vec<String> {
+fn hexadecimal_of_bytes(text: &str) -> Vec<String> {
     text.bytes().map(|byte| format!("{byte:02x}")).collect()
 }
 
@@ -360,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_the_form_of_a_name_becomes_a_token_and_the_rest_stays() {
+    fn texts_in_the_form_of_names_become_tokens_and_others_stay() {
         for (text, expected) in [
             ("/home/bob/a.toml: bad", "<path-1>: bad"),
             ("cannot read /home/bob/a.toml from /srv/x.", "cannot read <path-1> from <path-2>."),

@@ -16,13 +16,13 @@ use crate::panics::lock;
 
 /// Number of lines kept at the beginning, with identification and programming, and at the end, where a failure may
 /// show.
-const FIRST: usize = 400;
-const LAST: usize = 200;
+const FIRST_LINES: usize = 400;
+const LAST_LINES: usize = 200;
 
 /// Collects the driver's log events of requests and responses, and the identities of the boards in them.
 #[derive(Debug, Clone)]
 pub struct WireLog {
-    began: Instant,
+    started: Instant,
     lines: Arc<Mutex<Lines>>,
 }
 
@@ -36,7 +36,7 @@ struct Lines {
 
 impl Default for WireLog {
     fn default() -> Self {
-        WireLog { began: Instant::now(), lines: Arc::default() }
+        WireLog { started: Instant::now(), lines: Arc::default() }
     }
 }
 
@@ -64,10 +64,10 @@ impl WireLog {
 
 impl Lines {
     fn push(&mut self, line: String) {
-        if self.first.len() < FIRST {
+        if self.first.len() < FIRST_LINES {
             return self.first.push(line);
         }
-        if self.last.len() == LAST {
+        if self.last.len() == LAST_LINES {
             self.last.pop_front();
             self.left_out += 1;
         }
@@ -77,10 +77,10 @@ impl Lines {
 
 impl<S: Subscriber> Layer<S> for WireLog {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
-        let mut line = format!("{:10.4}", self.began.elapsed().as_secs_f64());
-        let mut words = Words { line: &mut line, identity: None };
-        event.record(&mut words);
-        let identity = words.identity;
+        let mut line = format!("{:10.4}", self.started.elapsed().as_secs_f64());
+        let mut text = EventText { line: &mut line, identity: None };
+        event.record(&mut text);
+        let identity = text.identity;
         let mut lines = lock(&self.lines);
         if let Some(identity) = identity {
             lines.identities.push(identity);
@@ -92,12 +92,12 @@ impl<S: Subscriber> Layer<S> for WireLog {
 }
 
 /// Collects the single field of an event: a board's identity, or text after a mark of its direction.
-struct Words<'a> {
+struct EventText<'a> {
     line: &'a mut String,
     identity: Option<String>,
 }
 
-impl Visit for Words<'_> {
+impl Visit for EventText<'_> {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         let mark = match field.name() {
             "identity" => {
@@ -118,13 +118,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_long_talk_keeps_its_beginning_and_its_end() {
+    fn a_long_trace_keeps_its_beginning_and_its_end() {
         let mut lines = Lines::default();
-        (0..FIRST + LAST + 5).for_each(|i| lines.push(format!("{i}\n")));
+        (0..FIRST_LINES + LAST_LINES + 5).for_each(|i| lines.push(format!("{i}\n")));
         let log = WireLog { lines: Arc::new(Mutex::new(lines)), ..WireLog::default() };
         let text = log.text();
-        assert!(text.starts_with("0\n1\n") && text.ends_with(&format!("{}\n", FIRST + LAST + 4)), "{text}");
-        assert_eq!(text.lines().count(), FIRST + LAST + 1);
-        assert!(text.contains(&format!("{}\n... 5 lines left out\n{}\n", FIRST - 1, FIRST + 5)), "{text}");
+        assert!(text.starts_with("0\n1\n") && text.ends_with(&format!("{}\n", FIRST_LINES + LAST_LINES + 4)), "{text}");
+        assert_eq!(text.lines().count(), FIRST_LINES + LAST_LINES + 1);
+        assert!(text.contains(&format!("{}\n... 5 lines left out\n{}\n", FIRST_LINES - 1, FIRST_LINES + 5)), "{text}");
     }
 }

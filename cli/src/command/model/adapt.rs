@@ -1,5 +1,5 @@
 mod curve;
-mod frames;
+mod feature_reader;
 
 use std::path::{Path, PathBuf};
 
@@ -10,9 +10,9 @@ use radome_models::Dataset;
 use radome_models::train::{AdaptRecording, Adaptation, Adapter, BeforeAfter};
 use serde_json::json;
 
-use self::frames::Frames;
+use self::feature_reader::FeatureReader;
 use super::evaluate::LabelledRecording;
-use crate::judge::{CFAR, Model};
+use crate::classifier::{CFAR, Model};
 use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
 use crate::{files, labels, output, source};
 
@@ -63,9 +63,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.output {
         // The model may be replaced by the adapted one.
         let mut inputs: Vec<&Path> = arguments.empty.iter().map(PathBuf::as_path).collect();
-        for named in &arguments.recordings {
-            let (recording, labels) = named.rsplit_once('=').unwrap_or_default();
-            inputs.extend([named.as_str(), recording, labels].map(Path::new));
+        for argument in &arguments.recordings {
+            let (recording, labels) = argument.rsplit_once('=').unwrap_or_default();
+            inputs.extend([argument.as_str(), recording, labels].map(Path::new));
         }
         arguments.overwrite.check(path, &inputs)?;
         check_ending(path, &["safetensors"], MODEL_HINT)?;
@@ -75,23 +75,23 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         "{}: an ONNX file cannot be adapted\n\nhint: adapt the .safetensors file that it was exported from, and export that",
         arguments.model.display()
     );
-    let judging = Model::open(&arguments.model)?;
-    if matches!(judging, Model::Cfar) {
+    let model = Model::open(&arguments.model)?;
+    if matches!(model, Model::Cfar) {
         bail!("{CFAR} is not trained, so it cannot be adapted\n\nhint: name a model file");
     }
-    let mut adapter = Adapter::new(crate::judge::network(&arguments.model)?)?;
+    let mut adapter = Adapter::new(crate::classifier::network(&arguments.model)?)?;
     if let Some(folder) = &arguments.simulated {
         adapter.mix(&Dataset::open(folder)?).with_context(|| folder.display().to_string())?;
     }
     if let Some(rooms) = &arguments.curve {
-        return curve::run(judging, &adapter, rooms, arguments.json);
+        return curve::run(model, &adapter, rooms, arguments.json);
     }
-    let inputs = inputs(arguments)?;
-    let mut frames = Frames::new(judging, &adapter, arguments.max_range_m);
+    let inputs = parse_inputs(arguments)?;
+    let mut reader = FeatureReader::new(model, &adapter, arguments.max_range_m);
     let bar = output::progress(inputs.len() as u64, "reading");
     let mut recordings = Vec::with_capacity(inputs.len());
     for input in &inputs {
-        recordings.push(read(&mut frames, input)?);
+        recordings.push(read_recording(&mut reader, input)?);
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -108,7 +108,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = written {
         files::write_bytes(path, arguments.overwrite.existing(), &adaptation.model.to_bytes(path)?)?;
     }
-    tell(arguments, &inputs, &recordings, &adaptation, written)?;
+    print_report(arguments, &inputs, &recordings, &adaptation, written)?;
     if let Some(path) = arguments.output.as_ref().filter(|_| is_refused) {
         bail!(
             "{} is not written: the adapted model judges recordings that were held out worse than the model before\n\nhint: \
@@ -120,30 +120,30 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// Opens the recordings with their labels.
-fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
+fn parse_inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
     let empty = arguments.empty.iter().map(|path| format!("{}=empty", path.display()));
     LabelledRecording::parse_all(arguments.recordings.iter().cloned().chain(empty))
 }
 
-fn read(frames: &mut Frames, recording: &LabelledRecording) -> anyhow::Result<AdaptRecording> {
-    let named = || recording.path.display().to_string();
+fn read_recording(reader: &mut FeatureReader, recording: &LabelledRecording) -> anyhow::Result<AdaptRecording> {
+    let name = || recording.path.display().to_string();
     let mut source = Recording::open(&recording.path)?;
     let waveform = source.waveform().clone();
     let next = |frame: &mut Frame| source.next_frame(frame).map_err(anyhow::Error::from_boxed);
-    let found = frames.read(&waveform, next, |frame| recording.truth(frame, &waveform)).with_context(named)?;
-    if found.frames.is_empty() {
+    let features = reader.read(&waveform, next, |frame| recording.truth(frame, &waveform)).with_context(name)?;
+    if features.frames.is_empty() {
         return Err(recording.without_frames());
     }
     ensure!(
-        found.frames.iter().any(|frame| frame.label.is_some()),
+        features.frames.iter().any(|frame| frame.label.is_some()),
         "{0}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome recording label; or say what all of \
          it shows: {0}=empty",
-        named()
+        name()
     );
-    Ok(found)
+    Ok(features)
 }
 
-fn tell(
+fn print_report(
     arguments: &Arguments,
     inputs: &[LabelledRecording],
     recordings: &[AdaptRecording],
@@ -184,12 +184,12 @@ fn tell(
     }
     for ((input, recording), held_out) in all {
         let [empty, one, two] = recording.seconds();
-        let scores = held_out.map_or("not measured".to_owned(), |scores| said(&scores));
+        let scores = held_out.map_or("not measured".to_owned(), |scores| scores_text(&scores));
         let seconds = format!("{empty:.0} s empty, {one:.0} s one, {two:.0} s two");
         output::text_line(&format!("{}: {seconds}; held out: {scores}", input.path.display()))?;
     }
     match adapted.held_out {
-        Some(scores) => output::text_line(&format!("all, each held out in turn: {}", said(&scores)))?,
+        Some(scores) => output::text_line(&format!("all, each held out in turn: {}", scores_text(&scores)))?,
         None => output::text_line("nothing is measured: what a recording shows has to be in another one, too")?,
     }
     match file {
@@ -202,7 +202,7 @@ fn tell(
 }
 
 /// Formats the scores for the terminal.
-fn said(scores: &BeforeAfter) -> String {
+fn scores_text(scores: &BeforeAfter) -> String {
     let BeforeAfter { before, after } = scores;
     format!(
         "balanced accuracy by frame {:.3}, before {:.3}; filtered {:.3}, before {:.3}",

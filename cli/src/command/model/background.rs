@@ -3,8 +3,8 @@ use std::path::PathBuf;
 use anyhow::{Context, ensure};
 use serde_json::json;
 
+use crate::classifier::{BUILT_IN, Model, Prediction};
 use crate::exit::wrong_use;
-use crate::judge::{BUILT_IN, Model, Prediction};
 use crate::live::background::{Background, Capture, LEAST_FRAMES};
 use crate::live::pipeline::{Item, Items};
 use crate::output;
@@ -45,7 +45,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let [source, waveform] = arguments.source.inputs();
     arguments.overwrite.check(&arguments.output, &[source, waveform, &arguments.model])?;
     let model = Model::open(&arguments.model)?;
-    let judge = model.named(&arguments.model, Default::default(), arguments.max_range_m)?;
+    let description = model.description(&arguments.model, Default::default(), arguments.max_range_m)?;
     let mut options = arguments.source.options()?;
     options.model_waveform = model.waveform().cloned();
     options.people.get_or_insert(0);
@@ -61,27 +61,28 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             (1.1 * least_s).ceil()
         );
     }
-    let mut at_work = model.judge(&waveform, arguments.max_range_m)?;
+    let mut classifier = model.for_waveform(&waveform, arguments.max_range_m)?;
     let mut capture = Capture::default();
     let mut start_s = None;
     let items = Items::of(source.frames, arguments.source.frames);
     loop {
         match items.next_item()? {
             Item::End(_) => break,
-            Item::Gap(_) => at_work.reset(),
+            Item::Gap(_) => classifier.reset(),
             Item::Frame(frame) => {
                 if frame.time_s() - *start_s.get_or_insert(frame.time_s()) > seconds {
                     break;
                 }
-                if let Prediction::Probabilities(_) = at_work.frame(&frame)? {
-                    capture.add(at_work.map());
+                if let Prediction::Probabilities(_) = classifier.classify(&frame)? {
+                    capture.add(classifier.map());
                 }
             }
         }
     }
     ensure!(is_live || !output::interrupted(), "interrupted: nothing is written");
-    let background: Background =
-        capture.finish(&judge, &waveform).with_context(|| format!("{} is not captured", arguments.source.source))?;
+    let background: Background = capture
+        .finish(&description, &waveform)
+        .with_context(|| format!("{} is not captured", arguments.source.source))?;
     background.save(&arguments.output, arguments.overwrite.existing())?;
     let file = arguments.output.display().to_string();
     if arguments.json {

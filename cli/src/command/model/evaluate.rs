@@ -17,11 +17,11 @@ use radome_models::{Classifier, ModelCard};
 use serde::Serialize;
 use serde_json::json;
 
-use self::candidate::{Candidate, Predictions, Refused, count_reliability};
+use self::candidate::{Candidate, Predictions, Refusal, add_reliability};
 pub use self::labelled::LabelledRecording;
 use self::thermal::ThermalNoise;
+use crate::classifier::{CFAR, Model};
 use crate::exit::wrong_use;
-use crate::judge::{CFAR, Model};
 use crate::{output, source};
 
 /// `radome model evaluate`
@@ -97,7 +97,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let (hours, keep) = (arguments.empty_hours, arguments.keep.as_deref());
         return ladder::run(&models, path, hours, keep, arguments.fit_smoothing, arguments.json);
     }
-    let (model, inputs) = match (arguments.model.as_slice(), arguments.inputs.split_first()) {
+    let (model_path, inputs) = match (arguments.model.as_slice(), arguments.inputs.split_first()) {
         ([model], _) => (model.clone(), arguments.inputs.as_slice()),
         ([], Some((model, inputs))) => (PathBuf::from(model), inputs),
         ([], None) => wrong_use!("nothing to evaluate"),
@@ -107,21 +107,21 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         ),
     };
     ensure!(
-        !model.is_dir(),
+        !model_path.is_dir(),
         "{}: a folder is no model\n\nhint: name the model first: radome model evaluate MODEL DATASET",
-        model.display()
+        model_path.display()
     );
-    let judging = Model::open(&model)?;
-    if arguments.ablate && matches!(judging, Model::Cfar) {
+    let model = Model::open(&model_path)?;
+    if arguments.ablate && matches!(model, Model::Cfar) {
         wrong_use!("{CFAR} looks at raw frames, and --ablate changes maps\n\nhint: name a model file with --model");
     }
     match inputs {
         [] => wrong_use!(
             "nothing to evaluate {} on\n\nhint: name a dataset folder, RECORDING=LABEL, or a ladder with --ladder",
-            model.display()
+            model_path.display()
         ),
         [folder] if is_dataset(Path::new(folder)) => {
-            let Model::Network(mut classifier) = judging else {
+            let Model::Network(mut classifier) = model else {
                 wrong_use!(
                     "{CFAR} looks at raw frames, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL"
                 );
@@ -138,12 +138,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                      hint: leave them out"
                 );
             }
-            on_dataset(&mut classifier, Path::new(folder), arguments)
+            evaluate_dataset(&mut classifier, Path::new(folder), arguments)
         }
         _ if arguments.split.is_some() => {
             wrong_use!("--split names a split of a dataset, and recordings have none\n\nhint: leave it out")
         }
-        recordings => on_recordings(Candidate::new(model, judging, arguments.max_range_m), recordings, arguments),
+        recordings => {
+            evaluate_recordings(Candidate::new(model_path, model, arguments.max_range_m), recordings, arguments)
+        }
     }
 }
 
@@ -165,7 +167,7 @@ fn is_dataset(path: &Path) -> bool {
 
 /// Predictions for one recording.
 #[derive(Serialize)]
-struct Judged {
+struct RecordingResult {
     path: PathBuf,
     /// Its label, or "mixed" where it has several.
     label: &'static str,
@@ -176,7 +178,7 @@ struct Judged {
     frames: u64,
     /// Fraction of them that were predicted correctly.
     right: f64,
-    by_label: Vec<OfLabel>,
+    by_label: Vec<LabelResult>,
     /// Intervals of one label, each with the time in seconds until its first correct frame.
     stretches: Vec<Stretch>,
     #[serde(skip)]
@@ -185,7 +187,7 @@ struct Judged {
 
 /// Predictions for the frames of one label.
 #[derive(Serialize)]
-struct OfLabel {
+struct LabelResult {
     label: Occupancy,
     frames: u64,
     /// Number of frames that were predicted empty, one and two.
@@ -194,16 +196,16 @@ struct OfLabel {
     right: f64,
 }
 
-impl Judged {
+impl RecordingResult {
     fn new(path: &Path, scores: &RecordingScores) -> Self {
         let (frames, majority) = (scores.frames(), scores.majority());
         let share = |count: u64, of: u64| count as f64 / of.max(1) as f64;
         let of_label = |label: Occupancy| {
             let called = scores.confusion[label.index()];
             let frames: u64 = called.iter().sum();
-            (frames > 0).then(|| OfLabel { label, frames, called, right: share(called[label.index()], frames) })
+            (frames > 0).then(|| LabelResult { label, frames, called, right: share(called[label.index()], frames) })
         };
-        Judged {
+        RecordingResult {
             path: path.to_owned(),
             label: scores.label().map_or("mixed", Occupancy::name),
             majority,
@@ -239,8 +241,13 @@ impl Judged {
                 stretch.label, stretch.start_s, stretch.duration_s
             ))?;
         }
-        for of in &self.by_label {
-            output::text_line(&format!("    {}: {} frames, {:.0} % right", of.label, of.frames, 100.0 * of.right))?;
+        for result in &self.by_label {
+            output::text_line(&format!(
+                "    {}: {} frames, {:.0} % right",
+                result.label,
+                result.frames,
+                100.0 * result.right
+            ))?;
         }
         Ok(())
     }
@@ -248,22 +255,22 @@ impl Judged {
 
 /// Predictions for all recordings, and their totals.
 #[derive(Default)]
-struct Answers<'a> {
+struct Evaluation<'a> {
     /// Recordings that the model accepted.
-    taken: Vec<&'a LabelledRecording>,
-    judged: Vec<Judged>,
+    accepted: Vec<&'a LabelledRecording>,
+    results: Vec<RecordingResult>,
     scores: Vec<RecordingScores>,
     confusion: Confusion,
-    confusion_alone: Confusion,
+    single_frame_confusion: Confusion,
     reliability: ReliabilitySums,
-    refused: Vec<Refused>,
+    refused: Vec<Refusal>,
     first_refusal: Option<anyhow::Error>,
 }
 
-impl<'a> Answers<'a> {
+impl<'a> Evaluation<'a> {
     fn refuse(&mut self, recording: &LabelledRecording, refusal: anyhow::Error) {
         let path = recording.path.display().to_string();
-        self.refused.push(Refused::new(path.clone(), &refusal));
+        self.refused.push(Refusal::new(path.clone(), &refusal));
         self.first_refusal.get_or_insert(refusal.context(path));
     }
 
@@ -273,46 +280,46 @@ impl<'a> Answers<'a> {
         predictions: &Predictions,
         no_smoothing: bool,
     ) -> anyhow::Result<()> {
-        let (filtered, alone) = (predictions.filtered_scores(), predictions.alone_scores());
-        if predictions.alone.is_empty() {
+        let (filtered, single_frames) = (predictions.filtered_scores(), predictions.single_frame_scores());
+        if predictions.single_frames.is_empty() {
             return Err(recording.without_frames());
         }
         ensure!(
-            alone.frames() > 0,
+            single_frames.frames() > 0,
             "{}: no label says of any of its frames that it is empty, one or two\n\nhint: RECORDING=empty, RECORDING=one or \
              RECORDING=two for all of it, RECORDING=LABELS.txt for labels in a file",
             recording.path.display()
         );
-        add_confusion(&mut self.confusion_alone, &alone.confusion);
-        let (scores, judged) =
-            if no_smoothing { (alone, &predictions.alone) } else { (filtered, &predictions.filtered) };
+        add_confusion(&mut self.single_frame_confusion, &single_frames.confusion);
+        let (scores, counted) =
+            if no_smoothing { (single_frames, &predictions.single_frames) } else { (filtered, &predictions.filtered) };
         add_confusion(&mut self.confusion, &scores.confusion);
-        count_reliability(judged, &mut self.reliability);
-        self.judged.push(Judged::new(&recording.path, &scores));
+        add_reliability(counted, &mut self.reliability);
+        self.results.push(RecordingResult::new(&recording.path, &scores));
         self.scores.push(scores);
-        self.taken.push(recording);
+        self.accepted.push(recording);
         Ok(())
     }
 
     /// Prints the scores, and those of modified recordings where requested.
-    fn tell(&self, candidate: &mut Candidate, arguments: &Arguments) -> anyhow::Result<()> {
+    fn print_report(&self, candidate: &mut Candidate, arguments: &Arguments) -> anyhow::Result<()> {
         let metrics = Metrics::from_confusion(self.confusion);
-        let alone = Metrics::from_confusion(self.confusion_alone).balanced_accuracy;
+        let single_frame_accuracy = Metrics::from_confusion(self.single_frame_confusion).balanced_accuracy;
         let false_alarms = FalseAlarms::of(&self.scores);
         let mut ablated = Vec::new();
         if arguments.ablate {
-            let (model, rows) = ablation::on_recordings(candidate.take()?, &self.taken, arguments.max_range_m)?;
+            let (model, rows) = ablation::ablate_recordings(candidate.take()?, &self.accepted, arguments.max_range_m)?;
             candidate.put_back(model);
             ablated = rows;
         }
-        let thermal = under_thermal_noise(candidate, &self.taken, arguments)?;
+        let thermal = evaluate_under_noise(candidate, &self.accepted, arguments)?;
         if arguments.json {
             let mut answer = json!({
                 "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
-                "balanced_accuracy_by_single_frames": alone,
+                "balanced_accuracy_by_single_frames": single_frame_accuracy,
                 "false_alarms": false_alarms.false_alarms, "empty_s": false_alarms.empty_s,
                 "false_alarms_per_hour": false_alarms.false_alarms_per_hour,
-                "false_alarm_share": false_alarms.false_alarm_share, "recordings": self.judged,
+                "false_alarm_share": false_alarms.false_alarm_share, "recordings": self.results,
                 "refused": self.refused, "reliability": self.reliability.reliability(), "thermal": thermal,
             });
             if arguments.ablate {
@@ -320,24 +327,24 @@ impl<'a> Answers<'a> {
             }
             return output::json_line(&answer);
         }
-        for of in &thermal {
-            let (snr_db, score) = (of.snr_db, of.balanced_accuracy);
+        for scores in &thermal {
+            let (snr_db, score) = (scores.snr_db, scores.balanced_accuracy);
             output::text_line(&format!("thermal noise, SNR {snr_db:+} dB: balanced accuracy {score:.4}"))?;
         }
-        self.judged.iter().try_for_each(Judged::print)?;
-        for of in &self.refused {
-            output::text_line(&format!("- {}: refused: {}", of.recording, of.reason))?;
+        self.results.iter().try_for_each(RecordingResult::print)?;
+        for refusal in &self.refused {
+            output::text_line(&format!("- {}: refused: {}", refusal.recording, refusal.reason))?;
         }
         if !arguments.no_smoothing {
-            output::text_line(&format!("without the filter: balanced accuracy {alone:.4}"))?;
+            output::text_line(&format!("without the filter: balanced accuracy {single_frame_accuracy:.4}"))?;
         }
-        print(&metrics)?;
+        print_metrics(&metrics)?;
         print_errors(&false_alarms, &metrics)?;
         ablation::print(&ablated)
     }
 }
 
-fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
+fn evaluate_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(folder) = inputs.iter().map(Path::new).find(|input| is_dataset(input)) {
         check_is_dataset(folder)?;
         bail!(
@@ -346,22 +353,22 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
         );
     }
     let all = LabelledRecording::parse_all(inputs.iter().cloned())?;
-    let mut answers = Answers::default();
+    let mut evaluation = Evaluation::default();
     for recording in &all {
-        match judge(&mut candidate, recording, None)? {
-            Ok(predictions) => answers.add(recording, &predictions, arguments.no_smoothing)?,
-            Err(refusal) => answers.refuse(recording, refusal),
+        match classify_recording(&mut candidate, recording, None)? {
+            Ok(predictions) => evaluation.add(recording, &predictions, arguments.no_smoothing)?,
+            Err(refusal) => evaluation.refuse(recording, refusal),
         }
     }
-    let has_answers = !answers.judged.is_empty();
-    if has_answers {
-        answers.tell(&mut candidate, arguments)?;
+    let has_results = !evaluation.results.is_empty();
+    if has_results {
+        evaluation.print_report(&mut candidate, arguments)?;
     }
-    match answers.first_refusal {
-        Some(refusal) if !has_answers => Err(refusal),
+    match evaluation.first_refusal {
+        Some(refusal) if !has_results => Err(refusal),
         Some(refusal) if !arguments.skip_refused => Err(refusal.context(format!(
             "{} of {} recordings were refused\n\nhint: with --skip-refused that is no failure",
-            answers.refused.len(),
+            evaluation.refused.len(),
             all.len()
         ))),
         _ => Ok(()),
@@ -369,12 +376,12 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
 }
 
 /// Prints the false alarm rate of empty rooms, and the share of occupied time in which people were missed.
-fn print_errors(of: &FalseAlarms, metrics: &Metrics) -> anyhow::Result<()> {
-    if let (Some(per_hour), Some(share)) = (of.false_alarms_per_hour, of.false_alarm_share) {
+fn print_errors(false_alarms: &FalseAlarms, metrics: &Metrics) -> anyhow::Result<()> {
+    if let (Some(per_hour), Some(share)) = (false_alarms.false_alarms_per_hour, false_alarms.false_alarm_share) {
         output::text_line(&format!(
             "empty for {:.2} h: {} false alarms, {per_hour:.1} an hour; people reported for {:.2} % of that time",
-            of.empty_s / 3600.0,
-            of.false_alarms,
+            false_alarms.empty_s / 3600.0,
+            false_alarms.false_alarms,
             100.0 * share
         ))?;
     }
@@ -389,61 +396,61 @@ fn print_errors(of: &FalseAlarms, metrics: &Metrics) -> anyhow::Result<()> {
 
 /// Scores with thermal noise on the raw samples.
 #[derive(Serialize)]
-struct Thermal {
+struct ThermalScores {
     snr_db: f64,
     balanced_accuracy: f64,
     confusion: Confusion,
 }
 
-fn under_thermal_noise(
+fn evaluate_under_noise(
     candidate: &mut Candidate,
     recordings: &[&LabelledRecording],
     arguments: &Arguments,
-) -> anyhow::Result<Vec<Thermal>> {
+) -> anyhow::Result<Vec<ThermalScores>> {
     let mut all = Vec::new();
     for &snr_db in &arguments.thermal_snr_db {
         let mut confusion = Confusion::default();
         for recording in recordings {
-            let noise = ThermalNoise::of(&recording.path, snr_db)?;
-            let predictions = judge(candidate, recording, Some(&noise))??;
+            let noise = ThermalNoise::for_recording(&recording.path, snr_db)?;
+            let predictions = classify_recording(candidate, recording, Some(&noise))??;
             let scores =
-                if arguments.no_smoothing { predictions.alone_scores() } else { predictions.filtered_scores() };
+                if arguments.no_smoothing { predictions.single_frame_scores() } else { predictions.filtered_scores() };
             add_confusion(&mut confusion, &scores.confusion);
         }
         let balanced_accuracy = Metrics::from_confusion(confusion).balanced_accuracy;
-        all.push(Thermal { snr_db, balanced_accuracy, confusion });
+        all.push(ThermalScores { snr_db, balanced_accuracy, confusion });
     }
     Ok(all)
 }
 
 /// Predicts the frames of a recording. The inner error is the model's refusal of its waveform.
-fn judge(
+fn classify_recording(
     candidate: &mut Candidate,
     recording: &LabelledRecording,
     noise: Option<&ThermalNoise>,
 ) -> anyhow::Result<anyhow::Result<Predictions>> {
     let mut source = Recording::open(&recording.path)?;
     let mut frame = Frame::zeroed(source.waveform().shape());
-    let mut run = match candidate.start(source.waveform()) {
+    let mut run = match candidate.start_run(source.waveform()) {
         Ok(run) => run,
         Err(refusal) => return Ok(Err(refusal)),
     };
     loop {
         match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => return Ok(Ok(candidate.end(run))),
-            SourceEvent::Gap(_) => run.gap(),
+            SourceEvent::End => return Ok(Ok(candidate.end_run(run))),
+            SourceEvent::Gap(_) => run.note_gap(),
             SourceEvent::Frame => {
                 let truth = recording.truth(&frame, source.waveform());
                 match noise {
-                    Some(noise) => run.changed_frame(&frame, &noise.added(&frame), truth)?,
-                    None => run.frame(&frame, truth)?,
+                    Some(noise) => run.predict_changed(&frame, &noise.add_to(&frame), truth)?,
+                    None => run.predict(&frame, truth)?,
                 }
             }
         }
     }
 }
 
-fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments) -> anyhow::Result<()> {
+fn evaluate_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments) -> anyhow::Result<()> {
     check_is_dataset(folder)?;
     let dataset = Dataset::open(folder)?;
     let wanted = match arguments.split {
@@ -454,7 +461,7 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
     };
     let splits = dataset.splits(&split_rule(classifier.card(), &dataset, wanted.is_some()))?;
     let mut indices: Vec<usize> =
-        (0..dataset.len()).filter(|i| wanted.is_none_or(|w| splits.get(*i) == Some(&w))).collect();
+        (0..dataset.len()).filter(|i| wanted.is_none_or(|split| splits.get(*i) == Some(&split))).collect();
     if wanted == Some(dataset::Split::Test) && !indices.is_empty() {
         leave_out_seen(classifier.card(), &dataset, &mut indices)?;
     }
@@ -470,19 +477,19 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
         );
     }
     let metrics = evaluate(classifier, &dataset, &indices)?;
-    let ablated = if arguments.ablate { Some(ablation::on_dataset(classifier, &dataset, &indices)?) } else { None };
+    let ablated = if arguments.ablate { Some(ablation::ablate_dataset(classifier, &dataset, &indices)?) } else { None };
     if classifier.card().standardisation.needs_labels() {
         message!("the labels of these maps were told to the model: it standardises by scene and class");
     }
     if arguments.json {
-        return output::json_line(&OfDataset { metrics: &metrics, ablation: ablated });
+        return output::json_line(&DatasetAnswer { metrics: &metrics, ablation: ablated });
     }
-    print(&metrics)?;
+    print_metrics(&metrics)?;
     ablation::print(&ablated.unwrap_or_default())
 }
 
-/// Returns the rule that divides a dataset for the model. Says so if that is not known to be the rule of the model's training on this
-/// dataset, and a split `is_wanted` that depends on it.
+/// Returns the rule that divides a dataset for the model. If a split `is_wanted` that depends on the rule, reports a rule that is not
+/// known to be that of the model's training on this dataset.
 fn split_rule(card: &ModelCard, dataset: &Dataset, is_wanted: bool) -> SplitSpec {
     let is_known = card.split_of(dataset).is_some();
     if !is_known && is_wanted && dataset.rows().iter().any(|row| row.split.is_none()) {
@@ -499,8 +506,8 @@ fn split_rule(card: &ModelCard, dataset: &Dataset, is_wanted: bool) -> SplitSpec
     card.split_rule(dataset)
 }
 
-/// Takes maps of sequences that the model was trained or chosen on or adapted to out of those of a test split. The test split of its
-/// own training has none, unless the model was adapted to them.
+/// Removes maps of sequences that the model was trained or chosen on or adapted to. The test split of its own training has none, unless
+/// the model was adapted to them.
 ///
 /// # Errors
 /// No map is left.
@@ -535,14 +542,14 @@ fn leave_out_seen(card: &ModelCard, dataset: &Dataset, indices: &mut Vec<usize>)
 
 /// Scores on the maps of a dataset.
 #[derive(Serialize)]
-struct OfDataset<'a> {
+struct DatasetAnswer<'a> {
     #[serde(flatten)]
     metrics: &'a Metrics,
     #[serde(skip_serializing_if = "Option::is_none")]
     ablation: Option<Vec<ablation::Row>>,
 }
 
-fn print(metrics: &Metrics) -> anyhow::Result<()> {
+fn print_metrics(metrics: &Metrics) -> anyhow::Result<()> {
     output::text_line(&format!(
         "{} maps: balanced accuracy {:.4}, macro-F1 {:.4}, accuracy {:.4}, populated recall {}",
         metrics.samples,

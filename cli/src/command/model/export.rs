@@ -5,7 +5,7 @@ use serde_json::json;
 
 use crate::exit::wrong_use;
 use crate::output_file::Overwrite;
-use crate::{files, judge, output};
+use crate::{classifier, files, output};
 
 /// Text below the options in the help.
 const NOTES: &str = "\
@@ -40,11 +40,11 @@ pub struct Arguments {
 /// The model cannot be read or has no ONNX form, or the file cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.overwrite.check(&arguments.output, &[&arguments.model])?;
-    // Other commands tell an ONNX file by its name.
+    // Other commands recognise an ONNX file by its name.
     if arguments.output.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("onnx")) {
         wrong_use!("{}: no name of an ONNX file\n\nhint: end its name in .onnx", arguments.output.display());
     }
-    let model = judge::network(&arguments.model)?;
+    let model = classifier::network(&arguments.model)?;
     let bytes = onnx::export(&model)?;
     files::write_bytes(&arguments.output, arguments.overwrite.existing(), &bytes)?;
     let file = arguments.output.display().to_string();

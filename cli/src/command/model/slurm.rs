@@ -18,7 +18,7 @@ pub struct Arguments {
     dataset: Option<PathBuf>,
     /// Dataset folder of a condition, in the spec or not; see `radome model study`
     #[arg(long, value_name = "NAME=DIR", value_hint = clap::ValueHint::DirPath)]
-    condition: Vec<study::Given>,
+    condition: Vec<study::GivenCondition>,
 }
 
 /// Prints the script of an array job that runs a study; `sbatch` takes it.
@@ -30,7 +30,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let Arguments { spec: path, array, dataset, condition: given } = arguments;
     array.check()?;
     // Errors in the study are reported here once rather than by every task.
-    let (spec, source, conditions) = study::read(path)?;
+    let (spec, source, conditions) = study::read_study(path)?;
     study::check_sources(path, &conditions, given)?;
     let trainings = spec.variants.len() * spec.seeds.len() * spec.label_fractions.len();
     if trainings < array.tasks && !spec.leave_one_recording_out {
@@ -39,7 +39,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut command = format!("model study {} -o {}", word(path)?, word(&array.output)?);
     match dataset {
         Some(dataset) => command += &format!(" --dataset {}", word(dataset)?),
-        None => drop(study::named(path, &source)?),
+        None => drop(study::resolve(path, &source)?),
     }
     for given in given {
         command += &format!(" --condition {}", given.word()?);

@@ -17,7 +17,7 @@ use schemars::JsonSchema;
 use serde::Deserialize;
 
 use self::conditions::ConditionFile;
-pub(super) use self::conditions::{Given, check_sources};
+pub(super) use self::conditions::{GivenCondition, check_sources};
 use crate::dataset::build::build_plan;
 use crate::dataset::plan::{Plan, PlanCard};
 use crate::shard::Shard;
@@ -36,7 +36,7 @@ pub struct Arguments {
     dataset: Option<PathBuf>,
     /// Dataset folder of a condition, in the spec or not. The trained models are evaluated on its maps
     #[arg(long, value_name = "NAME=DIR", value_hint = clap::ValueHint::DirPath)]
-    condition: Vec<Given>,
+    condition: Vec<GivenCondition>,
     /// Do only part I of N of the trainings (from 0), in the same folder as the other parts; `auto/N` takes I from a
     /// Slurm, HyperQueue or Kubernetes array, `auto` takes I and N from a Slurm array. When all are done, --report-only writes the report
     #[arg(long, value_name = "I/N", default_value_t = Shard::WHOLE)]
@@ -71,10 +71,10 @@ pub struct StudyFile {
 ///
 /// # Errors
 /// The file or one that it names cannot be read, or it is no study.
-pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<ConditionFile>)> {
-    let file: StudyFile = files::toml(path, "study")?;
+pub(super) fn read_study(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<ConditionFile>)> {
+    let file: StudyFile = files::read_toml(path, "study")?;
     let mut spec: StudySpec = file.study.try_into().with_context(|| format!("{} is no study", path.display()))?;
-    spec.train.weights = spec.train.weights.as_deref().map(|name| named(path, name)).transpose()?;
+    spec.train.weights = spec.train.weights.as_deref().map(|name| resolve(path, name)).transpose()?;
     spec.check()?;
     conditions::check(&file.conditions)?;
     if !file.conditions.is_empty() {
@@ -87,8 +87,8 @@ pub(super) fn read(path: &Path) -> anyhow::Result<(StudySpec, PathBuf, Vec<Condi
 ///
 /// # Errors
 /// There is no such file, or it lies where a study's files may not be.
-pub(super) fn named(study: &Path, name: &Path) -> anyhow::Result<PathBuf> {
-    files::named(study.parent().unwrap_or(Path::new("")), name)
+pub(super) fn resolve(study: &Path, name: &Path) -> anyhow::Result<PathBuf> {
+    files::resolve_named(study.parent().unwrap_or(Path::new("")), name)
 }
 
 /// Trains and evaluates many networks, and writes one report.
@@ -97,7 +97,7 @@ pub(super) fn named(study: &Path, name: &Path) -> anyhow::Result<PathBuf> {
 /// The spec or the dataset cannot be read, another process is at work in the folder, a training fails, or the report
 /// cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let (spec, source, conditions) = read(&arguments.spec)?;
+    let (spec, source, conditions) = read_study(&arguments.spec)?;
     output::catch_interrupts()?;
     let folder = &arguments.output;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
@@ -111,7 +111,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let maps = folder.join("dataset");
             if !arguments.report_only {
                 let hint = "undo the change, or give the study another folder by -o";
-                make_dataset(&maps, &source, hint, || Plan::new(&named(&arguments.spec, &source)?, Shard::WHOLE))?;
+                make_dataset(&maps, &source, hint, || Plan::new(&resolve(&arguments.spec, &source)?, Shard::WHOLE))?;
             }
             maps
         }
@@ -124,17 +124,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.plan {
         return plan::print(&study, conditions.len() + unbuilt, arguments.json);
     }
-    let worked = if arguments.report_only { Ok(()) } else { work(&study, arguments.json) };
-    if worked.as_ref().is_err_and(is_busy) {
+    let work_result = if arguments.report_only { Ok(()) } else { work(&study, arguments.json) };
+    if work_result.as_ref().is_err_and(is_busy) {
         // The other process writes the report.
-        return worked;
+        return work_result;
     }
     // Finished trainings are reported, even if the work ended with an error.
     let is_shard = count > 1 && !arguments.report_only;
-    let reported = report(&study, folder, is_shard);
-    if let Ok((report, _)) = &reported {
-        let next = match worked {
-            // The error says what to do.
+    let report_result = report(&study, folder, is_shard);
+    if let Ok((report, _)) = &report_result {
+        let next = match work_result {
+            // The error names the remedy.
             Err(_) => "",
             Ok(()) if is_shard => "; when all shards are, --report-only reports",
             Ok(()) => "; the same command carries on",
@@ -142,13 +142,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         if report.done < report.planned {
             message!("{} of {} trainings are done{next}", report.done, report.planned);
         }
-        let (judged, planned) = conditions::count(report);
-        if judged < planned {
-            message!("{judged} of {planned} scores under conditions are done{next}");
+        let (evaluated, planned) = conditions::count(report);
+        if evaluated < planned {
+            message!("{evaluated} of {planned} scores under conditions are done{next}");
         }
     }
-    worked?;
-    let (report, times) = reported?;
+    work_result?;
+    let (report, times) = report_result?;
     if arguments.json {
         return output::json_line(&report);
     }
@@ -161,10 +161,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 fn make_dataset(maps: &Path, source: &Path, hint: &str, plan: impl Fn() -> anyhow::Result<Plan>) -> anyhow::Result<()> {
     const WAIT: Duration = Duration::from_millis(500);
     let card = with_suffix(maps, ".plan.json");
-    let mut is_told = false;
+    let mut is_announced = false;
     while !is_dataset(maps) {
         let plan = plan()?;
-        if !std::mem::replace(&mut is_told, true) {
+        if !std::mem::replace(&mut is_announced, true) {
             message!("building {} from {}", maps.display(), source.display());
         }
         match build_plan(&plan, maps, None) {
@@ -188,7 +188,7 @@ fn is_dataset(folder: &Path) -> bool {
     folder.join("dataset.json").exists()
 }
 
-/// Returns whether an error says that another process is working in a folder.
+/// Returns whether an error means that another process is working in a folder.
 fn is_busy(error: &anyhow::Error) -> bool {
     let is_busy = |error: &DatasetError| matches!(error, DatasetError::Busy { .. });
     let of_study = match error.downcast_ref::<StudyError>() {
@@ -203,7 +203,7 @@ fn is_busy(error: &anyhow::Error) -> bool {
 fn report(study: &Study, folder: &Path, is_shard: bool) -> anyhow::Result<(Report, Times)> {
     let (report, times) = (study.report()?, study.times()?);
     if !is_shard {
-        write(&report, &times, folder)?;
+        write_reports(&report, &times, folder)?;
     }
     Ok((report, times))
 }
@@ -211,15 +211,15 @@ fn report(study: &Study, folder: &Path, is_shard: bool) -> anyhow::Result<(Repor
 fn work(study: &Study, json: bool) -> anyhow::Result<()> {
     let bar = output::progress(0, "study");
     // If the reader of the output has gone, the work stops.
-    let trouble = RefCell::new(None);
-    let goes_on = || !output::interrupted() && trouble.borrow().is_none();
-    let worked = study.run(&goes_on, &mut |progress| {
+    let output_error = RefCell::new(None);
+    let continues = || !output::interrupted() && output_error.borrow().is_none();
+    let outcome = study.run(&continues, &mut |progress| {
         let begin = |index: usize, count: usize, what: String| {
             bar.set_length(count as u64);
             bar.set_position(index as u64 - 1);
             bar.set_message(what);
         };
-        let said = match progress {
+        let printed = match progress {
             Progress::Job(job, index, count) => {
                 let labels = 100.0 * job.label_fraction;
                 begin(index, count, format!("{} seed {} of {labels:.0} % ", job.variant, job.seed));
@@ -230,22 +230,24 @@ fn work(study: &Study, json: bool) -> anyhow::Result<()> {
                 return;
             }
             Progress::Epoch(_) => return bar.tick(),
-            Progress::Done(outcome) => bar.suspend(|| if json { output::json_line(outcome) } else { told(outcome) }),
-            Progress::Evaluated(of) => bar.suspend(|| if json { output::json_line(of) } else { told_judgement(of) }),
+            Progress::Done(outcome) => {
+                bar.suspend(|| if json { output::json_line(outcome) } else { print_outcome(outcome) })
+            }
+            Progress::Evaluated(of) => bar.suspend(|| if json { output::json_line(of) } else { print_judgement(of) }),
         };
         bar.inc(1);
-        let mut trouble = trouble.borrow_mut();
-        *trouble = trouble.take().or(said.err());
+        let mut output_error = output_error.borrow_mut();
+        *output_error = output_error.take().or(printed.err());
     });
     bar.finish_and_clear();
-    worked?;
+    outcome?;
     if output::interrupted() {
         bail!("interrupted: trainings that have ended are kept\n\nhint: the same command goes on with the others");
     }
-    trouble.into_inner().map_or(Ok(()), Err)
+    output_error.into_inner().map_or(Ok(()), Err)
 }
 
-fn told(outcome: &Outcome) -> anyhow::Result<()> {
+fn print_outcome(outcome: &Outcome) -> anyhow::Result<()> {
     let job = &outcome.job;
     let what = match (&outcome.error, &outcome.test) {
         (Some(error), _) => format!("failed: {}", error.lines().next().unwrap_or_default()),
@@ -270,7 +272,7 @@ fn told(outcome: &Outcome) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn told_judgement(judgement: &ConditionScores) -> anyhow::Result<()> {
+fn print_judgement(judgement: &ConditionScores) -> anyhow::Result<()> {
     let ConditionScores { job, condition, metrics, .. } = judgement;
     let what = match metrics {
         Some(metrics) => format!("balanced accuracy {:.3} of {} maps", metrics.balanced_accuracy, metrics.samples),
@@ -280,7 +282,7 @@ fn told_judgement(judgement: &ConditionScores) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write(report: &Report, times: &Times, folder: &Path) -> anyhow::Result<()> {
+fn write_reports(report: &Report, times: &Times, folder: &Path) -> anyhow::Result<()> {
     let save = |name: &str, text: &str| files::write_bytes(&folder.join(name), Existing::Replace, text.as_bytes());
     save("report.md", &report.markdown())?;
     save("report.json", &serde_json::to_string_pretty(report)?)?;

@@ -7,7 +7,7 @@ use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_wi
 use serde_json::json;
 
 use crate::exit::WrongUse;
-use crate::output_file::{MODEL_HINT, Overwrite, check_apart, check_ending};
+use crate::output_file::{MODEL_HINT, Overwrite, check_distinct, check_ending};
 use crate::{files, output};
 
 /// `radome model train`
@@ -93,7 +93,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     check_ending(&arguments.output, &["safetensors"], MODEL_HINT)?;
     // Both are removed at the end.
     for removed in [&checkpoint, &CheckpointLock::path_of(&checkpoint)] {
-        check_apart(removed, &arguments.output)?;
+        check_distinct(removed, &arguments.output)?;
         Overwrite::yes().check(removed, &inputs)?;
     }
     let _held = CheckpointLock::new(&checkpoint)?;
@@ -108,15 +108,15 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
         message!("warning: {warning}");
     }
     // That the checkpoint is of this training is known when an epoch is done.
-    let mut carries_on = checkpoint.exists();
+    let mut is_resuming = checkpoint.exists();
     let bar = output::progress(spec.all_epochs() as u64, "training");
-    let mut trouble = None;
+    let mut output_error = None;
     let outcome = train_with_checkpoint(&dataset, spec, Some(checkpoint), &mut |report| {
         bar.inc(1);
-        if std::mem::take(&mut carries_on) {
+        if std::mem::take(&mut is_resuming) {
             bar.suspend(|| message!("carrying on from {}", checkpoint.display()));
         }
-        let said = if arguments.json {
+        let printed = if arguments.json {
             output::json_line(&report)
         } else {
             let line = format!(
@@ -131,7 +131,7 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
             );
             bar.suspend(|| output::text_line(&line))
         };
-        trouble = trouble.take().or(said.err());
+        output_error = output_error.take().or(printed.err());
     });
     bar.finish_and_clear();
     let outcome = outcome.inspect_err(|error| {
@@ -155,7 +155,7 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
     })?;
     // Not before: a kill would lose the training. A file that cannot be removed does no harm: a new training repeats the last step.
     let _ = std::fs::remove_file(checkpoint);
-    if let Some(error) = trouble {
+    if let Some(error) = output_error {
         return Err(error);
     }
     let file = arguments.output.display().to_string();
@@ -168,9 +168,9 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
 /// Reads the settings of a training from a TOML file, without a check of their values; defaults without one.
 fn read_spec(path: Option<&Path>) -> anyhow::Result<TrainSpec> {
     let Some(path) = path else { return Ok(TrainSpec::default()) };
-    let mut spec: TrainSpec = files::toml(path, "training spec")?;
+    let mut spec: TrainSpec = files::read_toml(path, "training spec")?;
     if let Some(weights) = &spec.weights {
-        spec.weights = Some(files::named(path.parent().unwrap_or(Path::new("")), weights)?);
+        spec.weights = Some(files::resolve_named(path.parent().unwrap_or(Path::new("")), weights)?);
     }
     Ok(spec)
 }

@@ -27,34 +27,35 @@ pub struct Arguments {
     json: bool,
 }
 
-const HEAD: &str = "sequence,time_s,host_time_s,label,p_empty,p_one,p_two,occupied,people,latency_ms";
+const HEADING: &str = "sequence,time_s,host_time_s,label,p_empty,p_one,p_two,occupied,people,latency_ms";
 
 /// Prints the answers to the frames of a recording as CSV or JSON lines.
 ///
 /// # Errors
 /// The recording cannot be read or holds no answers, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let named = arguments.recording.display();
+    let name = arguments.recording.display();
     let recording = Recording::open(&arguments.recording)?;
-    let judge = recording.header().judge;
-    let Some((results, judge)) = recording.results()?.zip(judge) else {
+    let classifier = recording.header().judge;
+    let Some((results, classifier)) = recording.results()?.zip(classifier) else {
         bail!(
-            "{named} holds no answers\n\nhint: radome live SOURCE --model M -o FILE.mcap records them with the frames"
+            "{name} holds no answers\n\nhint: radome live SOURCE --model M -o FILE.mcap records them with the frames"
         );
     };
     // Classifiers without a file have the program's version in place of a hash.
-    let is_hash = judge.model_hash.len() == 64 && judge.model_hash.bytes().all(|byte| byte.is_ascii_hexdigit());
+    let is_hash =
+        classifier.model_hash.len() == 64 && classifier.model_hash.bytes().all(|byte| byte.is_ascii_hexdigit());
     message!(
         "judged by {} ({}{}), on after {} s, off after {} s{}",
-        judge.model,
+        classifier.model,
         if is_hash { "SHA-256 " } else { "" },
-        judge.model_hash,
-        judge.on_delay_s,
-        judge.off_delay_s,
-        judge.max_range_m.map_or_else(String::new, |range_m| format!(", people up to {range_m} m"))
+        classifier.model_hash,
+        classifier.on_delay_s,
+        classifier.off_delay_s,
+        classifier.max_range_m.map_or_else(String::new, |range_m| format!(", people up to {range_m} m"))
     );
     let mut people = None;
-    let mut wanted = results.filter(|result| {
+    let mut selected = results.filter(|result| {
         let Ok(result) = result else { return true };
         let is_change = people.replace(result.people) != Some(result.people);
         is_change || !arguments.changes
@@ -62,12 +63,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.output {
         Some(path) => {
             arguments.overwrite.check(path, &[&arguments.recording])?;
-            files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, wanted))
+            files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, selected))
         }
-        None if arguments.json => wanted.try_for_each(|result| output::json_line(&result?)),
+        None if arguments.json => selected.try_for_each(|result| output::json_line(&result?)),
         None => {
-            output::text_line(HEAD)?;
-            wanted.try_for_each(|result| output::text_line(&csv_line(&result?)))
+            output::text_line(HEADING)?;
+            selected.try_for_each(|result| output::text_line(&csv_line(&result?)))
         }
     }
 }
@@ -77,7 +78,7 @@ fn write_csv(
     results: impl Iterator<Item = Result<FrameResult, RecordingError>>,
 ) -> anyhow::Result<()> {
     let cannot = "cannot write the results";
-    writeln!(out, "{HEAD}").context(cannot)?;
+    writeln!(out, "{HEADING}").context(cannot)?;
     for result in results {
         writeln!(out, "{}", csv_line(&result?)).context(cannot)?;
     }

@@ -6,8 +6,8 @@ use radome_driver::recording::{Format, Recording, RecordingError, RecordingWrite
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
-use crate::exit::{Ended, wrong_use};
-use crate::live::screen::lost_besides;
+use crate::exit::{Completion, wrong_use};
+use crate::live::screen::unknown_loss_text;
 use crate::output_file::Overwrite;
 use crate::{files, labels, output, shell, viewers};
 
@@ -64,7 +64,7 @@ impl To {
 ///
 /// # Errors
 /// The input cannot be read, or the output cannot be written.
-pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
+pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     output::catch_interrupts()?;
     let Arguments { input, output: path, .. } = arguments;
     let format = match arguments.to {
@@ -79,9 +79,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     };
     arguments.overwrite.check_name(path, &[input])?;
     if format.is_some_and(Format::is_folder) {
-        check_is_empty(path)?;
+        check_folder_is_empty(path)?;
     } else if format.is_some_and(|format| !format.holds_labels()) {
-        check_labels(path)?;
+        check_no_labels_beside(path)?;
     }
     let mut source = open(input)?;
     let report = match format {
@@ -91,15 +91,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     for what in &report.omitted {
         message!("not held by this format: {what}");
     }
-    let is_labelled = labels::of(input).is_ok_and(|spans| !spans.is_empty());
+    let is_labelled = labels::of_recording(input).is_ok_and(|spans| !spans.is_empty());
     if is_labelled && format.is_some_and(|format| !format.holds_labels()) {
-        tell_of_labels(input, path, report.time_shift_ns as f64 * 1e-9, source.waveform().frame_interval_s());
+        explain_missing_labels(input, path, report.time_shift_ns as f64 * 1e-9, source.waveform().frame_interval_s());
     }
     if source.is_cut() {
         message!("frames may be lost at the end of {}, which cannot be read", input.display());
     }
     if arguments.json {
-        output::unless_closed(output::json_line(&json!({
+        output::ignore_closed_stdout(output::json_line(&json!({
             "file": path.display().to_string(),
             "frames": report.frames,
             "gaps": report.gaps,
@@ -109,21 +109,21 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
             "not_held": report.omitted,
         })))?;
     } else {
-        output::unless_closed(output::text_line(&format!(
+        output::ignore_closed_stdout(output::text_line(&format!(
             "{}: {} frames, {} gaps with {} frames lost{}, {} bytes",
             path.display(),
             report.frames,
             report.gaps,
             report.frames_lost,
-            lost_besides(report.unknown_gaps),
+            unknown_loss_text(report.unknown_gaps),
             report.bytes
         )))?;
     }
-    Ok(Ended::with_loss(source.is_cut()))
+    Ok(Completion::from_loss(source.is_cut()))
 }
 
-/// Says how the labels get beside a new recording that cannot hold them, if its frames have kept their times.
-fn tell_of_labels(input: &Path, output: &Path, shift_s: f64, frame_interval_s: f64) {
+/// Prints how to write the labels beside a new recording that cannot hold them, if its frames have kept their times.
+fn explain_missing_labels(input: &Path, output: &Path, shift_s: f64, frame_interval_s: f64) {
     let beside = labels::name_beside(output);
     let [from, new, to] = [input, output, beside.as_path()].map(|path| shell::word(&path.to_string_lossy()));
     // Frames that move by less keep their labels, except at the ends of these.
@@ -138,7 +138,7 @@ fn tell_of_labels(input: &Path, output: &Path, shift_s: f64, frame_interval_s: f
 }
 
 /// Fails if the folder to write has something in it.
-fn check_is_empty(folder: &Path) -> anyhow::Result<()> {
+fn check_folder_is_empty(folder: &Path) -> anyhow::Result<()> {
     ensure!(
         !std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some()),
         "{} exists already and is not empty\n\nhint: --overwrite replaces files, never folders; move it away, or name another",
@@ -148,7 +148,7 @@ fn check_is_empty(folder: &Path) -> anyhow::Result<()> {
 }
 
 /// Fails if labels stand beside the file that is to be written: they would be taken for those of the new recording.
-fn check_labels(output: &Path) -> anyhow::Result<()> {
+fn check_no_labels_beside(output: &Path) -> anyhow::Result<()> {
     match labels::file_beside(output) {
         Some(labels) => bail!(
             "{} holds the labels of {}, and would be taken for those of the new recording\n\nhint: move it away",
@@ -173,11 +173,11 @@ fn open(input: &Path) -> anyhow::Result<Recording> {
     Ok(source)
 }
 
-/// Reads the labels of a recording, also those beside it, before the frames, which may take long. Tells of labels that do not fit the
-/// recording; they are carried over as they are.
+/// Reads the labels of a recording, also those beside it, before the frames, which may take long. Warns of labels that do not fit the
+/// recording; they are copied unchanged.
 fn read_labels(input: &Path, source: &Recording) -> anyhow::Result<Vec<LabelSpan>> {
     let beside = labels::file_beside(input).filter(|_| !source.format().holds_labels());
-    let spans = labels::of(input).with_context(|| match beside {
+    let spans = labels::of_recording(input).with_context(|| match beside {
         Some(file) => format!(
             "the labels of {} cannot be read\n\nhint: mend {}, or move it away to convert without labels",
             input.display(),
@@ -188,7 +188,7 @@ fn read_labels(input: &Path, source: &Recording) -> anyhow::Result<Vec<LabelSpan
     let extent = Recording::open(input).and_then(|mut recording| recording.extent()).ok().flatten();
     let interval_s = source.waveform().frame_interval_s();
     let extent_s = extent.map(|extent| (extent.first.time_s(), extent.last.time_s() + interval_s));
-    if let Err(error) = labels::check_read(&spans, extent_s) {
+    if let Err(error) = labels::check_imported(&spans, extent_s) {
         message!("warning: {error}");
     }
     Ok(spans)

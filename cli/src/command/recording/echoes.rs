@@ -16,13 +16,13 @@ use crate::source::{self, SourceArgs};
 use crate::{files, output};
 
 /// Time over which frames are compared to find people who sit or stand, s.
-const STILL_S: f64 = 2.0;
+const STILL_WINDOW_S: f64 = 2.0;
 /// Distance below which a still echo and a moving one belong to the same body, m.
-const SAME_M: f64 = 0.5;
+const SAME_BODY_M: f64 = 0.5;
 /// Half the range interval in which a reflector is searched for, m.
-const REFLECTOR_M: f64 = 0.3;
+const REFLECTOR_HALF_WIDTH_M: f64 = 0.3;
 /// Least level of a reflector over the median range, dB. Its phase is then within a few degrees.
-const REFLECTOR_DB: f64 = 20.0;
+const LEAST_REFLECTOR_DB: f64 = 20.0;
 /// Number of frames over which a reflector is averaged.
 const REFLECTOR_FRAMES: u64 = 50;
 
@@ -67,7 +67,7 @@ struct AngleFile {
 
 /// Echo in the output format.
 #[derive(Serialize)]
-struct Said {
+struct Echo {
     range_m: f64,
     velocity_m_per_s: f64,
     azimuth_deg: Option<f64>,
@@ -87,8 +87,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let [source, waveform] = arguments.source.inputs();
         arguments.overwrite.check(path, &[source, waveform, angles])?;
     }
-    let truth = arguments.reflector.as_deref().map(reflector).transpose()?;
-    let calibration = arguments.angles.as_deref().map(read).transpose()?.unwrap_or_default();
+    let truth = arguments.reflector.as_deref().map(parse_reflector).transpose()?;
+    let calibration = arguments.angles.as_deref().map(read_angles).transpose()?.unwrap_or_default();
     let frames = arguments.source.frames;
     let source = source::open(&arguments.source.source, &arguments.source.finite_options()?)?.frames;
     let waveform = source.waveform().clone();
@@ -99,14 +99,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         message!("{why}");
     }
     let mut detector = Detector::new(&waveform, &receivers.baselines());
-    let window = (STILL_S / waveform.frame_interval_s()).round().clamp(4.0, 200.0) as usize;
-    let (wanted, most) = match &arguments.reflector {
+    let window = (STILL_WINDOW_S / waveform.frame_interval_s()).round().clamp(4.0, 200.0) as usize;
+    let (frame_limit, profile_count) = match &arguments.reflector {
         Some(_) => (Some(frames.unwrap_or(u64::MAX).min(REFLECTOR_FRAMES)), REFLECTOR_FRAMES as usize),
         None => (frames, window),
     };
-    let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(most + 1);
-    let items = Items::of(source, wanted);
-    let (mut looked, mut found, mut moving) = (0u64, 0, 0u64);
+    let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(profile_count + 1);
+    let items = Items::of(source, frame_limit);
+    let (mut frame_count, mut echo_count, mut moving_count) = (0u64, 0, 0u64);
     loop {
         match items.next_item()? {
             Item::End(_) => break,
@@ -115,48 +115,49 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             Item::Gap(_) => profiles.clear(),
             Item::Frame(frame) => {
                 let (mut echoes, profile) = detector.detect_moving(&frame)?;
-                if profiles.len() == most {
+                if profiles.len() == profile_count {
                     profiles.pop_front();
                 }
                 profiles.push_back(profile);
-                looked += 1;
+                frame_count += 1;
                 if let Some([range_m, ..]) = truth {
-                    moving += u64::from(echoes.iter().any(|echo| (echo.range_m - range_m).abs() < REFLECTOR_M));
+                    moving_count +=
+                        u64::from(echoes.iter().any(|echo| (echo.range_m - range_m).abs() < REFLECTOR_HALF_WIDTH_M));
                     continue;
                 }
                 if profiles.len() == window {
                     let still = detector.detect_still(&profiles.iter().collect::<Vec<_>>());
-                    let is_new = |s: &Detection| echoes.iter().all(|e| (e.range_m - s.range_m).abs() > SAME_M);
+                    let is_new = |s: &Detection| echoes.iter().all(|e| (e.range_m - s.range_m).abs() > SAME_BODY_M);
                     let new: Vec<Detection> = still.into_iter().filter(is_new).collect();
                     echoes.extend(new);
                 }
-                found += echoes.len();
-                say(&frame, &echoes, &receivers, arguments.json)?;
+                echo_count += echoes.len();
+                print_echoes(&frame, &echoes, &receivers, arguments.json)?;
             }
         }
     }
     let Some(truth) = truth else {
-        if found == 0 && !arguments.json {
-            message!("no echo stands out of the noise in {looked} frames");
+        if echo_count == 0 && !arguments.json {
+            message!("no echo stands out of the noise in {frame_count} frames");
         }
         return Ok(());
     };
     if output::interrupted() {
         return Err(output::Interrupted.into());
     }
-    ensure!(looked > 0, "{}: no frame to measure a reflector in", arguments.source.source);
+    ensure!(frame_count > 0, "{}: no frame to measure a reflector in", arguments.source.source);
     let [range_m, ..] = truth;
     ensure!(
-        moving == 0,
-        "something moves within {REFLECTOR_M} m of the reflector's range, {range_m} m, in {moving} of {looked} frames\n\nhint: leave the \
+        moving_count == 0,
+        "something moves within {REFLECTOR_HALF_WIDTH_M} m of the reflector's range, {range_m} m, in {moving_count} of {frame_count} frames\n\nhint: leave the \
          room, and measure again"
     );
     let profiles: Vec<&RangeProfile> = profiles.iter().collect();
     calibrate(arguments, truth, &receivers, &waveform, |within_m| detector.find_reflector(&profiles, within_m))
 }
 
-/// Position of the reflector: range, azimuth and elevation.
-fn reflector(numbers: &[f64]) -> anyhow::Result<[f64; 3]> {
+/// Parses the position of the reflector: range, azimuth and elevation.
+fn parse_reflector(numbers: &[f64]) -> anyhow::Result<[f64; 3]> {
     let &[range_m, azimuth_deg, elevation_deg] = numbers else {
         wrong_use!("--reflector takes three numbers: RANGE_M,AZIMUTH_DEG,ELEVATION_DEG, such as 2.0,0,0");
     };
@@ -177,15 +178,15 @@ fn calibrate(
     waveform: &Waveform,
     find: impl FnOnce(Range<f64>) -> Option<Detection>,
 ) -> anyhow::Result<()> {
-    let echo = find(range_m - REFLECTOR_M..range_m + REFLECTOR_M).with_context(|| {
+    let echo = find(range_m - REFLECTOR_HALF_WIDTH_M..range_m + REFLECTOR_HALF_WIDTH_M).with_context(|| {
         format!(
-            "no echo within {REFLECTOR_M} m of {range_m} m\n\nhint: check the reflector's range; the waveform reaches {:.1} m",
+            "no echo within {REFLECTOR_HALF_WIDTH_M} m of {range_m} m\n\nhint: check the reflector's range; the waveform reaches {:.1} m",
             waveform.max_range_m()
         )
     })?;
     ensure!(
-        echo.snr_db >= REFLECTOR_DB,
-        "no reflector stands out at {range_m} m: the strongest echo there is {:.0} dB over the median range, and {REFLECTOR_DB} are \
+        echo.snr_db >= LEAST_REFLECTOR_DB,
+        "no reflector stands out at {range_m} m: the strongest echo there is {:.0} dB over the median range, and {LEAST_REFLECTOR_DB} are \
          needed\n\nhint: use a larger reflector, such as a metal corner of 10 cm, or a range at which nothing else stands",
         echo.snr_db
     );
@@ -212,8 +213,8 @@ fn calibrate(
     ))
 }
 
-fn read(path: &Path) -> anyhow::Result<AngleCalibration> {
-    let file: AngleFile = parse_toml(&files::text(path)?).with_context(|| {
+fn read_angles(path: &Path) -> anyhow::Result<AngleCalibration> {
+    let file: AngleFile = parse_toml(&files::read_text_file(path)?).with_context(|| {
         format!(
             "{}: no file of angles\n\nhint: make one with radome recording echoes SOURCE --reflector 2.0,0,0 -o FILE",
             path.display()
@@ -227,10 +228,10 @@ fn read(path: &Path) -> anyhow::Result<AngleCalibration> {
     Ok(file.calibration)
 }
 
-fn say(frame: &Frame, echoes: &[Detection], receivers: &Receivers, json: bool) -> anyhow::Result<()> {
-    let said = echoes.iter().map(|echo| {
+fn print_echoes(frame: &Frame, echoes: &[Detection], receivers: &Receivers, json: bool) -> anyhow::Result<()> {
+    let rows = echoes.iter().map(|echo| {
         let direction = receivers.direction(&echo.cosines);
-        Said {
+        Echo {
             range_m: echo.range_m,
             velocity_m_per_s: echo.velocity_m_per_s,
             azimuth_deg: direction.azimuth_rad.map(f64::to_degrees),
@@ -239,21 +240,21 @@ fn say(frame: &Frame, echoes: &[Detection], receivers: &Receivers, json: bool) -
             is_still: echo.is_still,
         }
     });
-    let said: Vec<Said> = said.collect();
+    let rows: Vec<Echo> = rows.collect();
     if json {
-        return output::json_line(&json!({ "sequence": frame.sequence, "time_s": frame.time_s(), "echoes": said }));
+        return output::json_line(&json!({ "sequence": frame.sequence, "time_s": frame.time_s(), "echoes": rows }));
     }
-    for of in &said {
+    for row in &rows {
         let angle = |angle: Option<f64>| angle.map_or("     -".to_owned(), |degrees| format!("{degrees:+6.1}"));
         output::text_line(&format!(
             "{:8.2} s  {:6.3} m  {:+6.2} m/s  {} deg left  {} deg up  {:5.1} dB{}",
             frame.time_s(),
-            of.range_m,
-            of.velocity_m_per_s,
-            angle(of.azimuth_deg),
-            angle(of.elevation_deg),
-            of.snr_db,
-            if of.is_still { "  still" } else { "" }
+            row.range_m,
+            row.velocity_m_per_s,
+            angle(row.azimuth_deg),
+            angle(row.elevation_deg),
+            row.snr_db,
+            if row.is_still { "  still" } else { "" }
         ))?;
     }
     Ok(())

@@ -40,7 +40,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if !is_finished && format != Format::Mcap {
         message!("{}: the recording is cut short", path.display());
     }
-    let spans = labels::of(path)?;
+    let spans = labels::of_recording(path)?;
     let mut labelled_s: BTreeMap<&str, f64> = BTreeMap::new();
     for span in &spans {
         *labelled_s.entry(&span.label).or_default() += span.end_s - span.start_s;

@@ -62,14 +62,14 @@ enum Proposer {
 }
 
 fn parse_interval(text: &str) -> Result<(f64, f64), String> {
-    times(text)
+    parse_times(text)
         .filter(|(start_s, end_s)| start_s < end_s)
         .ok_or_else(|| format!("'{text}': expected START_S:END_S such as 0.5:12, the end after the start"))
 }
 
 fn parse_span(text: &str) -> Result<LabelSpan, String> {
     let span = text.split_once('=').and_then(|(interval, label)| {
-        let (start_s, end_s) = times(interval)?;
+        let (start_s, end_s) = parse_times(interval)?;
         Some(LabelSpan::new(start_s, end_s, label.trim()))
     });
     let span = span.ok_or_else(|| format!("'{text}': expected START_S:END_S=LABEL such as 0.5:12=empty"))?;
@@ -77,7 +77,7 @@ fn parse_span(text: &str) -> Result<LabelSpan, String> {
     Ok(span)
 }
 
-fn times(text: &str) -> Option<(f64, f64)> {
+fn parse_times(text: &str) -> Option<(f64, f64)> {
     let (start, end) = text.split_once(':')?;
     Some((start.trim().parse().ok()?, end.trim().parse().ok()?))
 }
@@ -93,7 +93,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let is_given = !arguments.span.is_empty() || arguments.from.is_some() || arguments.propose.is_some();
     if !is_given && arguments.erase.is_empty() {
-        return show(arguments);
+        return show_labels(arguments);
     }
     if arguments.who.is_some() && arguments.span.is_empty() && arguments.from.is_none() {
         wrong_use!(
@@ -112,14 +112,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let mut spans = arguments.span.clone();
     if let Some(file) = &arguments.from {
-        spans.extend(labels::read(file)?);
+        spans.extend(labels::read_file(file)?);
     }
     if let Some(who) = &arguments.who {
         spans.iter_mut().for_each(|span| span.who = Some(who.clone()));
     }
     if let Some(proposer) = arguments.propose {
         spans.extend(match proposer {
-            Proposer::Truth => truth(&arguments.recording)?,
+            Proposer::Truth => truth_labels(&arguments.recording)?,
             Proposer::Detector => detector::propose(&arguments.recording)?,
         });
     }
@@ -129,42 +129,44 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return print(&spans, arguments.json);
     }
     let mut erased = 0;
-    let place = match &arguments.output {
+    let target = match &arguments.output {
         Some(file) => {
             labels::check(&arguments.recording, &spans)?;
-            labels::write(file, arguments.overwrite.existing(), &spans)?;
+            labels::write_file(file, arguments.overwrite.existing(), &spans)?;
             file.clone()
         }
-        None => labels::add(&arguments.recording, &spans, |there| {
+        None => labels::add(&arguments.recording, &spans, |existing| {
             let is_erased =
                 |label: &&LabelSpan| arguments.erase.iter().any(|interval| labels::overlaps(label, *interval));
-            erased = there.iter().filter(is_erased).count();
-            let there =
-                arguments.erase.iter().fold(there, |there, interval| labels::cut_out(there, *interval, |_| true));
+            erased = existing.iter().filter(is_erased).count();
+            let existing = arguments
+                .erase
+                .iter()
+                .fold(existing, |existing, interval| labels::cut_out(existing, *interval, |_| true));
             let classes = spans.iter().filter(|span| arguments.replace && span.occupancy().is_some());
-            classes.fold(there, |there, span| {
-                labels::cut_out(there, (span.start_s, span.end_s), |other| other.occupancy().is_some())
+            classes.fold(existing, |existing, span| {
+                labels::cut_out(existing, (span.start_s, span.end_s), |other| other.occupancy().is_some())
             })
         })?,
     };
-    let place = place.display();
-    let counted = |count: usize| format!("{count} label{}", if count == 1 { "" } else { "s" });
+    let target = target.display();
+    let label_count = |count: usize| format!("{count} label{}", if count == 1 { "" } else { "s" });
     match (arguments.erase.is_empty(), erased) {
         (true, _) => {}
-        (false, 0) => message!("no label is there to be erased in {place}"),
-        (false, erased) => message!("{} cut or removed in {place}", counted(erased)),
+        (false, 0) => message!("no label is there to be erased in {target}"),
+        (false, erased) => message!("{} cut or removed in {target}", label_count(erased)),
     }
     if !spans.is_empty() || arguments.erase.is_empty() {
-        message!("{} written to {place}", counted(spans.len()));
+        message!("{} written to {target}", label_count(spans.len()));
     }
     print(&spans, arguments.json)
 }
 
 /// Prints the labels of a recording and writes them to the output file, if one is named.
-fn show(arguments: &Arguments) -> anyhow::Result<()> {
-    let spans = labels::of(&arguments.recording)?;
+fn show_labels(arguments: &Arguments) -> anyhow::Result<()> {
+    let spans = labels::of_recording(&arguments.recording)?;
     if let Some(file) = &arguments.output {
-        labels::write(file, arguments.overwrite.existing(), &spans)?;
+        labels::write_file(file, arguments.overwrite.existing(), &spans)?;
     }
     print(&spans, arguments.json)
 }
@@ -181,7 +183,8 @@ fn print(spans: &[LabelSpan], as_json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn truth(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
+/// Makes labels of the truth of the frames.
+fn truth_labels(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let mut recording = Recording::open(path)?;
     let interval_s = recording.waveform().frame_interval_s();
     let mut frame = Frame::zeroed(recording.waveform().shape());

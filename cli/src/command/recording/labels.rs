@@ -34,15 +34,15 @@ pub struct Arguments {
 /// The recording or a file of labels cannot be read or written, or labels contradict each other.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.import {
-        let mut spans = labels::read(path)?;
+        let mut spans = labels::read_file(path)?;
         spans.iter_mut().for_each(|span| span.who.clone_from(&arguments.who));
-        labels::add(&arguments.file, &spans, |there| there)?;
+        labels::add(&arguments.file, &spans, |existing| existing)?;
         message!("{} labels added to {}", spans.len(), arguments.file.display());
     }
     let spans = Recording::open(&arguments.file)?.labels()?;
     if let Some(path) = &arguments.export {
         arguments.overwrite.check(path, &[&arguments.file])?;
-        labels::write(path, arguments.overwrite.existing(), &spans)?;
+        labels::write_file(path, arguments.overwrite.existing(), &spans)?;
     }
     if arguments.json {
         return output::json_line(&json!(spans));

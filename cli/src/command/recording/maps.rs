@@ -133,7 +133,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut map = processor.empty_map();
     let row_shape = map_shape(&map);
     let is_live = source.is_live;
-    let (mut counts, mut pictured, mut read) = (Counts::default(), false, None::<(u64, u64)>);
+    let (mut counts, mut is_drawn, mut read_range) = (Counts::default(), false, None::<(u64, u64)>);
     let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
     let items = Items::of(source.frames, arguments.source.frames);
     // The array is written map by map, since the maps of a night do not fit in memory.
@@ -143,7 +143,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 Item::End(_) => break,
                 Item::Gap(_) => processor.reset(),
                 Item::Frame(frame) => {
-                    read = Some((read.map_or(frame.sequence, |(first, _)| first), frame.sequence));
+                    read_range = Some((read_range.map_or(frame.sequence, |(first, _)| first), frame.sequence));
                     bar.inc(1);
                     if processor.process(&frame, &mut map)? != MapStatus::Ready {
                         continue;
@@ -153,15 +153,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                     counts.non_finite_cells += u64::from(map.flags.non_finite_cells);
                     write(&map)?;
                     if let (Some(path), true) = (&arguments.png, arguments.frame == Some(frame.sequence)) {
-                        plot::map(path, &map)?;
-                        pictured = true;
+                        plot::save_map(path, &map)?;
+                        is_drawn = true;
                     }
                 }
             }
         }
         // Checked before the array gets its final name. A board sends until it is stopped; a part of a recording is no array of it.
         match output::interrupted() {
-            false => check_maps(arguments, counts.maps, read, pictured)?,
+            false => check_maps(arguments, counts.maps, read_range, is_drawn)?,
             true => ensure!(is_live, "interrupted after {} maps: nothing is written", counts.maps),
         }
         anyhow::Ok(counts.maps)
@@ -173,31 +173,32 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Some(path) => write_array(path, arguments.overwrite, &row_shape, &mut each_map)?,
     }
     bar.finish_and_clear();
-    if let (Some(path), false, true) = (&arguments.png, pictured, counts.maps > 0) {
-        plot::map(path, &map)?;
+    if let (Some(path), false, true) = (&arguments.png, is_drawn, counts.maps > 0) {
+        plot::save_map(path, &map)?;
     }
-    tell(arguments, &counts, &map)
+    print_summary(arguments, &counts, &map)
 }
 
-/// Fails if no frame gave a map, or if the frame of the picture gave none. `read` holds the numbers of the first and the last frame.
-fn check_maps(arguments: &Arguments, maps: u64, read: Option<(u64, u64)>, is_pictured: bool) -> anyhow::Result<()> {
+/// Fails if no frame gave a map, or if the frame of the picture gave none. `read_range` holds the numbers of the first and the last frame.
+fn check_maps(arguments: &Arguments, maps: u64, read_range: Option<(u64, u64)>, is_drawn: bool) -> anyhow::Result<()> {
     let source = &arguments.source.source;
-    let read = read.map_or("no frame was read".into(), |(first, last)| format!("frames {first} to {last} were read"));
+    let read_range =
+        read_range.map_or("no frame was read".into(), |(first, last)| format!("frames {first} to {last} were read"));
     ensure!(
         maps > 0,
-        "{source}: there is no map; {read}\n\nhint: with --across-frames N the first map needs N frames without a gap; take more \
+        "{source}: there is no map; {read_range}\n\nhint: with --across-frames N the first map needs N frames without a gap; take more \
          --frames, or a smaller N"
     );
     match (&arguments.png, arguments.frame) {
-        (Some(_), Some(wanted)) if !is_pictured => bail!(
-            "{source}: there is no map of frame {wanted}; {read}\n\nhint: with --across-frames N the first N - 1 have no map"
+        (Some(_), Some(wanted)) if !is_drawn => bail!(
+            "{source}: there is no map of frame {wanted}; {read_range}\n\nhint: with --across-frames N the first N - 1 have no map"
         ),
         _ => Ok(()),
     }
 }
 
 /// Prints the number of maps and the meaning of their cells; on stderr where the array goes to stdout.
-fn tell(arguments: &Arguments, counts: &Counts, map: &Rdm) -> anyhow::Result<()> {
+fn print_summary(arguments: &Arguments, counts: &Counts, map: &Rdm) -> anyhow::Result<()> {
     let Counts { maps, saturated_samples, non_finite_cells } = *counts;
     if arguments.json {
         let [rx, doppler, range] = map_shape(map);
@@ -210,7 +211,7 @@ fn tell(arguments: &Arguments, counts: &Counts, map: &Rdm) -> anyhow::Result<()>
             "non_finite_cells": non_finite_cells,
         }));
     }
-    let said = format!(
+    let summary = format!(
         "{maps} maps of {}, {:.4} m by {:.4} m/s{}",
         map.shape,
         map.range_step_m,
@@ -222,10 +223,10 @@ fn tell(arguments: &Arguments, counts: &Counts, map: &Rdm) -> anyhow::Result<()>
         }
     );
     if arguments.is_to_stdout() {
-        message!("{said}");
+        message!("{summary}");
         return Ok(());
     }
-    output::text_line(&said)
+    output::text_line(&summary)
 }
 
 /// Function that passes every map to a callback and returns the number of maps.

@@ -6,7 +6,7 @@ use radome_driver::recording::{Format, Recording, RecordingError, mcap};
 use radome_dsp::FrameSource;
 use serde_json::json;
 
-use crate::exit::Ended;
+use crate::exit::Completion;
 use crate::output;
 use crate::output_file::Overwrite;
 
@@ -41,7 +41,7 @@ pub struct Arguments {
 ///
 /// # Errors
 /// The file is no MCAP recording, nothing of it can be read, or the output cannot be written.
-pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
+pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     output::catch_interrupts()?;
     let (file, output) = (&arguments.file, &arguments.output);
     let inputs: Vec<&Path> = std::iter::once(file).chain(&arguments.waveform_of).map(PathBuf::as_path).collect();
@@ -71,7 +71,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let file = arguments.output.display().to_string();
     if arguments.json {
         let lost = |gap: &radome_dsp::Gap| json!({ "first_sequence": gap.first_sequence, "frames": gap.frames });
-        output::unless_closed(output::json_line(&json!({
+        output::ignore_closed_stdout(output::json_line(&json!({
             "file": file,
             "frames": report.frames,
             "labels": report.labels,
@@ -84,14 +84,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
             "was_finished": report.was_finished,
         })))?;
     } else {
-        output::unless_closed(output::text_line(&format!(
+        output::ignore_closed_stdout(output::text_line(&format!(
             "{file}: {} frames saved, {} known to be lost, {} bytes unreadable",
             report.frames,
             report.frames_lost(),
             report.bytes_lost()
         )))?;
     }
-    Ok(Ended::with_loss(!report.damage.is_empty() || !report.lost.is_empty()))
+    Ok(Completion::from_loss(!report.damage.is_empty() || !report.lost.is_empty()))
 }
 
 fn is_mcap(file: &Path) -> bool {

@@ -3,7 +3,7 @@
 
 mod arguments;
 mod copies;
-mod gap;
+mod difference;
 mod line;
 mod measured;
 mod recordings;
@@ -53,7 +53,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     report::round(&mut measured.fit.receiver);
     let line = measured.slow_time.line();
-    let real = gap::Real::new(&recordings, measured.judged.channels.clone(), line.map(|line| line.bin))?;
+    let real =
+        difference::HeldOutMaps::new(&recordings, measured.held_out.channels.clone(), line.map(|line| line.bin))?;
     let before = copies.sample(&base, &real.regions)?;
     let after = copies.sample(&measured.fit.receiver, &real.regions)?;
     if let Some(output) = &arguments.output {
@@ -62,15 +63,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let answer = report::Answer {
         receiver: arguments.output.as_deref(),
         frames_fitted: recordings.frames_fitted(),
-        frames_judged: recordings.frames_judged(),
+        frames_judged: recordings.frames_held_out(),
         copies: arguments.copies,
         fit_residual_lsb: measured.fit.channels.iter().map(|channel| channel.residual_lsb).collect(),
         clutter,
         gain,
         resampled: real.resampled,
-        between_real: real.between(),
-        before: real.beside(&before),
-        after: real.beside(&after),
+        between_real: real.differences_between_recordings(),
+        before: real.compare(&before),
+        after: real.compare(&after),
         line: copies.has_scene.then(|| line::Lines::new(line, &before.lines, &after.lines)),
     };
     report::print(&answer, arguments.json)

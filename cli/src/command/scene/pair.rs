@@ -20,5 +20,5 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let paired = pair(&arguments.settings)?;
-    paired.report.tell(&arguments.settings.output, &paired.name, paired.maps, arguments.json)
+    paired.report.print(&arguments.settings.output, &paired.name, paired.maps, arguments.json)
 }

@@ -77,12 +77,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let list = PathList::new(&scene, &options)?;
     if let Some(person) = arguments.person.filter(|person| !list.people.contains(person)) {
-        let there: Vec<String> = list.people.iter().map(usize::to_string).collect();
-        let there = match there.as_slice() {
+        let present: Vec<String> = list.people.iter().map(usize::to_string).collect();
+        let present = match present.as_slice() {
             [] => "nobody is there".to_owned(),
             numbers => format!("those who are there have the numbers {}", numbers.join(", ")),
         };
-        bail!("person {person} is not there at {} s\n\nhint: at that time {there}", arguments.time);
+        bail!("person {person} is not there at {} s\n\nhint: at that time {present}", arguments.time);
     }
     if let Some(path) = &arguments.output {
         draw_preview(arguments, &scene, &list, path)?;

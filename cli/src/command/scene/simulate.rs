@@ -11,11 +11,11 @@ use serde_json::json;
 
 use super::preview;
 use crate::exit::wrong_use;
-use crate::live::recorder::ended_after;
+use crate::live::recorder::failure_message;
 use crate::output_file::{Overwrite, check_is_mcap, check_is_picture};
 use crate::shard::Shard;
 use crate::source::DEFAULT_SEED;
-use crate::{kept, output};
+use crate::{output, stored_simulation};
 
 /// `radome scene simulate`
 #[derive(clap::Args)]
@@ -83,13 +83,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (first, end) = arguments.range();
     let file = arguments.file();
     if let Some(output) = &file {
-        // A shard that is there is kept or made again.
+        // An existing shard is reused or made again.
         let overwrite = if arguments.shard.is_some() { Overwrite::yes() } else { arguments.overwrite };
         check_is_mcap(output)?;
         overwrite.check(output, &[&arguments.scene])?;
     }
     // A shard gets its final name when it is complete, so that an interrupted run can be repeated.
-    let written = file.as_ref().map(|path| match arguments.shard {
+    let written_path = file.as_ref().map(|path| match arguments.shard {
         Some(_) => path.with_extension("partial"),
         None => path.clone(),
     });
@@ -108,26 +108,27 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut simulator = Simulator::new(&scene, options)?;
     if let (Some(_), Some(output)) = (arguments.shard, &file)
         && output.exists()
-        && is_made(arguments.overwrite, output, &simulator, first..end)?
+        && shard_exists(arguments.overwrite, output, &simulator, first..end)?
     {
-        return tell_shard(arguments, output, end - first);
+        return print_shard(arguments, output, end - first);
     }
-    foretell(&simulator, end - first);
+    print_estimate(&simulator, end - first);
     simulator.seek(first);
     let header = RecordingHeader::new(scene.waveform().clone());
     // An unfinished shard of an interrupted run is made again.
     let existing = if arguments.shard.is_some() { Existing::Replace } else { arguments.overwrite.existing() };
-    let options_of_file = RecorderOptions { existing, ..RecorderOptions::default() };
-    let recorder = written.as_ref().map(|path| Recorder::with_options(path, &header, &options_of_file)).transpose()?;
+    let recorder_options = RecorderOptions { existing, ..RecorderOptions::default() };
+    let recorder =
+        written_path.as_ref().map(|path| Recorder::with_options(path, &header, &recorder_options)).transpose()?;
     let simulated = Simulated::record(&mut simulator, recorder, end - first)?;
-    if let (Some(_), Some(written), Some(file)) = (arguments.shard, &written, &file) {
+    if let (Some(_), Some(written_path), Some(file)) = (arguments.shard, &written_path, &file) {
         if simulated.frames < end - first && output::interrupted() {
-            let _ = std::fs::remove_file(written);
+            let _ = std::fs::remove_file(written_path);
             bail!("interrupted: {} was not finished", file.display());
         }
-        rename_synced(written, file)?;
+        rename_synced(written_path, file)?;
     }
-    simulated.tell(arguments, file.as_deref(), options.tolerance_db)?;
+    simulated.print_report(arguments, file.as_deref(), options.tolerance_db)?;
     if simulated.frames < end - first && output::interrupted() {
         let place = file.map_or_else(|| "simulated".to_owned(), |path| format!("in {}", path.display()));
         bail!("interrupted: {} of {} frames are {place}", simulated.frames, end - first);
@@ -155,7 +156,7 @@ impl Simulated {
             match simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
                 SourceEvent::Frame => {
                     if let Some(recorder) = &mut recorder {
-                        recorder.frame(&frame).with_context(|| ended_after(recorder))?;
+                        recorder.frame(&frame).with_context(|| failure_message(recorder))?;
                     }
                 }
                 // A simulation loses no frame.
@@ -179,7 +180,7 @@ impl Simulated {
         Ok(all)
     }
 
-    fn tell(&self, arguments: &Arguments, file: Option<&Path>, tolerance_db: f64) -> anyhow::Result<()> {
+    fn print_report(&self, arguments: &Arguments, file: Option<&Path>, tolerance_db: f64) -> anyhow::Result<()> {
         let Simulated { frames, estimate_db, clamped, clipped, seconds } = *self;
         let rate = frames as f64 / seconds;
         if arguments.json {
@@ -208,7 +209,12 @@ impl Simulated {
 ///
 /// # Errors
 /// A file of its name holds something else, and is not to be replaced.
-fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: Range<u64>) -> anyhow::Result<bool> {
+fn shard_exists(
+    overwrite: Overwrite,
+    output: &Path,
+    simulator: &Simulator,
+    frames: Range<u64>,
+) -> anyhow::Result<bool> {
     /// Number of frames that are simulated again for comparison, evenly spaced over the shard.
     const COMPARED: u64 = 5;
     let last = (frames.end - frames.start).saturating_sub(1);
@@ -217,7 +223,7 @@ fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: R
     if frames.is_empty() {
         compared.clear();
     }
-    if kept::is_recording_of(output, simulator, frames, &compared) {
+    if stored_simulation::is_recording_of(output, simulator, frames, &compared) {
         message!("{} is there already", output.display());
         return Ok(true);
     }
@@ -230,7 +236,7 @@ fn is_made(overwrite: Overwrite, output: &Path, simulator: &Simulator, frames: R
     Ok(false)
 }
 
-fn tell_shard(arguments: &Arguments, file: &Path, frames: u64) -> anyhow::Result<()> {
+fn print_shard(arguments: &Arguments, file: &Path, frames: u64) -> anyhow::Result<()> {
     if arguments.json {
         let file = file.display().to_string();
         return output::json_line(&json!({ "file": file, "seed": arguments.seed, "frames": frames, "found": true }));
@@ -239,7 +245,7 @@ fn tell_shard(arguments: &Arguments, file: &Path, frames: u64) -> anyhow::Result
 }
 
 /// Estimates the time and size of a long run from its first frame, and prints them.
-fn foretell(simulator: &Simulator, frames: u64) {
+fn print_estimate(simulator: &Simulator, frames: u64) {
     /// Duration below which a run needs no estimate, s.
     const LONG_S: f64 = 15.0;
     let started = Instant::now();

@@ -2,6 +2,7 @@
 
 use radome_dsp::detect::Detection;
 
+/// Echoes of a frame.
 #[derive(Debug, Clone)]
 pub struct Detections {
     /// Middle of the frame, s.
@@ -12,5 +13,11 @@ pub struct Detections {
     pub echoes: Vec<Detection>,
 }
 
-/// Index of a frame and index of an echo in its list.
-pub type Place = (usize, usize);
+/// Position of an echo in a list of frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EchoIndex {
+    /// Index of the frame.
+    pub frame: usize,
+    /// Index among the echoes of the frame.
+    pub echo: usize,
+}

@@ -9,11 +9,11 @@ use radome_sim::Scene;
 use radome_sim::scene_file::StepFile;
 use toml::{Table, Value};
 
-/// Scene without people and with a recording's waveform, from which a mirror is made.
-pub struct Stage {
-    /// Scene file's table, in which meshes have their names in its own folder.
+/// Scene without people and with a recording's waveform, which becomes a mirror when people are added.
+pub struct SceneTemplate {
+    /// Table of the scene file, with the meshes' names in its own folder.
     pub table: Table,
-    /// Scene table for the dataset's folder, where the meshes have the names of `meshes`.
+    /// Table for a scene file in the dataset's folder, with the meshes' names there.
     pub stored: Table,
     /// Meshes of the room: name in the dataset's folder, and source path.
     meshes: Vec<(String, PathBuf)>,
@@ -23,7 +23,7 @@ pub struct Stage {
     pub waveform_replaced: bool,
 }
 
-impl Stage {
+impl SceneTemplate {
     /// Reads a scene file without its people.
     ///
     /// # Errors
@@ -43,7 +43,7 @@ impl Stage {
             let receiver = radome_sim::load_receiver(&file)?;
             table.insert("receiver".into(), Value::try_from(&receiver).context("the receiver as TOML")?);
         }
-        let own = table.get("waveform").cloned();
+        let scene_waveform = table.get("waveform").cloned();
         let request = Value::try_from(&waveform.request).context("the waveform as TOML")?;
         table.insert("waveform".into(), request);
         let body = table.get("people").and_then(|p| p.get("body")).cloned();
@@ -55,24 +55,24 @@ impl Stage {
         let scene = Scene::parse(&with_people(&table, Vec::new()).to_string(), path)?;
         let realised = scene.waveform();
         realised.check_compatible(waveform).context("the recording's frames are not those of its own settings")?;
-        let apart_hz = (realised.sampled_start_frequency_hz - waveform.sampled_start_frequency_hz).abs();
-        if apart_hz > 0.01 * waveform.sampled_bandwidth_hz() {
+        let difference_hz = (realised.sampled_start_frequency_hz - waveform.sampled_start_frequency_hz).abs();
+        if difference_hz > 0.01 * waveform.sampled_bandwidth_hz() {
             bail!(
                 "the recording was sampled from {:.4} GHz on, a chip with its settings from {:.4} GHz on: they cannot be mirrored",
                 waveform.sampled_start_frequency_hz * 1e-9,
                 realised.sampled_start_frequency_hz * 1e-9
             );
         }
-        let waveform_replaced = own
-            .and_then(|own| own.try_into().ok())
+        let waveform_replaced = scene_waveform
+            .and_then(|waveform| waveform.try_into().ok())
             .and_then(|request| Waveform::realise(request).ok())
             .is_none_or(|own| own.check_compatible(waveform).is_err() || waveform.check_compatible(&own).is_err());
         let mut stored = table.clone();
         let meshes = rename_meshes(&mut stored, folder)?;
-        Ok(Stage { table, stored, meshes, scene, waveform_replaced })
+        Ok(SceneTemplate { table, stored, meshes, scene, waveform_replaced })
     }
 
-    /// Returns the files that belong beside the stored scene.
+    /// Returns name and content of the mesh files that belong beside the stored scene.
     ///
     /// # Errors
     /// One cannot be read.
@@ -113,7 +113,7 @@ fn with_people(table: &Table, actors: Vec<Value>) -> Table {
     let mut table = table.clone();
     if let Some(Value::Table(people)) = table.get_mut("people") {
         if actors.is_empty() {
-            // The only scenario that can have neither people nor doors.
+            // A desk is the only scenario that needs neither people nor doors.
             people.remove("body");
             let nobody = [("max_people", Value::Integer(0)), ("objects_probability", Value::Float(0.0))];
             people.insert("desk".into(), Value::Table(nobody.map(|(k, v)| (k.to_owned(), v)).into_iter().collect()));
@@ -124,8 +124,8 @@ fn with_people(table: &Table, actors: Vec<Value>) -> Table {
     table
 }
 
-/// Renames the meshes of a room for another folder, since a scene may name files of its own folder only. Returns each
-/// name and the path of its mesh.
+/// Renames the meshes of a room for another folder, since a scene may only name files of its own folder. Returns the new name and
+/// the path of each mesh.
 fn rename_meshes(table: &mut Table, folder: &Path) -> anyhow::Result<Vec<(String, PathBuf)>> {
     let mut found = Vec::new();
     let meshes = table.get_mut("room").and_then(|room| room.get_mut("mesh")).and_then(Value::as_array_mut);
@@ -133,7 +133,7 @@ fn rename_meshes(table: &mut Table, folder: &Path) -> anyhow::Result<Vec<(String
         let Some(Value::String(file)) = mesh.get_mut("file") else { continue };
         let path = folder.join(&*file);
         let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-        if extension == "gltf" && has_files_beside(&read(&path, MESH_LIMIT_BYTES)?) {
+        if extension == "gltf" && has_external_buffers(&read(&path, MESH_LIMIT_BYTES)?) {
             bail!(
                 "{}: its buffers are files beside it, which a mirror would lack\n\nhint: export it as .glb, which is one file",
                 path.display()
@@ -146,7 +146,7 @@ fn rename_meshes(table: &mut Table, folder: &Path) -> anyhow::Result<Vec<(String
 }
 
 /// Returns whether a `.gltf` refers to other files.
-fn has_files_beside(bytes: &[u8]) -> bool {
+fn has_external_buffers(bytes: &[u8]) -> bool {
     let document: serde_json::Value = serde_json::from_slice(bytes).unwrap_or_default();
     let buffers = document.get("buffers").and_then(serde_json::Value::as_array);
     let mut uris = buffers.into_iter().flatten().filter_map(|buffer| buffer.get("uri")?.as_str());

@@ -1,19 +1,19 @@
 //! Pairs of a recording and a scene that mirrors it.
 //!
-//! People in the recording are tracked by range, speed and the angle between receivers ([`follow`], [`smooth`]). Their
+//! People in the recording are tracked by range, speed and the angle between receivers ([`tracking`], [`smooth`]). Their
 //! trajectories become scripts ([`script`]) in a scene file ([`mirror`]), which is simulated at the times of the
 //! recording's frames. Tracking the people of the mirror gives the errors of the trajectories, which are subtracted
 //! ([`bias`]). Maps of both are stored as one dataset, under one pair and one sequence, with the recording's labels.
 
 mod bias;
 mod detections;
-mod follow;
+mod echo_finder;
 mod mirror;
 mod report;
 mod script;
 mod smooth;
 mod store;
-mod watcher;
+mod tracking;
 
 use std::path::{Path, PathBuf};
 
@@ -28,12 +28,12 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use rayon::prelude::*;
 
 use self::detections::Detections;
-use self::mirror::Stage;
+use self::echo_finder::{EchoFinder, FrameInfo};
+use self::mirror::SceneTemplate;
 pub use self::report::Report;
-use self::script::{Role, WayPoints};
+use self::script::{PersonTrack, WayPoints};
 use self::smooth::Sensor;
 use self::store::Store;
-use self::watcher::{Taken, Watcher};
 use crate::exit::wrong_use;
 use crate::map_preset::MapPreset;
 use crate::output::Interrupted;
@@ -115,50 +115,52 @@ pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
     let mut store = Store {
         writer: DatasetWriter::create(&settings.output, &header)?,
         pair: pairing.name.clone(),
-        scene: stem(&settings.scene),
+        scene: source_name(&settings.scene),
         subject: settings.subject.clone(),
     };
-    let recording = pairing.follow_recording(source, &spans, &mut store)?;
+    let recording = pairing.read_recording(source, &spans, &mut store)?;
 
     // Trajectories of the people.
-    let labelled = recording.taken.iter().filter_map(|of| of.truth).map(|truth| truth.occupancy.index()).max();
+    let labelled = recording.frames.iter().filter_map(|info| info.truth).map(|truth| truth.occupancy.index()).max();
     let people = labelled.unwrap_or(0).max(points.person.len()).min(2);
-    let tracklets = follow::follow(&recording.detections, people, &pairing.sensor);
-    let mut roles = script::deal(tracklets, people);
+    let tracklets = tracking::track_people(&recording.detections, people, &pairing.sensor);
+    let mut tracks = script::assign(tracklets, people);
     // Way-points use the recording's clock; the mirror begins with its first frame.
     let points = points.shifted(-recording.start_s);
-    let tracked = roles.clone();
-    let (mut text, mut simulator) = pairing.mirror(&mut roles, &recording.detections, &points)?;
-    for _ in 0..if roles.iter().all(|role| role.tracklets.is_empty()) { 0 } else { settings.corrections } {
-        let mut watcher = pairing.watcher();
-        recording.render(&simulator, "checking", |_, frame| watcher.take(frame))?;
-        let seen = watcher.finish(&recording.times_s, &recording.taken, &pairing.waveform);
-        bias::correct(&mut roles, &tracked, &follow::follow(&seen, people, &pairing.sensor));
-        (text, simulator) = pairing.mirror(&mut roles, &recording.detections, &points)?;
+    let tracked = tracks.clone();
+    let (mut text, mut simulator) = pairing.mirror(&mut tracks, &recording.detections, &points)?;
+    for _ in 0..if tracks.iter().all(|track| track.tracklets.is_empty()) { 0 } else { settings.corrections } {
+        let mut echo_finder = pairing.echo_finder();
+        recording.simulate(&simulator, "checking", |_, frame| echo_finder.add_frame(frame))?;
+        let mirror_detections = echo_finder.finish(&recording.times_s, &recording.frames, &pairing.waveform);
+        bias::correct(&mut tracks, &tracked, &tracking::track_people(&mirror_detections, people, &pairing.sensor));
+        (text, simulator) = pairing.mirror(&mut tracks, &recording.detections, &points)?;
     }
-    let (mirrored, agreed) = pairing.store_mirror(&simulator, &recording, &mut store)?;
+    let (mirrored, agreeing_frames) = pairing.store_mirror(&simulator, &recording, &mut store)?;
 
     let maps = store.writer.maps();
     store.writer.add_file(MIRROR, text.as_bytes())?;
-    for (name, bytes) in pairing.stage.mesh_files()? {
+    for (name, bytes) in pairing.template.mesh_files()? {
         store.writer.add_file(name, &bytes)?;
     }
-    let report = Report::new(&roles, &recording.detections, &mirrored, &pairing.sensor, agreed);
-    let frames: Vec<(u64, f64)> = recording.taken.iter().map(|of| (of.sequence, of.time_ns as f64 * 1e-9)).collect();
-    store.writer.add_file(TRACK, report::track_lines(&roles, &frames)?.as_bytes())?;
+    let report = Report::new(&tracks, &recording.detections, &mirrored, &pairing.sensor, agreeing_frames);
+    let frames: Vec<(u64, f64)> =
+        recording.frames.iter().map(|info| (info.sequence, info.time_ns as f64 * 1e-9)).collect();
+    store.writer.add_file(TRACK, report::track_lines(&tracks, &frames)?.as_bytes())?;
     store.writer.finish()?;
     Ok(Paired { name: pairing.name, maps, report })
 }
 
-/// Names in the dataset's folder: of the mirror's scene, and of people's positions with one line per frame and person.
+/// File of the mirror's scene in the dataset's folder.
 const MIRROR: &str = "mirror.toml";
+/// File of the people's positions there, with a line for each frame and person.
 const TRACK: &str = "track.jsonl";
 
-fn stem(path: &Path) -> String {
+fn source_name(path: &Path) -> String {
     source::name_of(path).to_string_lossy().into_owned()
 }
 
-/// Opens the source to be mirrored, which must be finite.
+/// Opens the source to mirror, which must be finite.
 fn open(settings: &Settings) -> anyhow::Result<Source> {
     let options = SourceOptions { frames: settings.frames, seed: settings.seed, ..SourceOptions::default() };
     let source = source::open(&settings.recording, &options)?;
@@ -175,14 +177,14 @@ struct Pairing<'a> {
     name: String,
     waveform: Waveform,
     spec: RdmSpec,
-    stage: Stage,
+    template: SceneTemplate,
     sensor: Sensor,
     baselines: Vec<Baseline>,
 }
 
 /// Frames of the recording, with their echoes.
-struct Followed {
-    taken: Vec<Taken>,
+struct RecordingEchoes {
+    frames: Vec<FrameInfo>,
     /// Time of the first frame, s.
     start_s: f64,
     /// Times of all frames since the first, s.
@@ -192,47 +194,52 @@ struct Followed {
 
 impl<'a> Pairing<'a> {
     fn new(settings: &'a Settings, waveform: Waveform) -> anyhow::Result<Self> {
-        let stage = Stage::load(&settings.scene, &waveform)?;
+        let template = SceneTemplate::load(&settings.scene, &waveform)?;
         let mut height_m = settings.height_m;
         if settings.seated {
             // Height of a standing person whose chest is as high as that of the sitting person.
             height_m = (0.54 + 0.19 * settings.height_m) / smooth::CHEST_HEIGHT;
         }
-        let (sensor, baselines) = Sensor::new(&stage.scene, &waveform, height_m);
-        let name = settings.name.clone().unwrap_or_else(|| stem(Path::new(&settings.recording)));
+        let (sensor, baselines) = Sensor::new(&template.scene, &waveform, height_m);
+        let name = settings.name.clone().unwrap_or_else(|| source_name(Path::new(&settings.recording)));
         let spec = settings.preset.spec(&waveform);
-        Ok(Pairing { settings, name, waveform, spec, stage, sensor, baselines })
+        Ok(Pairing { settings, name, waveform, spec, template, sensor, baselines })
     }
 
-    fn watcher(&self) -> Watcher {
-        Watcher::new(&self.waveform, &self.baselines)
+    fn echo_finder(&self) -> EchoFinder {
+        EchoFinder::new(&self.waveform, &self.baselines)
     }
 
     /// Returns the class of a frame of the recording: by its labels, by its own truth, or from the settings.
     fn truth(&self, spans: &[LabelSpan], frame: &Frame) -> Option<Truth> {
-        let by_count = self.settings.people.and_then(|n| Occupancy::from_index(usize::from(n)));
-        let by_count = by_count.map(|occupancy| Truth { occupancy, transition: false });
-        labels::by_span(spans, frame, &self.waveform).or(frame.truth).or(by_count)
+        let given_class = self.settings.people.and_then(|n| Occupancy::from_index(usize::from(n)));
+        let given_truth = given_class.map(|occupancy| Truth { occupancy, transition: false });
+        labels::truth_of_frame(spans, frame, &self.waveform).or(frame.truth).or(given_truth)
     }
 
-    /// Finds the echoes of the recording and stores its maps.
-    fn follow_recording(&self, mut source: Source, spans: &[LabelSpan], store: &mut Store) -> anyhow::Result<Followed> {
-        if !self.sensor.tells_direction() {
+    /// Reads the recording: finds its echoes and stores its maps.
+    fn read_recording(
+        &self,
+        mut source: Source,
+        spans: &[LabelSpan],
+        store: &mut Store,
+    ) -> anyhow::Result<RecordingEchoes> {
+        if !self.sensor.measures_direction() {
             message!("no two receivers side by side: people are taken to move along the boresight");
         }
-        if self.stage.waveform_replaced {
+        if self.template.waveform_replaced {
             let scene = self.settings.scene.display();
             message!("{scene}: the mirror has the recording's waveform, not the scene's");
         }
-        let mut watcher = self.watcher();
+        let mut echo_finder = self.echo_finder();
         let mut processor = RdmProcessor::new(&self.spec, &self.waveform)?;
         let mut map = processor.empty_map();
         let mut frame = Frame::zeroed(self.waveform.shape());
-        let mut taken: Vec<Taken> = Vec::new();
+        let mut frames: Vec<FrameInfo> = Vec::new();
         let mut unlabelled = 0u64;
         let mut after_gap = false;
         let bar = output::progress(source.frames.frame_count().unwrap_or(0), "following");
-        while self.settings.frames.is_none_or(|most| (taken.len() as u64) < most) {
+        while self.settings.frames.is_none_or(|most| (frames.len() as u64) < most) {
             if output::interrupted() {
                 return Err(Interrupted.into());
             }
@@ -244,46 +251,45 @@ impl<'a> Pairing<'a> {
                 }
                 SourceEvent::Frame => {
                     let truth = self.truth(spans, &frame);
-                    let of = Taken { sequence: frame.sequence, time_ns: frame.time_ns, after_gap, truth };
+                    let info = FrameInfo { sequence: frame.sequence, time_ns: frame.time_ns, after_gap, truth };
                     after_gap = false;
-                    watcher.take(&frame)?;
+                    echo_finder.add_frame(&frame)?;
                     if processor.process(&frame, &mut map)? == MapStatus::Ready {
                         match truth {
-                            Some(truth) => store.push(Domain::Real, &map, &of, truth, None)?,
+                            Some(truth) => store.push(Domain::Real, &map, &info, truth, None)?,
                             None => unlabelled += 1,
                         }
                     }
-                    taken.push(of);
+                    frames.push(info);
                     bar.inc(1);
                 }
             }
         }
         bar.finish_and_clear();
-        let first_ns = self.check(&taken, spans)?;
+        let first_ns = self.check(&frames, spans)?;
         if unlabelled > 0 {
             message!("{}: {unlabelled} maps without a label were left out", self.name);
         }
-        let times_s: Vec<f64> = taken.iter().map(|of| (of.time_ns - first_ns) as f64 * 1e-9).collect();
-        let detections = watcher.finish(&times_s, &taken, &self.waveform);
-        Ok(Followed { taken, start_s: first_ns as f64 * 1e-9, times_s, detections })
+        let times_s: Vec<f64> = frames.iter().map(|info| (info.time_ns - first_ns) as f64 * 1e-9).collect();
+        let detections = echo_finder.finish(&times_s, &frames, &self.waveform);
+        Ok(RecordingEchoes { frames, start_s: first_ns as f64 * 1e-9, times_s, detections })
     }
 
-    /// Refuses a recording without frames or labels, times that do not increase, and labels beyond its end, unless the
-    /// settings end it. Returns the time of the first frame, ns.
-    fn check(&self, taken: &[Taken], spans: &[LabelSpan]) -> anyhow::Result<u64> {
+    /// Refuses a recording without frames or labels, times that do not increase, and labels beyond its end. If the settings cut the
+    /// recording, labels may go on. Returns the time of the first frame, ns.
+    fn check(&self, frames: &[FrameInfo], spans: &[LabelSpan]) -> anyhow::Result<u64> {
         let recording = &self.settings.recording;
-        let (Some(first), Some(last)) = (taken.first(), taken.last()) else { bail!("{recording}: no frame") };
+        let (Some(first), Some(last)) = (frames.first(), frames.last()) else { bail!("{recording}: no frame") };
         ensure!(
-            taken.iter().any(|of| of.truth.is_some()),
+            frames.iter().any(|info| info.truth.is_some()),
             "{recording}: no frame has a label\n\nhint: say how many people there are with --people, or label it: radome recording \
              label {recording} --propose detector"
         );
-        if let Some(pair) = taken.windows(2).find(|pair| matches!(pair, [a, b] if b.time_ns <= a.time_ns)) {
+        if let Some(pair) = frames.windows(2).find(|pair| matches!(pair, [a, b] if b.time_ns <= a.time_ns)) {
             bail!("{recording}: frame {} is not later than the one before", pair[1].sequence);
         }
         if !spans.is_empty() {
             let end_s = last.time_ns as f64 * 1e-9 + self.waveform.frame_interval_s();
-            // Labels go on where the settings end the recording.
             let is_cut = self.settings.frames.is_some();
             let before_end = spans.iter().filter(|span| !is_cut || span.start_s < end_s);
             let cut = |span: &LabelSpan| match is_cut {
@@ -295,25 +301,25 @@ impl<'a> Pairing<'a> {
         Ok(first.time_ns)
     }
 
-    /// Completes the trajectories of the people. Returns the text of the mirror's scene file, and its simulation.
+    /// Completes the people's paths. Returns the text of the mirror's scene file, and its simulation.
     fn mirror(
         &self,
-        roles: &mut [Role],
+        tracks: &mut [PersonTrack],
         detections: &[Detections],
         points: &WayPoints,
     ) -> anyhow::Result<(String, Simulator)> {
-        script::fill(roles, detections, self.stage.scene.file(), points)
+        script::complete(tracks, detections, self.template.scene.file(), points)
             .with_context(|| format!("{} cannot be mirrored as it is", self.settings.recording))?;
-        let scene = Scene::parse(&self.mirror_text(&self.stage.table, roles)?, &self.settings.scene)?;
+        let scene = Scene::parse(&self.mirror_text(&self.template.table, tracks)?, &self.settings.scene)?;
         let options = SimulateOptions { seed: self.settings.seed, ..SimulateOptions::default() };
-        Ok((self.mirror_text(&self.stage.stored, roles)?, Simulator::new(&scene, options)?))
+        Ok((self.mirror_text(&self.template.stored, tracks)?, Simulator::new(&scene, options)?))
     }
 
-    fn mirror_text(&self, table: &toml::Table, roles: &[Role]) -> anyhow::Result<String> {
-        let radar = self.stage.scene.radar_position().truncate();
+    fn mirror_text(&self, table: &toml::Table, tracks: &[PersonTrack]) -> anyhow::Result<String> {
+        let radar = self.template.scene.radar_position().truncate();
         let mut scripts = Vec::new();
-        for (person, role) in roles.iter().enumerate() {
-            scripts.extend(script::steps(person, &role.knots, radar, self.settings.seated)?);
+        for (person, track) in tracks.iter().enumerate() {
+            scripts.extend(script::steps(person, &track.path, radar, self.settings.seated)?);
         }
         let recording = shell::word(&self.settings.recording);
         let scene = shell::word(&self.settings.scene.to_string_lossy());
@@ -322,53 +328,53 @@ impl<'a> Pairing<'a> {
         Ok(format!(
             "# The scene that mirrors a recording, from its first frame on. Made by:\n#     {command}\n# Schema: \
              sim/src/scene_file/mod.rs.\n{}",
-            Stage::with_scripts(table, &format!("{}-mirror", self.name), self.settings.height_m, &scripts)?
+            SceneTemplate::with_scripts(table, &format!("{}-mirror", self.name), self.settings.height_m, &scripts)?
         ))
     }
 
-    /// Stores the maps of the mirror. Returns its echoes, and the number of its frames in which as many people are
-    /// present as in the recording's.
+    /// Stores the maps of the mirror. Returns its echoes, and the number of its frames that have as many people as the
+    /// recording's.
     fn store_mirror(
         &self,
         simulator: &Simulator,
-        recording: &Followed,
+        recording: &RecordingEchoes,
         store: &mut Store,
     ) -> anyhow::Result<(Vec<Detections>, usize)> {
-        let mut watcher = self.watcher();
+        let mut echo_finder = self.echo_finder();
         let mut processor = RdmProcessor::new(&self.spec, &self.waveform)?;
         let mut map = processor.empty_map();
-        let mut agreed = 0usize;
-        recording.render(simulator, "mirroring", |of, frame| {
-            if of.after_gap {
+        let mut agreeing_frames = 0usize;
+        recording.simulate(simulator, "mirroring", |info, frame| {
+            if info.after_gap {
                 processor.reset();
             }
-            watcher.take(frame)?;
-            agreed += usize::from(frame.truth.map(|t| t.occupancy) == of.truth.map(|t| t.occupancy));
-            match (processor.process(frame, &mut map)?, of.truth) {
-                (MapStatus::Ready, Some(truth)) => store.push(Domain::Sim, &map, of, truth, Some(self.settings.seed)),
+            echo_finder.add_frame(frame)?;
+            agreeing_frames += usize::from(frame.truth.map(|t| t.occupancy) == info.truth.map(|t| t.occupancy));
+            match (processor.process(frame, &mut map)?, info.truth) {
+                (MapStatus::Ready, Some(truth)) => store.push(Domain::Sim, &map, info, truth, Some(self.settings.seed)),
                 _ => Ok(()),
             }
         })?;
-        Ok((watcher.finish(&recording.times_s, &recording.taken, &self.waveform), agreed))
+        Ok((echo_finder.finish(&recording.times_s, &recording.frames, &self.waveform), agreeing_frames))
     }
 }
 
-impl Followed {
+impl RecordingEchoes {
     /// Simulates a frame at the time of each frame of the recording, in order.
-    fn render(
+    fn simulate(
         &self,
         simulator: &Simulator,
         what: &'static str,
-        mut each: impl FnMut(&Taken, &Frame) -> anyhow::Result<()>,
+        mut handle: impl FnMut(&FrameInfo, &Frame) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
-        let bar = output::progress(self.taken.len() as u64, what);
-        for (chunk, times_s) in self.taken.chunks(CHUNK).zip(self.times_s.chunks(CHUNK)) {
+        let bar = output::progress(self.frames.len() as u64, what);
+        for (chunk, times_s) in self.frames.chunks(CHUNK).zip(self.times_s.chunks(CHUNK)) {
             if output::interrupted() {
                 return Err(Interrupted.into());
             }
-            let both = chunk.par_iter().zip(times_s.par_iter());
-            let frames: Vec<Frame> = both.map(|(of, time_s)| simulator.frame_at(of.sequence, *time_s)).collect();
-            chunk.iter().zip(&frames).try_for_each(|(of, frame)| each(of, frame))?;
+            let pairs = chunk.par_iter().zip(times_s.par_iter());
+            let frames: Vec<Frame> = pairs.map(|(info, time_s)| simulator.frame_at(info.sequence, *time_s)).collect();
+            chunk.iter().zip(&frames).try_for_each(|(info, frame)| handle(info, frame))?;
             bar.inc(chunk.len() as u64);
         }
         bar.finish_and_clear();
@@ -376,11 +382,11 @@ impl Followed {
     }
 }
 
-/// Reads the labels from a file if one is named, else from the recording.
+/// Reads the labels from the file that the settings name, or else from the recording.
 fn spans(settings: &Settings) -> anyhow::Result<Vec<LabelSpan>> {
     let spans = match (&settings.labels, Path::new(&settings.recording)) {
-        (Some(file), _) => labels::read(file)?,
-        (None, path) if path.exists() && Recording::open(path).is_ok() => labels::of(path)?,
+        (Some(file), _) => labels::read_file(file)?,
+        (None, path) if path.exists() && Recording::open(path).is_ok() => labels::of_recording(path)?,
         _ => Vec::new(),
     };
     check_spans(&spans, None)?;

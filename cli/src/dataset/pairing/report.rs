@@ -9,8 +9,8 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::detections::Detections;
-use super::script::Role;
-use super::smooth::{Sensor, Smoothed};
+use super::script::PersonTrack;
+use super::smooth::{PersonState, Sensor};
 use crate::output;
 
 /// Tolerances within which an echo of the mirror belongs to an expected person, m and m/s.
@@ -59,28 +59,34 @@ struct Person {
 pub struct Report {
     frames: usize,
     people: Vec<Person>,
-    /// Number of frames of the mirror in which as many people are in the room as the recording's labels say.
+    /// Number of frames of the mirror in which as many people are in the room as the recording's labels state.
     labels_agree: usize,
     tells_direction: bool,
 }
 
 impl Report {
     pub fn new(
-        roles: &[Role],
+        tracks: &[PersonTrack],
         real: &[Detections],
         mirror: &[Detections],
         sensor: &Sensor,
         labels_agree: usize,
     ) -> Self {
-        let people = roles.iter().filter(|role| !role.knots.is_empty()).map(|role| person(role, real, mirror, sensor));
-        Report { frames: real.len(), people: people.collect(), labels_agree, tells_direction: sensor.tells_direction() }
+        let people =
+            tracks.iter().filter(|track| !track.path.is_empty()).map(|track| person(track, real, mirror, sensor));
+        Report {
+            frames: real.len(),
+            people: people.collect(),
+            labels_agree,
+            tells_direction: sensor.measures_direction(),
+        }
     }
 
     /// Prints the report.
     ///
     /// # Errors
     /// Standard output cannot be written.
-    pub fn tell(&self, folder: &Path, pair: &str, maps: usize, json: bool) -> anyhow::Result<()> {
+    pub fn print(&self, folder: &Path, pair: &str, maps: usize, json: bool) -> anyhow::Result<()> {
         if json {
             return output::json_line(&json!({
                 "dataset": folder, "pair": pair, "maps": maps, "frames": self.frames,
@@ -119,21 +125,22 @@ impl Report {
     }
 }
 
-fn person(role: &Role, real: &[Detections], mirror: &[Detections], sensor: &Sensor) -> Person {
+/// Compares the echoes of a person in the recording and in the mirror.
+fn person(track: &PersonTrack, real: &[Detections], mirror: &[Detections], sensor: &Sensor) -> Person {
     let (mut range, mut speed, mut angle) = (Vec::new(), Vec::new(), Vec::new());
     let (mut visible, mut followed, mut sigma_m) = (0, 0, 0f64);
-    for tracklet in &role.tracklets {
-        followed += tracklet.track.len();
-        for state in &tracklet.track {
+    for tracklet in &track.tracklets {
+        followed += tracklet.states.len();
+        for state in &tracklet.states {
             sigma_m = sigma_m.max(state.sigma_m);
-            let place = tracklet.places.iter().find(|p| p.0 == state.frame);
-            let Some(echo) = place.and_then(|p| real.get(p.0)?.echoes.get(p.1)) else { continue };
+            let index = tracklet.echoes.iter().find(|index| index.frame == state.frame);
+            let Some(echo) = index.and_then(|index| real.get(index.frame)?.echoes.get(index.echo)) else { continue };
             visible += usize::from(state.is_visible);
-            let Some(other) = mirror.get(state.frame).and_then(|detected| near(detected, state, sensor)) else {
+            let Some(other) = mirror.get(state.frame).and_then(|detected| echo_near(detected, state, sensor)) else {
                 continue;
             };
             range.push(other.range_m - echo.range_m);
-            speed.push(sensor.wrapped(other.velocity_m_per_s - echo.velocity_m_per_s));
+            speed.push(sensor.wrap_speed(other.velocity_m_per_s - echo.velocity_m_per_s));
             if let (Some(Some(a)), Some(Some(b))) = (echo.cosines.first(), other.cosines.first()) {
                 angle.push((b.asin() - a.asin()).to_degrees());
             }
@@ -150,12 +157,12 @@ fn person(role: &Role, real: &[Detections], mirror: &[Detections], sensor: &Sens
     }
 }
 
-/// Finds the strongest echo of the mirror near an expected person.
-fn near<'a>(detected: &'a Detections, state: &Smoothed, sensor: &Sensor) -> Option<&'a Detection> {
+/// Finds the strongest echo of the mirror near a person's expected one.
+fn echo_near<'a>(detected: &'a Detections, state: &PersonState, sensor: &Sensor) -> Option<&'a Detection> {
     let expected = sensor.expected(state);
     let is_near = |echo: &&Detection| {
         (echo.range_m - expected.range_m).abs() < NEAR_M
-            && sensor.wrapped(echo.velocity_m_per_s - expected.velocity_m_per_s).abs() < NEAR_M_PER_S
+            && sensor.wrap_speed(echo.velocity_m_per_s - expected.velocity_m_per_s).abs() < NEAR_M_PER_S
     };
     detected.echoes.iter().filter(is_near).max_by(|a, b| a.snr_db.total_cmp(&b.snr_db))
 }
@@ -164,10 +171,10 @@ fn near<'a>(detected: &'a Detections, state: &Smoothed, sensor: &Sensor) -> Opti
 ///
 /// # Errors
 /// A line cannot be formatted.
-pub fn track_lines(roles: &[Role], frames: &[(u64, f64)]) -> anyhow::Result<String> {
+pub fn track_lines(tracks: &[PersonTrack], frames: &[(u64, f64)]) -> anyhow::Result<String> {
     let mut text = String::new();
-    for (i, role) in roles.iter().enumerate() {
-        for state in role.tracklets.iter().flat_map(|s| &s.track) {
+    for (i, track) in tracks.iter().enumerate() {
+        for state in track.tracklets.iter().flat_map(|s| &s.states) {
             let Some((frame, begin_s)) = frames.get(state.frame) else { continue };
             let line = json!({
                 "person": i + 1, "frame": frame, "frame_begins_s": begin_s, "position_m": [state.x, state.y],

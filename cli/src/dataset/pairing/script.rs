@@ -1,8 +1,7 @@
 //! Script of a person: converts tracklets, way-points and doors to steps of a scene file.
 //!
-//! Where a person was tracked, the recording decides. Short gaps are bridged. Longer gaps follow way-points where some
-//! are given, or lead through a door where labels say that the person came or went. Any other gap is an error that
-//! names it.
+//! The path follows tracklets, and short gaps are bridged. In longer gaps it follows way-points if there are any, or leads
+//! through a door if labels show that the person came or went. Any other gap is an error that names it.
 
 use glam::DVec2;
 use radome_sim::scene_file::{DoorFile, RoomFile, SceneFile, StepFile};
@@ -10,8 +9,8 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use super::detections::Detections;
-use super::follow::Tracklet;
-use super::smooth::Smoothed;
+use super::smooth::PersonState;
+use super::tracking::Tracklet;
 
 /// Longest gap that is bridged, s.
 pub const BRIDGE_S: f64 = 1.5;
@@ -19,26 +18,27 @@ pub const BRIDGE_S: f64 = 1.5;
 const FASTEST_M_PER_S: f64 = 2.5;
 /// Range of speeds in scripts, m/s (sim/src/scene/check.rs).
 const SPEEDS_M_PER_S: [f64; 2] = [0.05, 5.0];
-/// Distance beyond a door at which a body is out of the room, and distance from it at which a body is on its way in, m.
+/// Distance beyond a door at which a body is out of the room, and distance from it at which a body counts as in the doorway, m.
 const OUTSIDE_M: f64 = 0.75;
-const DOORSTEP_M: f64 = 0.3;
+const DOORWAY_M: f64 = 0.3;
 /// Largest deviation of the steps from the trajectory, m.
-const LEG_M: f64 = 0.03;
+const PATH_TOLERANCE_M: f64 = 0.03;
 /// Time by which a standing person starts to walk before the script's first time, s. A person who has arrived faces the
 /// radar.
 const ARRIVAL_S: f64 = 5.0;
 
+/// Position of a person at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Knot {
+pub struct PathPoint {
     pub time_s: f64,
-    pub place: DVec2,
+    pub position: DVec2,
 }
 
 /// One person during the whole recording.
 #[derive(Debug, Clone, Default)]
-pub struct Role {
+pub struct PersonTrack {
     pub tracklets: Vec<Tracklet>,
-    pub knots: Vec<Knot>,
+    pub path: Vec<PathPoint>,
 }
 
 /// File of way-points. For each person it has `[[person]]` with `point = [{ time_s = 1.5, position_m = [2.0, 1.0] },
@@ -104,80 +104,82 @@ impl ScriptError {
     }
 }
 
-/// Assigns tracklets to this number of people. Each tracklet goes to the person who was last seen nearest to its
-/// beginning.
-pub fn deal(tracklets: Vec<Tracklet>, people: usize) -> Vec<Role> {
-    let mut roles = vec![Role::default(); people];
+/// Assigns tracklets to this number of people. Each goes to the person whose predicted position is nearest to its beginning.
+pub fn assign(tracklets: Vec<Tracklet>, people: usize) -> Vec<PersonTrack> {
+    let mut tracks = vec![PersonTrack::default(); people];
     for tracklet in tracklets {
-        let Some(begin) = tracklet.track.first().copied() else { continue };
-        let from = |role: &Role| -> Option<f64> {
-            let Some(last) = role.tracklets.last().and_then(|s| s.track.last()) else { return Some(10.0) };
+        let Some(begin) = tracklet.states.first().copied() else { continue };
+        let distance_from = |track: &PersonTrack| -> Option<f64> {
+            let Some(last) = track.tracklets.last().and_then(|s| s.states.last()) else { return Some(10.0) };
             let gap_s = begin.time_s - last.time_s;
-            let foreseen = place(last) + velocity(last) * gap_s.min(1.0);
-            (gap_s > 0.0).then(|| foreseen.distance(place(&begin)))
+            let predicted = position(last) + velocity(last) * gap_s.min(1.0);
+            (gap_s > 0.0).then(|| predicted.distance(position(&begin)))
         };
-        let nearest = roles.iter_mut().filter_map(|role| Some((from(role)?, role))).min_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((_, role)) = nearest {
-            role.tracklets.push(tracklet);
+        let nearest = tracks
+            .iter_mut()
+            .filter_map(|track| Some((distance_from(track)?, track)))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, track)) = nearest {
+            track.tracklets.push(tracklet);
         }
     }
-    roles
+    tracks
 }
 
-fn place(state: &Smoothed) -> DVec2 {
+fn position(state: &PersonState) -> DVec2 {
     DVec2::new(state.x, state.y)
 }
 
-fn velocity(state: &Smoothed) -> DVec2 {
+fn velocity(state: &PersonState) -> DVec2 {
     DVec2::new(state.vx, state.vy)
 }
 
-/// Number of the other roles that are tracked in a frame.
-fn others(roles: &[Role], person: usize, frame: usize) -> usize {
-    let holds = |s: &Tracklet| (s.frames().0..=s.frames().1).contains(&frame);
-    roles.iter().enumerate().filter(|(i, role)| *i != person && role.tracklets.iter().any(holds)).count()
+/// Number of other people who are tracked in a frame.
+fn tracked_others(tracks: &[PersonTrack], person: usize, frame: usize) -> usize {
+    let contains = |s: &Tracklet| (s.frames().0..=s.frames().1).contains(&frame);
+    tracks.iter().enumerate().filter(|(i, track)| *i != person && track.tracklets.iter().any(contains)).count()
 }
 
-/// Computes the knots of all roles. People who were followed into or beyond a wall that hides are moved to where the
-/// mirror's echoes of them are not hidden; ways through a door stay as they are.
+/// Computes the paths of all people. People who were tracked in or beyond a wall that hides them are moved to where the mirror
+/// shows their echoes. Paths through a door stay as they are.
 ///
 /// # Errors
-/// [`ScriptError::Unknown`] where nothing says where a person was: of several people, the one who is missing longest.
-/// [`ScriptError::Order`] where way-points are out of order.
-pub fn fill(
-    roles: &mut [Role],
+/// [`ScriptError::Unknown`] if a person's position is unknown for a time; among several people, for the one who is missing
+/// longest. [`ScriptError::Order`] if way-points are out of order.
+pub fn complete(
+    tracks: &mut [PersonTrack],
     detections: &[Detections],
     scene: &SceneFile,
     points: &WayPoints,
 ) -> Result<(), ScriptError> {
     let size = DVec2::new(scene.room.size_m[0], scene.room.size_m[1]);
-    let [low, high] = unhidden(&scene.room);
-    let is_unhidden = |s: &Smoothed| place(s).clamp(low, high) == place(s);
-    let is_in_doorway = |s: &Smoothed| {
+    let [low, high] = visible_region(&scene.room);
+    let is_visible = |s: &PersonState| position(s).clamp(low, high) == position(s);
+    let is_in_doorway = |s: &PersonState| {
         scene.door.iter().any(|door| {
-            let (nearest, out) = doorway(door, place(s), size);
-            let off = place(s) - nearest;
-            off.dot(out) > -DOORSTEP_M && off.perp_dot(out).abs() < DOORSTEP_M
+            let (nearest, out) = doorway(door, position(s), size);
+            let off = position(s) - nearest;
+            off.dot(out) > -DOORWAY_M && off.perp_dot(out).abs() < DOORWAY_M
         })
     };
-    for tracklet in roles.iter_mut().flat_map(|role| &mut role.tracklets) {
-        let runs = tracklet.track.chunk_by_mut(|a, b| is_unhidden(a) == is_unhidden(b));
+    for tracklet in tracks.iter_mut().flat_map(|track| &mut track.tracklets) {
+        let runs = tracklet.states.chunk_by_mut(|a, b| is_visible(a) == is_visible(b));
         for state in runs.filter(|run| !run.iter().any(is_in_doorway)).flatten() {
-            let at = place(state).clamp(low, high);
+            let at = position(state).clamp(low, high);
             (state.x, state.y) = (at.x, at.y);
         }
     }
     let (mut all, mut errors) = (Vec::new(), Vec::new());
-    for person in 0..roles.len() {
-        match knots(roles, person, detections, scene, points) {
-            Ok(knots) => all.push(knots),
+    for person in 0..tracks.len() {
+        match path(tracks, person, detections, scene, points) {
+            Ok(path) => all.push(path),
             Err(error) => errors.push(error),
         }
     }
     if let Some(error) = errors.into_iter().max_by(|a, b| a.missing_s().total_cmp(&b.missing_s())) {
         return Err(error);
     }
-    roles.iter_mut().zip(all).for_each(|(role, knots)| role.knots = knots);
+    tracks.iter_mut().zip(all).for_each(|(track, path)| track.path = path);
     Ok(())
 }
 
@@ -185,7 +187,7 @@ pub fn fill(
 ///
 /// # Errors
 /// [`ScriptError::Order`] where they are out of order.
-fn way_points(points: &WayPoints, person: usize) -> Result<Vec<Knot>, ScriptError> {
+fn way_points_of(points: &WayPoints, person: usize) -> Result<Vec<PathPoint>, ScriptError> {
     let points = points.person.get(person).map_or(&[] as &[WayPoint], |p| p.point.as_slice());
     for pair in points.windows(2) {
         if let [before, after] = pair
@@ -194,62 +196,69 @@ fn way_points(points: &WayPoints, person: usize) -> Result<Vec<Knot>, ScriptErro
             return Err(ScriptError::Order { person: person + 1, time_s: after.time_s, before_s: before.time_s });
         }
     }
-    let knot = |point: &WayPoint| Knot { time_s: point.time_s, place: DVec2::from_array(point.position_m) };
-    Ok(points.iter().map(knot).collect())
+    let to_path = |point: &WayPoint| PathPoint { time_s: point.time_s, position: DVec2::from_array(point.position_m) };
+    Ok(points.iter().map(to_path).collect())
 }
 
-/// First and last time within an interval at which the labels count no further person, s.
-fn absence(roles: &[Role], person: usize, detections: &[Detections], from_s: f64, to_s: f64) -> Option<(f64, f64)> {
+/// First and last time within an interval at which the labels count only the other people who are tracked, s.
+fn absence(
+    tracks: &[PersonTrack],
+    person: usize,
+    detections: &[Detections],
+    from_s: f64,
+    to_s: f64,
+) -> Option<(f64, f64)> {
     let within = detections.iter().enumerate().filter(|(_, l)| l.time_s > from_s && l.time_s < to_s);
-    let mut away = within.filter(|(k, l)| l.people <= others(roles, person, *k)).map(|(_, l)| l.time_s);
+    let mut away = within.filter(|(k, l)| l.people <= tracked_others(tracks, person, *k)).map(|(_, l)| l.time_s);
     let first_s = away.next()?;
     Some((first_s, away.next_back().unwrap_or(first_s)))
 }
 
-fn knots(
-    roles: &[Role],
+/// Computes the path of a person from tracklets, way-points and doors.
+fn path(
+    tracks: &[PersonTrack],
     person: usize,
     detections: &[Detections],
     scene: &SceneFile,
     points: &WayPoints,
-) -> Result<Vec<Knot>, ScriptError> {
-    let Some(role) = roles.get(person) else { return Ok(Vec::new()) };
-    let given = way_points(points, person)?;
-    let between = |from_s: f64, to_s: f64| -> Vec<Knot> {
+) -> Result<Vec<PathPoint>, ScriptError> {
+    let Some(track) = tracks.get(person) else { return Ok(Vec::new()) };
+    let given = way_points_of(points, person)?;
+    let between = |from_s: f64, to_s: f64| -> Vec<PathPoint> {
         given.iter().copied().filter(|k| k.time_s > from_s && k.time_s < to_s).collect()
     };
     let unknown = |from_s: f64, to_s: f64| ScriptError::Unknown { person: person + 1, from_s, to_s };
     let (Some(begin), Some(end)) = (detections.first(), detections.last()) else { return Ok(given) };
     let (begin_s, end_s) = (begin.time_s, end.time_s);
-    let ends = |tracklet: &Tracklet| Some((*tracklet.track.first()?, *tracklet.track.last()?));
-    let (Some(first), Some(last)) = (role.tracklets.first(), role.tracklets.last()) else {
-        let there = detections.iter().enumerate().filter(|(k, l)| l.people > others(roles, person, *k));
+    let ends = |tracklet: &Tracklet| Some((*tracklet.states.first()?, *tracklet.states.last()?));
+    let (Some(first), Some(last)) = (track.tracklets.first(), track.tracklets.last()) else {
+        let there = detections.iter().enumerate().filter(|(k, l)| l.people > tracked_others(tracks, person, *k));
         let (from, to) = there.fold((f64::INFINITY, 0.0), |(a, b), (_, l)| (l.time_s.min(a), l.time_s.max(b)));
-        // No detections and no missing time by the labels.
+        // A person without tracklets is an error only if the labels count that person and there are no way-points.
         return if given.is_empty() && to - from > BRIDGE_S { Err(unknown(from, to)) } else { Ok(given) };
     };
-    let absent = |from_s: f64, to_s: f64| absence(roles, person, detections, from_s, to_s);
-    let mut knots: Vec<Knot> = Vec::new();
+    let absent = |from_s: f64, to_s: f64| absence(tracks, person, detections, from_s, to_s);
+    let mut path: Vec<PathPoint> = Vec::new();
     if let Some((start, _)) = ends(first) {
-        knots = between(f64::NEG_INFINITY, start.time_s);
-        if knots.is_empty() {
+        path = between(f64::NEG_INFINITY, start.time_s);
+        if path.is_empty() {
             let since = absent(begin_s - 1.0, start.time_s).map(|(_, last_s)| last_s);
-            let way = arrive(&start, since, begin_s, scene);
-            knots = way.ok_or_else(|| unknown(since.unwrap_or(begin_s), start.time_s))?;
+            let arrival = path_in(&start, since, begin_s, scene);
+            path = arrival.ok_or_else(|| unknown(since.unwrap_or(begin_s), start.time_s))?;
         }
     }
-    for (i, tracklet) in role.tracklets.iter().enumerate() {
-        knots.extend(tracklet.track.iter().map(|s| Knot { time_s: s.time_s, place: place(s) }));
-        let Some(next) = role.tracklets.get(i + 1) else { break };
+    for (i, tracklet) in track.tracklets.iter().enumerate() {
+        path.extend(tracklet.states.iter().map(|s| PathPoint { time_s: s.time_s, position: position(s) }));
+        let Some(next) = track.tracklets.get(i + 1) else { break };
         let (Some((_, end)), Some((start, _))) = (ends(tracklet), ends(next)) else { continue };
         let given = between(end.time_s, start.time_s);
         let gap_s = start.time_s - end.time_s;
         if !given.is_empty() {
-            knots.extend(given);
+            path.extend(given);
         } else if let Some((from_s, to_s)) = absent(end.time_s, start.time_s) {
-            knots.extend(leave(&end, Some(from_s), end_s, scene).ok_or_else(|| unknown(end.time_s, from_s))?);
-            knots.extend(arrive(&start, Some(to_s), begin_s, scene).ok_or_else(|| unknown(to_s, start.time_s))?);
-        } else if gap_s > BRIDGE_S || place(&end).distance(place(&start)) > FASTEST_M_PER_S * gap_s {
+            path.extend(path_out(&end, Some(from_s), end_s, scene).ok_or_else(|| unknown(end.time_s, from_s))?);
+            path.extend(path_in(&start, Some(to_s), begin_s, scene).ok_or_else(|| unknown(to_s, start.time_s))?);
+        } else if gap_s > BRIDGE_S || position(&end).distance(position(&start)) > FASTEST_M_PER_S * gap_s {
             return Err(unknown(end.time_s, start.time_s));
         }
     }
@@ -257,54 +266,54 @@ fn knots(
         let mut after = between(end.time_s, f64::INFINITY);
         if after.is_empty() {
             let from = absent(end.time_s, end_s + 1.0).map(|(first_s, _)| first_s);
-            let way = leave(&end, from, end_s, scene);
-            after = way.ok_or_else(|| unknown(end.time_s, from.unwrap_or(end_s)))?;
+            let exit = path_out(&end, from, end_s, scene);
+            after = exit.ok_or_else(|| unknown(end.time_s, from.unwrap_or(end_s)))?;
         }
-        knots.extend(after);
+        path.extend(after);
     }
     // A person who waits outside may return by another door, invisible on the way.
-    knots.dedup_by(|b, a| b.time_s <= a.time_s + 1e-6);
-    Ok(knots)
+    path.dedup_by(|b, a| b.time_s <= a.time_s + 1e-6);
+    Ok(path)
 }
 
-/// Path to where a person was first seen: from a door since the labels allow it, or straight from the first frame on.
-fn arrive(start: &Smoothed, since: Option<f64>, begin_s: f64, scene: &SceneFile) -> Option<Vec<Knot>> {
+/// Path to a person's first tracked position: from a door since the time that the labels give, or straight from the first frame.
+fn path_in(start: &PersonState, since: Option<f64>, begin_s: f64, scene: &SceneFile) -> Option<Vec<PathPoint>> {
     let Some(since_s) = since else {
         let lead_s = start.time_s - begin_s;
-        return (lead_s <= BRIDGE_S).then(|| straight(start, begin_s, scene));
+        return (lead_s <= BRIDGE_S).then(|| extrapolate(start, begin_s, scene));
     };
-    Some(by_door(start, start.time_s - since_s, -1.0, scene)?.into_iter().rev().collect())
+    Some(path_through_door(start, start.time_s - since_s, -1.0, scene)?.into_iter().rev().collect())
 }
 
-/// Path from where a person was last seen: through a door by the time that the labels require, or straight until the
-/// last frame.
-fn leave(end: &Smoothed, until: Option<f64>, end_s: f64, scene: &SceneFile) -> Option<Vec<Knot>> {
+/// Path from a person's last tracked position: through a door until the time that the labels give, or straight until the last
+/// frame.
+fn path_out(end: &PersonState, until: Option<f64>, end_s: f64, scene: &SceneFile) -> Option<Vec<PathPoint>> {
     let Some(until_s) = until else {
         let tail_s = end_s - end.time_s;
-        return (tail_s <= BRIDGE_S).then(|| straight(end, end_s, scene));
+        return (tail_s <= BRIDGE_S).then(|| extrapolate(end, end_s, scene));
     };
-    by_door(end, until_s - end.time_s, 1.0, scene)
+    path_through_door(end, until_s - end.time_s, 1.0, scene)
 }
 
-/// Extrapolates on a straight line to a time, but not through walls. Who is beyond a wall that does not hide stays there.
-fn straight(state: &Smoothed, time_s: f64, scene: &SceneFile) -> Vec<Knot> {
+/// Extrapolates on a straight line to a time, but not through walls. A person beyond a wall that does not hide stays there.
+fn extrapolate(state: &PersonState, time_s: f64, scene: &SceneFile) -> Vec<PathPoint> {
     if (time_s - state.time_s).abs() < 1e-6 {
         return Vec::new();
     }
-    let (at, [low, high], [least, most]) = (place(state), off_walls(&scene.room), unhidden(&scene.room));
+    let (at, [low, high], [least, most]) = (position(state), inside_walls(&scene.room), visible_region(&scene.room));
     let (low, high) = (low.min(at.max(least)), high.max(at.min(most)));
-    vec![Knot { time_s, place: (at + velocity(state) * (time_s - state.time_s)).clamp(low, high) }]
+    vec![PathPoint { time_s, position: (at + velocity(state) * (time_s - state.time_s)).clamp(low, high) }]
 }
 
 /// Low and high corner of the part of a room in which a body is in no upright wall.
-fn off_walls(room: &RoomFile) -> [DVec2; 2] {
+fn inside_walls(room: &RoomFile) -> [DVec2; 2] {
     let size = DVec2::new(room.size_m[0], room.size_m[1]);
     [DVec2::splat(0.2).min(size * 0.5), (size - 0.2).max(size * 0.5)]
 }
 
-/// Low and high corner of the region in which no upright wall hides a body; infinite where none hides.
-fn unhidden(room: &RoomFile) -> [DVec2; 2] {
-    let ([low, high], [x_low, x_high, y_low, y_high]) = (off_walls(room), room.hiding_walls());
+/// Low and high corner of the region in which no upright wall hides a body; infinite on sides without such a wall.
+fn visible_region(room: &RoomFile) -> [DVec2; 2] {
+    let ([low, high], [x_low, x_high, y_low, y_high]) = (inside_walls(room), room.hiding_walls());
     let bound = |hides: bool, at_m: f64, else_m: f64| if hides { at_m } else { else_m };
     [
         DVec2::new(bound(x_low, low.x, f64::NEG_INFINITY), bound(y_low, low.y, f64::NEG_INFINITY)),
@@ -312,13 +321,13 @@ fn unhidden(room: &RoomFile) -> [DVec2; 2] {
     ]
 }
 
-/// Path through the door whose distance fits the time best, starting from where the person was seen. `sign` is -1 for
-/// backwards in time. Without a door, the path leads straight out of the room.
-fn by_door(state: &Smoothed, time_s: f64, sign: f64, scene: &SceneFile) -> Option<Vec<Knot>> {
-    let (from, usual) = (place(state), velocity(state).length().clamp(0.5, 2.0));
+/// Path from a tracked position through the door whose distance fits the time best. `sign` is -1 for a path backwards in time.
+/// Without a door, the path leads straight out of the room.
+fn path_through_door(state: &PersonState, time_s: f64, sign: f64, scene: &SceneFile) -> Option<Vec<PathPoint>> {
+    let (from, usual_speed) = (position(state), velocity(state).length().clamp(0.5, 2.0));
     let size = DVec2::new(scene.room.size_m[0], scene.room.size_m[1]);
-    let mut ways: Vec<(DVec2, DVec2)> = scene.door.iter().map(|door| doorway(door, from, size)).collect();
-    if ways.is_empty() {
+    let mut exits: Vec<(DVec2, DVec2)> = scene.door.iter().map(|door| doorway(door, from, size)).collect();
+    if exits.is_empty() {
         let on = (velocity(state) * sign).normalize_or((from - 0.5 * size).normalize_or(DVec2::X));
         let out_m = (0..2)
             .map(|i| {
@@ -331,30 +340,30 @@ fn by_door(state: &Smoothed, time_s: f64, sign: f64, scene: &SceneFile) -> Optio
                 }
             })
             .fold(1e9, f64::min);
-        ways.push((from + on * out_m.max(0.0), on));
+        exits.push((from + on * out_m.max(0.0), on));
     }
     // The body becomes visible before its middle is in the door.
-    let timed = ways.into_iter().filter_map(|(door, out)| {
-        let way_m = (door + out * DOORSTEP_M).distance(from);
+    let timed = exits.into_iter().filter_map(|(door, out)| {
+        let way_m = (door + out * DOORWAY_M).distance(from);
         let speed = way_m / time_s.max(way_m / FASTEST_M_PER_S);
-        // The first or last position is only as certain as the smoother's estimate.
-        let sure_m = (way_m - 3.0 * state.sigma_m).max(0.0);
-        let is_likely = sure_m / time_s < FASTEST_M_PER_S + 1.0 && (speed > 0.3 || time_s < BRIDGE_S);
-        is_likely.then_some(((speed / usual).ln().abs(), speed.max(0.3), door, out))
+        // The tracked position has the uncertainty of the smoother's estimate.
+        let least_m = (way_m - 3.0 * state.sigma_m).max(0.0);
+        let is_likely = least_m / time_s < FASTEST_M_PER_S + 1.0 && (speed > 0.3 || time_s < BRIDGE_S);
+        is_likely.then_some(((speed / usual_speed).ln().abs(), speed.max(0.3), door, out))
     });
     let (_, speed, door, out) = timed.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    // A person who was seen beyond the door does not come in first.
+    // A person who was tracked beyond the door does not come in first.
     let beyond_m = (from - door).dot(out);
-    let mut knots = Vec::new();
+    let mut path = Vec::new();
     let (mut time_s, mut at) = (state.time_s, from);
-    for (place, is_ahead) in [(door, beyond_m < 0.0), (door + out * OUTSIDE_M, beyond_m < OUTSIDE_M)] {
+    for (position, is_ahead) in [(door, beyond_m < 0.0), (door + out * OUTSIDE_M, beyond_m < OUTSIDE_M)] {
         if is_ahead {
-            time_s += sign * at.distance(place) / speed;
-            at = place;
-            knots.push(Knot { time_s, place });
+            time_s += sign * at.distance(position) / speed;
+            at = position;
+            path.push(PathPoint { time_s, position });
         }
     }
-    Some(knots)
+    Some(path)
 }
 
 /// Returns the nearest point of a door, and the outward direction.
@@ -370,27 +379,28 @@ fn doorway(door: &DoorFile, from: DVec2, size: DVec2) -> (DVec2, DVec2) {
     }
 }
 
-/// Converts the knots of a role to a start time and the steps of a scene file. Times are those of the scene.
+/// Converts the path of a person to a start time and the steps of a scene file. Times are those of the scene.
 ///
 /// # Errors
-/// [`ScriptError::TooFast`] where a person would have to go faster than scripts go.
+/// [`ScriptError::TooFast`] if a person would have to go faster than scripts allow.
 pub fn steps(
     person: usize,
-    knots: &[Knot],
+    path: &[PathPoint],
     radar: DVec2,
     seated: bool,
 ) -> Result<Option<(f64, Vec<StepFile>)>, ScriptError> {
-    let knots = simplified(knots);
-    let Some(first) = knots.first() else { return Ok(None) };
+    let path = simplified(path);
+    let Some(first) = path.first() else { return Ok(None) };
     let walk = |to: DVec2, speed_m_per_s: Option<f64>| StepFile {
         walk_to_m: Some(to.to_array()),
         speed_m_per_s,
         ..StepFile::default()
     };
     // The person starts a little farther away and walks towards the radar, so that a standing person faces it.
-    let away = (first.place - radar).normalize_or(DVec2::X);
-    let moves = |a: &Knot, b: &Knot| a.place.distance(b.place) >= SPEEDS_M_PER_S[0] * (b.time_s - a.time_s);
-    let waits = match knots.as_slice() {
+    let away = (first.position - radar).normalize_or(DVec2::X);
+    let moves =
+        |a: &PathPoint, b: &PathPoint| a.position.distance(b.position) >= SPEEDS_M_PER_S[0] * (b.time_s - a.time_s);
+    let waits = match path.as_slice() {
         [a, b, ..] => !moves(a, b),
         _ => true,
     };
@@ -398,32 +408,32 @@ pub fn steps(
     let mut start_s = first.time_s;
     if waits {
         start_s -= ARRIVAL_S;
-        steps.push(walk(first.place + 0.25 * away, None));
-        steps.push(walk(first.place, Some(0.25)));
-        steps.push(still(ARRIVAL_S - 1.0, seated));
+        steps.push(walk(first.position + 0.25 * away, None));
+        steps.push(walk(first.position, Some(0.25)));
+        steps.push(still_step(ARRIVAL_S - 1.0, seated));
     } else {
-        steps.push(walk(first.place, None));
+        steps.push(walk(first.position, None));
     }
-    let (mut at, mut now_s) = (first.place, first.time_s);
-    for knot in knots.iter().skip(1) {
-        let (way_m, time_s) = (at.distance(knot.place), knot.time_s - now_s);
+    let (mut at, mut now_s) = (first.position, first.time_s);
+    for point in path.iter().skip(1) {
+        let (way_m, time_s) = (at.distance(point.position), point.time_s - now_s);
         if time_s <= 0.0 {
             continue;
         }
         let speed = way_m / time_s;
         if speed > SPEEDS_M_PER_S[1] {
-            let (from_s, to_s) = (now_s, knot.time_s);
+            let (from_s, to_s) = (now_s, point.time_s);
             return Err(ScriptError::TooFast { person: person + 1, speed_m_per_s: speed, from_s, to_s });
         }
-        now_s = knot.time_s;
+        now_s = point.time_s;
         if speed < SPEEDS_M_PER_S[0] || way_m < 2e-3 {
             match steps.last_mut() {
                 Some(StepFile { stand_s: Some(s), .. } | StepFile { sit_s: Some(s), .. }) => *s += time_s,
-                _ => steps.push(still(time_s, seated)),
+                _ => steps.push(still_step(time_s, seated)),
             }
         } else {
-            steps.push(walk(knot.place, Some(speed)));
-            at = knot.place;
+            steps.push(walk(point.position, Some(speed)));
+            at = point.position;
         }
     }
     if seated {
@@ -435,23 +445,23 @@ pub fn steps(
     Ok(Some((start_s, steps)))
 }
 
-fn still(time_s: f64, seated: bool) -> StepFile {
+fn still_step(time_s: f64, seated: bool) -> StepFile {
     let (sit_s, stand_s) = if seated { (Some(time_s), None) } else { (None, Some(time_s)) };
     StepFile { sit_s, stand_s, ..StepFile::default() }
 }
 
-/// Returns the fewest knots for which straight walks at constant speed stay within [`LEG_M`] of all knots (Ramer,
+/// Removes points of a path as long as straight walks at constant speed stay within [`PATH_TOLERANCE_M`] of all of them (Ramer,
 /// Douglas and Peucker, over time).
-fn simplified(knots: &[Knot]) -> Vec<Knot> {
-    let [first, .., last] = knots else { return knots.to_vec() };
-    let at = |t: f64| first.place.lerp(last.place, (t - first.time_s) / (last.time_s - first.time_s));
-    let off = |k: &Knot| k.place.distance(at(k.time_s));
-    let farthest = knots.iter().enumerate().max_by(|a, b| off(a.1).total_cmp(&off(b.1)));
+fn simplified(path: &[PathPoint]) -> Vec<PathPoint> {
+    let [first, .., last] = path else { return path.to_vec() };
+    let at = |t: f64| first.position.lerp(last.position, (t - first.time_s) / (last.time_s - first.time_s));
+    let off = |k: &PathPoint| k.position.distance(at(k.time_s));
+    let farthest = path.iter().enumerate().max_by(|a, b| off(a.1).total_cmp(&off(b.1)));
     match farthest {
-        Some((i, knot)) if off(knot) > LEG_M && i > 0 && i + 1 < knots.len() => {
-            let mut all = simplified(knots.get(..=i).unwrap_or_default());
+        Some((i, point)) if off(point) > PATH_TOLERANCE_M && i > 0 && i + 1 < path.len() => {
+            let mut all = simplified(path.get(..=i).unwrap_or_default());
             all.pop();
-            all.extend(simplified(knots.get(i..).unwrap_or_default()));
+            all.extend(simplified(path.get(i..).unwrap_or_default()));
             all
         }
         _ => vec![*first, *last],
@@ -462,8 +472,8 @@ fn simplified(knots: &[Knot]) -> Vec<Knot> {
 mod tests {
     use super::*;
 
-    fn knots(all: &[(f64, f64, f64)]) -> Vec<Knot> {
-        all.iter().map(|&(time_s, x, y)| Knot { time_s, place: DVec2::new(x, y) }).collect()
+    fn points(all: &[(f64, f64, f64)]) -> Vec<PathPoint> {
+        all.iter().map(|&(time_s, x, y)| PathPoint { time_s, position: DVec2::new(x, y) }).collect()
     }
 
     fn corridor() -> radome_sim::Scene {
@@ -473,7 +483,7 @@ mod tests {
 
     /// Track of a person at these places, one each 0.1 s.
     fn tracklet(places: &[(f64, f64)]) -> Tracklet {
-        let state = |(frame, &(x, y)): (usize, &(f64, f64))| Smoothed {
+        let state = |(frame, &(x, y)): (usize, &(f64, f64))| PersonState {
             frame,
             time_s: 0.1 * frame as f64,
             x,
@@ -484,7 +494,7 @@ mod tests {
             snr_db: Some(20.0),
             is_visible: true,
         };
-        Tracklet { places: Vec::new(), track: places.iter().enumerate().map(state).collect() }
+        Tracklet { echoes: Vec::new(), states: places.iter().enumerate().map(state).collect() }
     }
 
     /// Position on the trajectory of a script's steps, at constant speeds and without rounding.
@@ -508,7 +518,7 @@ mod tests {
     }
 
     #[test]
-    fn few_legs_follow_a_trajectory_in_place_and_time() {
+    fn few_steps_follow_a_trajectory_in_position_and_time() {
         let path = |t: f64| match t {
             t if t < 3.0 => (5.0 - t, 1.0 + 0.2 * t),
             t if t < 5.0 => (2.0, 1.6),
@@ -516,19 +526,19 @@ mod tests {
         };
         let all: Vec<(f64, f64, f64)> =
             (0..90).map(|i| f64::from(i) * 0.1).map(|t| (t + 0.032, path(t).0, path(t).1)).collect();
-        let knots = knots(&all);
+        let knots = points(&all);
         let (start_s, steps) = steps(0, &knots, DVec2::ZERO, false).expect("possible").expect("a script");
         assert!(steps.len() < 12, "{steps:?}");
         assert!(steps.iter().any(|s| s.stand_s.is_some_and(|s| (s - 2.0).abs() < 0.15)), "{steps:?}");
-        for knot in &knots {
-            let off = walked(start_s, &steps, knot.time_s).distance(knot.place);
-            assert!(off < 0.05, "{off} m at {} s: {steps:?}", knot.time_s);
+        for point in &knots {
+            let off = walked(start_s, &steps, point.time_s).distance(point.position);
+            assert!(off < 0.05, "{off} m at {} s: {steps:?}", point.time_s);
         }
     }
 
     #[test]
-    fn who_stays_in_one_place_faces_the_radar_and_may_sit() {
-        let (start_s, steps) = steps(0, &knots(&[(0.0, 2.0, 1.0), (10.0, 2.0, 1.01)]), DVec2::new(0.0, 1.0), true)
+    fn a_person_who_stays_in_one_place_faces_the_radar_and_may_sit() {
+        let (start_s, steps) = steps(0, &points(&[(0.0, 2.0, 1.0), (10.0, 2.0, 1.01)]), DVec2::new(0.0, 1.0), true)
             .expect("fine")
             .expect("one");
         assert_eq!(start_s, -ARRIVAL_S);
@@ -537,18 +547,18 @@ mod tests {
         assert!(steps.last().and_then(|s| s.sit_s) > Some(10.0), "{steps:?}");
     }
 
-    /// A step before the door, a person goes out by it. Seen in it or beyond it, a person does not come back in first.
+    /// A person near the door leaves through it. A person in the door or beyond it does not come back in first.
     #[test]
-    fn who_is_seen_through_a_door_goes_straight_on() {
+    fn a_person_who_is_tracked_in_a_door_goes_straight_on() {
         let scene = corridor();
         for (x, places) in [(11.8, 2), (12.2, 1), (12.8, 0)] {
-            let state = Smoothed { time_s: 3.0, ..tracklet(&[(x, 1.2)]).track[0] };
-            let knots = by_door(&state, 0.5, 1.0, scene.file()).expect("a door");
-            assert_eq!(knots.len(), places, "{knots:?}");
+            let state = PersonState { time_s: 3.0, ..tracklet(&[(x, 1.2)]).states[0] };
+            let path = path_through_door(&state, 0.5, 1.0, scene.file()).expect("a door");
+            assert_eq!(path.len(), places, "{path:?}");
             let mut last = (3.0, x);
-            for knot in knots {
-                assert!(knot.time_s > last.0 && knot.place.x > last.1, "{knot:?} {last:?}");
-                last = (knot.time_s, knot.place.x);
+            for point in path {
+                assert!(point.time_s > last.0 && point.position.x > last.1, "{point:?} {last:?}");
+                last = (point.time_s, point.position.x);
             }
         }
     }
@@ -556,41 +566,42 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Echoes of people in and beyond walls are removed: the mirror lost people whom the recording showed beside a wall.
+        /// Regression test: the simulation has no echoes of people in and beyond walls, so the mirror lost people whom the
+        /// recording showed beside a wall.
         #[test]
-        fn who_was_followed_into_a_wall_is_in_the_room_unless_it_is_a_door() {
+        fn a_person_tracked_in_a_wall_is_moved_into_the_room_unless_it_is_a_door() {
             let scene = corridor();
             let through_a_door = [(11.6, 1.0), (11.9, 1.0), (12.4, 1.1), (13.0, 2.5)];
             for (followed, expected) in [
                 ([(5.0, 1.5), (5.1, 1.95), (5.2, 2.4), (5.3, 1.6)], [(5.0, 1.5), (5.1, 1.8), (5.2, 1.8), (5.3, 1.6)]),
                 (through_a_door, through_a_door),
             ] {
-                assert_eq!(filled(&followed, scene.file()), expected);
+                assert_eq!(completed(&followed, scene.file()), expected);
             }
         }
 
         /// Regression test: a person who walked beyond an open wall was moved into the room.
         #[test]
-        fn who_is_beyond_a_wall_that_does_not_hide_stays_there() {
+        fn a_person_beyond_a_wall_that_does_not_hide_stays_there() {
             let scene = corridor();
             let (mut open, mut thin, mut rays) = (scene.file().clone(), scene.file().clone(), scene.file().clone());
             open.room.y_high.material = "open".to_owned();
             thin.room.transmission = true;
             rays.room.solver = Some(radome_sim::scene_file::SolverFile::Rays);
             let followed = [(5.0, 1.5), (5.1, 2.4), (5.2, -0.4)];
-            assert_eq!(filled(&followed, &open), [(5.0, 1.5), (5.1, 2.4), (5.2, 0.2)]);
-            assert_eq!(filled(&followed, &thin), followed);
-            assert_eq!(filled(&followed, &rays), followed);
-            let state = tracklet(&[(5.1, 2.4)]).track[0];
-            assert_eq!(straight(&state, 1.0, &open)[0].place, DVec2::new(6.1, 2.4));
-            assert_eq!(straight(&state, 1.0, scene.file())[0].place, DVec2::new(6.1, 1.8));
+            assert_eq!(completed(&followed, &open), [(5.0, 1.5), (5.1, 2.4), (5.2, 0.2)]);
+            assert_eq!(completed(&followed, &thin), followed);
+            assert_eq!(completed(&followed, &rays), followed);
+            let state = tracklet(&[(5.1, 2.4)]).states[0];
+            assert_eq!(extrapolate(&state, 1.0, &open)[0].position, DVec2::new(6.1, 2.4));
+            assert_eq!(extrapolate(&state, 1.0, scene.file())[0].position, DVec2::new(6.1, 1.8));
         }
 
-        /// Places of a person in the mirror who was followed at these.
-        fn filled(followed: &[(f64, f64)], scene: &SceneFile) -> Vec<(f64, f64)> {
-            let mut roles = [Role { tracklets: vec![tracklet(followed)], knots: Vec::new() }];
-            fill(&mut roles, &[], scene, &WayPoints::default()).expect("no way-points");
-            roles[0].tracklets[0].track.iter().map(|s| (s.x, s.y)).collect()
+        /// Positions in the mirror of a person who was tracked at these positions.
+        fn completed(followed: &[(f64, f64)], scene: &SceneFile) -> Vec<(f64, f64)> {
+            let mut tracks = [PersonTrack { tracklets: vec![tracklet(followed)], path: Vec::new() }];
+            complete(&mut tracks, &[], scene, &WayPoints::default()).expect("no way-points");
+            tracks[0].tracklets[0].states.iter().map(|s| (s.x, s.y)).collect()
         }
 
         /// The first person is missing for the last three seconds, the second one all the time.
@@ -598,17 +609,21 @@ mod tests {
         fn the_person_who_is_missing_longest_is_named() {
             let frame = |frame: i32| Detections { time_s: 0.1 * f64::from(frame), people: 2, echoes: Vec::new() };
             let detections: Vec<Detections> = (0..60).map(frame).collect();
-            let followed = Role { tracklets: vec![tracklet(&[(5.0, 1.0); 30])], knots: Vec::new() };
-            let fill = |mut roles: [Role; 2]| fill(&mut roles, &detections, corridor().file(), &WayPoints::default());
-            for (roles, missing) in [([followed.clone(), Role::default()], 2), ([Role::default(), followed], 1)] {
-                let error = fill(roles).expect_err("nobody knows where they are");
+            let followed = PersonTrack { tracklets: vec![tracklet(&[(5.0, 1.0); 30])], path: Vec::new() };
+            let complete = |mut tracks: [PersonTrack; 2]| {
+                complete(&mut tracks, &detections, corridor().file(), &WayPoints::default())
+            };
+            for (tracks, missing) in
+                [([followed.clone(), PersonTrack::default()], 2), ([PersonTrack::default(), followed], 1)]
+            {
+                let error = complete(tracks).expect_err("nobody knows where they are");
                 assert!(matches!(error, ScriptError::Unknown { person, .. } if person == missing), "{error}");
             }
         }
 
         #[test]
-        fn nobody_runs_faster_than_scripts_go() {
-            let error = steps(1, &knots(&[(0.0, 0.0, 0.0), (1.0, 9.0, 0.0)]), DVec2::ZERO, false).expect_err("9 m/s");
+        fn a_speed_above_that_of_scripts_is_an_error() {
+            let error = steps(1, &points(&[(0.0, 0.0, 0.0), (1.0, 9.0, 0.0)]), DVec2::ZERO, false).expect_err("9 m/s");
             assert!(matches!(error, ScriptError::TooFast { person: 2, .. }), "{error}");
             assert!(error.to_string().contains("9.0 m/s from 0.00 to 1.00 s"), "{error}");
             assert!(matches!(steps(0, &[], DVec2::ZERO, false), Ok(None)));

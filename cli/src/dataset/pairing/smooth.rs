@@ -17,7 +17,7 @@ use radome_sim::em::image::{BoxRoom, Wall};
 use radome_sim::em::pattern::Pattern;
 use radome_sim::scene::ANTENNA_OFFSETS_M;
 
-use super::detections::{Detections, Place};
+use super::detections::{Detections, EchoIndex};
 
 /// Distance from the middle of the chest to its front or back surface, and to its side, m: its semi-axes in a body of
 /// average girth (sim/src/people/body.rs).
@@ -32,22 +32,22 @@ const SPEED_M_PER_S: f64 = 0.12;
 /// Standard errors of its direction: from ghosts off walls, and across the body (m).
 const COSINE: f64 = 0.03;
 const ACROSS_M: f64 = 0.08;
-/// Change of velocity of a walking person, m/s per root second. It is larger where a person turns or stops.
-const RESTLESSNESS: f64 = 0.2;
-/// Time over which a turn is detected, s.
+/// Change of velocity of a walking person, m/s per root second. It is larger when a person turns or stops.
+const ACCELERATION_NOISE: f64 = 0.2;
+/// Time over which a turn is detected, s, and largest factor of a turn on the process noise.
 const TURN_S: f64 = 0.5;
 const MOST_TURN: f64 = 300.0;
-/// Relative field of the merged ghosts below which a person counts as visible: 6 dB down.
-const CLEAR: f64 = 0.5;
-/// Fraction of the incident power that a wall scatters by Lambert's law, and area of wall in a range cell, m^2. The
-/// fraction is the largest that was measured (sim/src/diffuse/).
-const MULTIPATH_SHARE: f64 = 0.16;
-const PIECE_M2: f64 = 3.0;
+/// Relative field of the merged ghosts below which a person counts as visible: -6 dB.
+const VISIBLE_BELOW_FIELD: f64 = 0.5;
+/// Fraction of the incident power that a wall scatters by Lambert's law, the largest measured one (sim/src/diffuse/), and area
+/// of wall in a range cell, m^2.
+const WALL_SCATTERING: f64 = 0.16;
+const WALL_PIECE_M2: f64 = 3.0;
 /// Least length of a path to a wall, m.
 const LEAST_LEG_M: f64 = 0.3;
 /// Degrees of freedom of Student's distribution of the errors.
-const FREEDOM: f64 = 4.0;
-const ROUNDS: usize = 8;
+const DEGREES_OF_FREEDOM: f64 = 4.0;
+const ITERATIONS: usize = 8;
 
 /// Geometry of the radar, as needed for detections.
 #[derive(Debug, Clone)]
@@ -67,7 +67,7 @@ pub struct Sensor {
 
 /// State of a person in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Smoothed {
+pub struct PersonState {
     /// Index among the detections.
     pub frame: usize,
     pub time_s: f64,
@@ -89,6 +89,22 @@ pub struct Expected {
     pub range_m: f64,
     pub velocity_m_per_s: f64,
     pub cosine: f64,
+}
+
+/// Piece of a wall, floor or ceiling.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WallPiece {
+    pub center: DVec3,
+    /// Unit normal into the room.
+    pub normal: DVec3,
+}
+
+/// Ghosts that are merged with a person's own echo.
+pub struct MergedGhosts {
+    /// Total field relative to that of the echo.
+    pub field: f64,
+    /// Largest bias of the echo's direction cosine.
+    pub cosine_bias: f64,
 }
 
 /// Average ghost of a person off a piece of wall, relative to the direct echo.
@@ -132,76 +148,77 @@ impl Sensor {
     }
 
     /// Returns whether the receivers measure direction.
-    pub fn tells_direction(&self) -> bool {
+    pub fn measures_direction(&self) -> bool {
         self.azimuth.is_some()
     }
 
     /// Wraps a difference of speeds into the unambiguous span.
-    pub fn wrapped(&self, speed: f64) -> f64 {
+    pub fn wrap_speed(&self, speed: f64) -> f64 {
         speed - self.span_m_per_s * (speed / self.span_m_per_s).round()
     }
 
-    /// Computes the ghost of a person off a piece of wall, given by its middle and its normal into the room. The path
-    /// leads from the radar via the wall and the person back, and the other way round.
-    pub fn multipath(&self, state: &Smoothed, (middle, normal): &(DVec3, DVec3)) -> Multipath {
-        let place = DVec3::new(state.x, state.y, self.trunk_height_m);
-        let (there, on, back) = (*middle - self.position, place - *middle, self.position - place);
-        let [there_m, on_m, back_m] = [there, on, back].map(|way| way.length().max(LEAST_LEG_M));
-        let field = |way: DVec3| self.pattern.field(self.world_from_radar.transpose() * way.normalize_or_zero());
-        let cosines = (-there.dot(*normal)).max(0.0) / there_m * on.dot(*normal).max(0.0) / on_m;
-        let by_pattern = (field(there) / field(-back).max(1e-3)).powi(2);
+    /// Computes the ghost of a person off a piece of wall. The path leads from the radar via the wall to the person and back,
+    /// or the other way round.
+    pub fn multipath(&self, state: &PersonState, piece: &WallPiece) -> Multipath {
+        let trunk = DVec3::new(state.x, state.y, self.trunk_height_m);
+        let (to_wall, to_person, back) = (piece.center - self.position, trunk - piece.center, self.position - trunk);
+        let [to_wall_m, to_person_m, back_m] = [to_wall, to_person, back].map(|leg| leg.length().max(LEAST_LEG_M));
+        let field = |leg: DVec3| self.pattern.field(self.world_from_radar.transpose() * leg.normalize_or_zero());
+        let cosines =
+            (-to_wall.dot(piece.normal)).max(0.0) / to_wall_m * to_person.dot(piece.normal).max(0.0) / to_person_m;
+        let by_pattern = (field(to_wall) / field(-back).max(1e-3)).powi(2);
         // Two paths in phase, of which a receiver takes one polarisation. The body is assumed to scatter equally in all
         // directions.
-        let power =
-            4.0 * 0.5 * MULTIPATH_SHARE * PIECE_M2 * cosines / PI * by_pattern * (back_m / (there_m * on_m)).powi(2);
-        Multipath { farther_m: 0.5 * (there_m + on_m - back_m), louder_db: 10.0 * power.max(1e-12).log10() }
+        let power = 4.0 * 0.5 * WALL_SCATTERING * WALL_PIECE_M2 * cosines / PI
+            * by_pattern
+            * (back_m / (to_wall_m * to_person_m)).powi(2);
+        Multipath { farther_m: 0.5 * (to_wall_m + to_person_m - back_m), louder_db: 10.0 * power.max(1e-12).log10() }
     }
 
-    /// Middles of pieces of floor, ceiling and walls at this spacing, each with the normal into the room.
-    pub fn wall_pieces(&self, step_m: f64) -> impl Iterator<Item = (DVec3, DVec3)> + '_ {
+    /// Pieces of floor, ceiling and walls at this spacing.
+    pub fn wall_pieces(&self, step_m: f64) -> impl Iterator<Item = WallPiece> + '_ {
         let size = self.room.size_m;
         let counts = (size / step_m).ceil().max(DVec3::ONE);
         let walls = self.room.walls.iter().enumerate().filter(|(_, wall)| !matches!(wall, Wall::Open));
         walls.flat_map(move |(i, _)| {
             let (axis, u, v) = (i / 2, (i / 2 + 1) % 3, (i / 2 + 2) % 3);
             let normal = DVec3::AXES[axis] * if i % 2 == 0 { 1.0 } else { -1.0 };
-            let middle = move |a: f64, b: f64| {
-                let mut middle = DVec3::ZERO;
-                middle[axis] = if i % 2 == 0 { 0.0 } else { size[axis] };
-                (middle[u], middle[v]) = ((a + 0.5) / counts[u] * size[u], (b + 0.5) / counts[v] * size[v]);
-                (middle, normal)
+            let piece = move |a: f64, b: f64| {
+                let mut center = DVec3::ZERO;
+                center[axis] = if i % 2 == 0 { 0.0 } else { size[axis] };
+                (center[u], center[v]) = ((a + 0.5) / counts[u] * size[u], (b + 0.5) / counts[v] * size[v]);
+                WallPiece { center, normal }
             };
-            (0..counts[u] as usize).flat_map(move |a| (0..counts[v] as usize).map(move |b| middle(a as f64, b as f64)))
+            (0..counts[u] as usize).flat_map(move |a| (0..counts[v] as usize).map(move |b| piece(a as f64, b as f64)))
         })
     }
 
-    /// Ghosts off upright walls that fall into the range cell of a person's own echo: their total field relative to the
-    /// echo's, and the largest bias of its cosine.
-    pub fn merged_repeats(&self, x: f64, y: f64) -> (f64, f64) {
-        let place = DVec3::new(x, y, self.trunk_height_m);
+    /// Computes the ghosts off upright walls that fall into the range cell of the echo of a person at this position.
+    pub fn merged_ghosts(&self, x: f64, y: f64) -> MergedGhosts {
+        let trunk = DVec3::new(x, y, self.trunk_height_m);
         let field = |from: DVec3| {
-            let unit = (place - from).normalize_or_zero();
+            let unit = (trunk - from).normalize_or_zero();
             (self.pattern.field(self.world_from_radar.transpose() * unit), unit)
         };
-        let (own, way_m) = (field(self.position), place.distance(self.position));
-        let (mut all, mut pull) = (0.0, 0.0);
+        let ((own_field, own_unit), path_m) = (field(self.position), trunk.distance(self.position));
+        let mut ghosts = MergedGhosts { field: 0.0, cosine_bias: 0.0 };
         for (wall, image) in self.images().filter(|(wall, _)| wall / 2 < 2) {
-            let later_m = 0.5 * (place.distance(image) - way_m);
-            if later_m > self.range_resolution_m {
+            let farther_m = 0.5 * (trunk.distance(image) - path_m);
+            if farther_m > self.range_resolution_m {
                 continue;
             }
             // Seen from the antenna, the ghost comes from the person's own mirror image.
             let (axis, at) = (wall / 2, if wall % 2 == 0 { 0.0 } else { self.room.size_m[wall / 2] });
-            let mut mirrored = place;
-            mirrored[axis] = 2.0 * at - place[axis];
+            let mut mirrored = trunk;
+            mirrored[axis] = 2.0 * at - trunk[axis];
             let unit = (mirrored - self.position).normalize_or_zero();
-            let of = |wall: &Wall| wall.reflection(self.room.wavenumber_per_m, unit[axis].abs()).te.norm();
-            let reflection = self.room.walls.get(wall).map_or(0.0, of);
-            let share = reflection * self.pattern.field(self.world_from_radar.transpose() * unit) / own.0.max(1e-3);
-            all += share;
-            pull += share * (self.beside().dot(unit) - self.beside().dot(own.1)).abs();
+            let reflection_of = |wall: &Wall| wall.reflection(self.room.wavenumber_per_m, unit[axis].abs()).te.norm();
+            let reflection = self.room.walls.get(wall).map_or(0.0, reflection_of);
+            let share = reflection * self.pattern.field(self.world_from_radar.transpose() * unit) / own_field.max(1e-3);
+            ghosts.field += share;
+            ghosts.cosine_bias += share * (self.azimuth_axis().dot(unit) - self.azimuth_axis().dot(own_unit)).abs();
         }
-        (all, pull)
+        ghosts
     }
 
     /// Images of the radar in each wall, with the wall's index.
@@ -216,13 +233,13 @@ impl Sensor {
         })
     }
 
-    pub fn expected(&self, state: &Smoothed) -> Expected {
+    pub fn expected(&self, state: &PersonState) -> Expected {
         let [range, speed, cosine] = self.measures(DVec4::new(state.x, state.y, state.vx, state.vy));
         Expected { range_m: range.0, velocity_m_per_s: speed.0, cosine: cosine.0 }
     }
 
     /// Unit vector along which cosines are measured; perpendicular to the boresight if no receivers measure direction.
-    fn beside(&self) -> DVec3 {
+    fn azimuth_axis(&self) -> DVec3 {
         self.azimuth.unwrap_or(self.world_from_radar.y_axis)
     }
 
@@ -239,21 +256,21 @@ impl Sensor {
         // either way.
         let [front, side] = REACH_M;
         let facing = if velocity.length() > 0.2 { velocity.normalize().dot(ground.normalize_or_zero()) } else { 0.7 };
-        let level = front * front * facing * facing + side * side * (1.0 - facing * facing);
-        let reach = level.sqrt() * ground.length();
-        let by_place = (velocity - speed * ground) / r;
-        let beside = self.beside();
-        let cosine = beside.dot(unit);
-        let turn = (beside - cosine * unit) / r;
+        let reach_squared = front * front * facing * facing + side * side * (1.0 - facing * facing);
+        let reach = reach_squared.sqrt() * ground.length();
+        let speed_gradient = (velocity - speed * ground) / r;
+        let azimuth_axis = self.azimuth_axis();
+        let cosine = azimuth_axis.dot(unit);
+        let cosine_gradient = (azimuth_axis - cosine * unit) / r;
         [
             (r - reach, DVec4::new(ground.x, ground.y, 0.0, 0.0)),
-            (speed, DVec4::new(by_place.x, by_place.y, ground.x, ground.y)),
-            (cosine, DVec4::new(turn.x, turn.y, 0.0, 0.0)),
+            (speed, DVec4::new(speed_gradient.x, speed_gradient.y, ground.x, ground.y)),
+            (cosine, DVec4::new(cosine_gradient.x, cosine_gradient.y, 0.0, 0.0)),
         ]
     }
 
     /// Approximate position of an echo.
-    fn place(&self, range_m: f64, cosine: f64) -> DVec2 {
+    fn position_of(&self, range_m: f64, cosine: f64) -> DVec2 {
         let ground_m = (range_m.powi(2) - (self.trunk_height_m - self.position.z).powi(2)).max(0.01).sqrt();
         let sine = (cosine * range_m / ground_m).clamp(-0.95, 0.95);
         let ahead = self.world_from_radar.x_axis.truncate().normalize_or(DVec2::X);
@@ -261,78 +278,82 @@ impl Sensor {
     }
 }
 
-/// Measured value, its standard error, and which of the three quantities it measures.
-struct Measure {
-    which: usize,
+/// Measured value of an echo.
+struct Measurement {
+    /// Index of the quantity in [`Sensor::measures`].
+    quantity: usize,
     value: f64,
+    /// Standard error.
     sigma: f64,
     /// Factor on the variance, which grows with the deviation.
-    doubt: f64,
+    variance_factor: f64,
 }
 
 /// Measurements from the echoes of a tracklet, by frame from its first to its last.
-struct Seen<'a> {
+struct Measurements<'a> {
     frames: Vec<&'a Detections>,
-    measures: Vec<Vec<Measure>>,
+    measures: Vec<Vec<Measurement>>,
     /// Levels of the echoes over noise, dB.
     snr_db: Vec<Option<f64>>,
-    /// Times, s, and approximate positions.
-    places: Vec<(f64, DVec2)>,
+    /// Times, s, and approximate positions of the echoes.
+    positions: Vec<(f64, DVec2)>,
 }
 
-impl<'a> Seen<'a> {
-    fn new(detections: &'a [Detections], places: &[Place], sensor: &Sensor) -> Option<Self> {
-        let (first, last) = (places.first()?.0, places.last()?.0);
+impl<'a> Measurements<'a> {
+    fn new(detections: &'a [Detections], echoes: &[EchoIndex], sensor: &Sensor) -> Option<Self> {
+        let (first, last) = (echoes.first()?.frame, echoes.last()?.frame);
         let frames: Vec<&Detections> = detections.iter().take(last + 1).skip(first).collect();
         let measures = frames.iter().map(|_| Vec::new()).collect();
         let snr_db = vec![None; frames.len()];
-        let mut seen = Seen { frames, measures, snr_db, places: Vec::new() };
-        for &(frame, echo) in places {
+        let mut found = Measurements { frames, measures, snr_db, positions: Vec::new() };
+        for &EchoIndex { frame, echo } in echoes {
             let index = frame - first;
-            let Some(detected) = seen.frames.get(index) else { continue };
+            let Some(detected) = found.frames.get(index) else { continue };
             let Some(echo) = detected.echoes.get(echo) else { continue };
-            let (Some(row), Some(level)) = (seen.measures.get_mut(index), seen.snr_db.get_mut(index)) else { continue };
+            let (Some(row), Some(level)) = (found.measures.get_mut(index), found.snr_db.get_mut(index)) else {
+                continue;
+            };
             *level = Some(echo.snr_db);
             let noise = 10f64.powf(-0.05 * echo.snr_db);
-            let mut add = |which, value, sigma: f64| row.push(Measure { which, value, sigma, doubt: 1.0 });
+            let mut add =
+                |quantity, value, sigma: f64| row.push(Measurement { quantity, value, sigma, variance_factor: 1.0 });
             add(0, echo.range_m, RANGE_M * if echo.is_still { 2.0 } else { 1.0 });
             add(1, echo.velocity_m_per_s, SPEED_M_PER_S);
             let cosine = echo.cosines.first().copied().unwrap_or(Some(0.0));
             if let Some(cosine) = cosine {
-                let at = sensor.place(echo.range_m, cosine);
-                let pull = sensor.merged_repeats(at.x, at.y).1;
+                let at = sensor.position_of(echo.range_m, cosine);
+                let cosine_bias = sensor.merged_ghosts(at.x, at.y).cosine_bias;
                 let across = ACROSS_M / echo.range_m.max(0.3);
-                add(2, cosine, (COSINE.powi(2) + pull * pull + across.powi(2) + noise * noise).sqrt());
+                add(2, cosine, (COSINE.powi(2) + cosine_bias * cosine_bias + across.powi(2) + noise * noise).sqrt());
             }
-            seen.places.push((detected.time_s, sensor.place(echo.range_m, cosine.unwrap_or(0.0))));
+            found.positions.push((detected.time_s, sensor.position_of(echo.range_m, cosine.unwrap_or(0.0))));
         }
-        Some(seen)
+        Some(found)
     }
 }
 
-/// Computes the trajectory of a tracklet, a state for each frame from its first to its last.
-pub fn smooth(detections: &[Detections], places: &[Place], sensor: &Sensor) -> Vec<Smoothed> {
-    let Some(Seen { frames, mut measures, snr_db, places: seen }) = Seen::new(detections, places, sensor) else {
-        return Vec::new();
-    };
-    let first = places.first().map_or(0, |place| place.0);
-    let mut states = first_guess(&frames, &seen);
+/// Computes the trajectory of a tracklet: a state for each frame from its first to its last.
+pub fn smooth(detections: &[Detections], echoes: &[EchoIndex], sensor: &Sensor) -> Vec<PersonState> {
+    let Some(measurements) = Measurements::new(detections, echoes, sensor) else { return Vec::new() };
+    let Measurements { frames, mut measures, snr_db, positions } = measurements;
+    let first = echoes.first().map_or(0, |index| index.frame);
+    let mut states = initial_states(&frames, &positions);
     let mut sigmas = vec![0.0; states.len()];
-    let mut restless = vec![4.0; states.len()];
-    for _ in 0..ROUNDS {
-        (states, sigmas) = once(&frames, &measures, &states, &restless, sensor);
-        restless = turns(&frames, &states);
+    let mut noise_factors = vec![4.0; states.len()];
+    for _ in 0..ITERATIONS {
+        (states, sigmas) = filter_and_smooth(&frames, &measures, &states, &noise_factors, sensor);
+        noise_factors = process_noise_factors(&frames, &states);
         for (row, state) in measures.iter_mut().zip(&states) {
             let expected = sensor.measures(*state);
             for measure in row {
-                let Some((value, _)) = expected.get(measure.which) else { continue };
-                let off = off(measure, *value, sensor) / measure.sigma;
-                measure.doubt = 1.0 + off * off / FREEDOM;
+                let Some((value, _)) = expected.get(measure.quantity) else { continue };
+                let standardised = deviation(measure, *value, sensor) / measure.sigma;
+                measure.variance_factor = 1.0 + standardised * standardised / DEGREES_OF_FREEDOM;
             }
         }
     }
     let all = frames.iter().zip(states).zip(sigmas.into_iter().zip(snr_db)).enumerate();
-    all.map(|(i, ((detected, s), (sigma_m, snr_db)))| Smoothed {
+    all.map(|(i, ((detected, s), (sigma_m, snr_db)))| PersonState {
         frame: first + i,
         time_s: detected.time_s,
         x: s.x,
@@ -341,122 +362,135 @@ pub fn smooth(detections: &[Detections], places: &[Place], sensor: &Sensor) -> V
         vy: s.w,
         sigma_m,
         snr_db,
-        is_visible: snr_db.is_some() && sensor.merged_repeats(s.x, s.y).0 < CLEAR,
+        is_visible: snr_db.is_some() && sensor.merged_ghosts(s.x, s.y).field < VISIBLE_BELOW_FIELD,
     })
     .collect()
 }
 
 /// Factor on the process noise at each time, from the change of velocity there. As with the measurement errors, an
 /// unlikely change is attributed to another cause, such as a turn.
-fn turns(frames: &[&Detections], states: &[DVec4]) -> Vec<f64> {
-    let at = |time_s: f64| {
+fn process_noise_factors(frames: &[&Detections], states: &[DVec4]) -> Vec<f64> {
+    let velocity_at = |time_s: f64| {
         let later = frames.partition_point(|detected| detected.time_s < time_s).min(states.len().saturating_sub(1));
         states.get(later).map_or(DVec2::ZERO, |s| DVec2::new(s.z, s.w))
     };
     let factor = |detected: &&Detections| {
-        let change = at(detected.time_s + 0.5 * TURN_S) - at(detected.time_s - 0.5 * TURN_S);
-        let usual = 2.0 * RESTLESSNESS * RESTLESSNESS * TURN_S;
+        let change = velocity_at(detected.time_s + 0.5 * TURN_S) - velocity_at(detected.time_s - 0.5 * TURN_S);
+        let usual = 2.0 * ACCELERATION_NOISE * ACCELERATION_NOISE * TURN_S;
         1.0 + (change.length_squared() / usual).powi(2).min(MOST_TURN)
     };
     frames.iter().map(factor).collect()
 }
 
 /// Deviation of a measurement from its expected value.
-fn off(measure: &Measure, value: f64, sensor: &Sensor) -> f64 {
-    let off = measure.value - value;
-    if measure.which == 1 { sensor.wrapped(off) } else { off }
+fn deviation(measure: &Measurement, value: f64, sensor: &Sensor) -> f64 {
+    let difference = measure.value - value;
+    if measure.quantity == 1 { sensor.wrap_speed(difference) } else { difference }
 }
 
-/// Initial trajectory: average of the seen positions over half a second either way, with its slope as velocity.
-fn first_guess(frames: &[&Detections], seen: &[(f64, DVec2)]) -> Vec<DVec4> {
+/// Initial trajectory: average of the echoes' positions over half a second either way, with its slope as velocity.
+fn initial_states(frames: &[&Detections], positions: &[(f64, DVec2)]) -> Vec<DVec4> {
     const HALF_S: f64 = 0.5;
-    let about = |time_s: f64| {
-        let near = seen.iter().filter(|(t, _)| (t - time_s).abs() <= HALF_S);
-        let (sum, count) = near.fold((DVec2::ZERO, 0.0), |(sum, count), (_, place)| (sum + *place, count + 1.0));
+    let average = |time_s: f64| {
+        let near = positions.iter().filter(|(t, _)| (t - time_s).abs() <= HALF_S);
+        let (sum, count) = near.fold((DVec2::ZERO, 0.0), |(sum, count), (_, position)| (sum + *position, count + 1.0));
         if count > 0.0 {
             return sum / count;
         }
-        let nearest = seen.iter().min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()));
-        nearest.map_or(DVec2::ZERO, |(_, place)| *place)
+        let nearest = positions.iter().min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()));
+        nearest.map_or(DVec2::ZERO, |(_, position)| *position)
     };
     let guess = |detected: &&Detections| {
-        let (place, velocity) =
-            (about(detected.time_s), about(detected.time_s + HALF_S) - about(detected.time_s - HALF_S));
-        DVec4::new(place.x, place.y, velocity.x / (2.0 * HALF_S), velocity.y / (2.0 * HALF_S))
+        let position = average(detected.time_s);
+        let change = average(detected.time_s + HALF_S) - average(detected.time_s - HALF_S);
+        DVec4::new(position.x, position.y, change.x / (2.0 * HALF_S), change.y / (2.0 * HALF_S))
     };
     frames.iter().map(guess).collect()
 }
 
-/// Filter results of a frame: transition from the frame before, predicted state and covariance, and state and
-/// covariance updated by the frame's measurements.
+/// State with its covariance.
 #[derive(Clone, Copy)]
-struct Filtered {
-    step: DMat4,
-    predicted: (DVec4, DMat4),
-    filtered: (DVec4, DMat4),
+struct Estimate {
+    state: DVec4,
+    covariance: DMat4,
 }
 
-/// Runs the filter and the smoother once, with all measurements linearised about `about`. Returns states and standard
-/// deviations of the positions.
-fn once(
+/// Filter results of a frame.
+#[derive(Clone, Copy)]
+struct Filtered {
+    /// Transition from the state of the frame before.
+    transition: DMat4,
+    /// Estimate before the measurements of the frame.
+    predicted: Estimate,
+    /// Estimate after the measurements of the frame.
+    updated: Estimate,
+}
+
+/// Runs the filter and the smoother once, with all measurements linearised about the states `linearised_at`. Returns states and
+/// standard deviations of the positions.
+fn filter_and_smooth(
     frames: &[&Detections],
-    measures: &[Vec<Measure>],
-    about: &[DVec4],
-    restless: &[f64],
+    measures: &[Vec<Measurement>],
+    linearised_at: &[DVec4],
+    noise_factors: &[f64],
     sensor: &Sensor,
 ) -> (Vec<DVec4>, Vec<f64>) {
-    let mut state = about.first().copied().unwrap_or_default();
+    let mut state = linearised_at.first().copied().unwrap_or_default();
     // Little is known about the initial state.
     let mut covariance = DMat4::from_diagonal(DVec4::new(25.0, 25.0, 4.0, 4.0));
     let mut before_s = frames.first().map_or(0.0, |detected| detected.time_s);
-    let mut passed: Vec<Filtered> = Vec::with_capacity(frames.len());
-    for ((detected, row), (about, restless)) in frames.iter().zip(measures).zip(about.iter().zip(restless)) {
+    let mut filtered: Vec<Filtered> = Vec::with_capacity(frames.len());
+    for ((detected, row), (reference, noise_factor)) in
+        frames.iter().zip(measures).zip(linearised_at.iter().zip(noise_factors))
+    {
         let dt = detected.time_s - before_s;
         before_s = detected.time_s;
-        let mut step = DMat4::IDENTITY;
-        (step.z_axis.x, step.w_axis.y) = (dt, dt);
-        let q = RESTLESSNESS * RESTLESSNESS * restless;
+        let mut transition = DMat4::IDENTITY;
+        (transition.z_axis.x, transition.w_axis.y) = (dt, dt);
+        let q = ACCELERATION_NOISE * ACCELERATION_NOISE * noise_factor;
         let (a, b, c) = (q * dt.powi(3) / 3.0, q * dt.powi(2) / 2.0, q * dt);
-        let restless = DMat4::from_cols(
+        let process_noise = DMat4::from_cols(
             DVec4::new(a, 0.0, b, 0.0),
             DVec4::new(0.0, a, 0.0, b),
             DVec4::new(b, 0.0, c, 0.0),
             DVec4::new(0.0, b, 0.0, c),
         );
-        state = step * state;
-        covariance = step * covariance * step.transpose() + restless;
-        let predicted = (state, covariance);
-        let expected = sensor.measures(*about);
+        state = transition * state;
+        covariance = transition * covariance * transition.transpose() + process_noise;
+        let predicted = Estimate { state, covariance };
+        let expected = sensor.measures(*reference);
         for measure in row {
-            let Some((value, gradient)) = expected.get(measure.which) else { continue };
-            let innovation = off(measure, *value, sensor) - gradient.dot(state - *about);
+            let Some((value, gradient)) = expected.get(measure.quantity) else { continue };
+            let innovation = deviation(measure, *value, sensor) - gradient.dot(state - *reference);
             let spread = covariance * *gradient;
-            let variance = gradient.dot(spread) + measure.sigma * measure.sigma * measure.doubt;
+            let variance = gradient.dot(spread) + measure.sigma * measure.sigma * measure.variance_factor;
             let gain = spread / variance;
             state += gain * innovation;
-            let taken = DMat4::from_cols(gain * spread.x, gain * spread.y, gain * spread.z, gain * spread.w);
-            covariance -= taken;
+            let reduction = DMat4::from_cols(gain * spread.x, gain * spread.y, gain * spread.z, gain * spread.w);
+            covariance -= reduction;
             covariance = (covariance + covariance.transpose()) * 0.5;
         }
-        passed.push(Filtered { step, predicted, filtered: (state, covariance) });
+        filtered.push(Filtered { transition, predicted, updated: Estimate { state, covariance } });
     }
-    back(&passed)
+    smooth_backwards(&filtered)
 }
 
 /// Smooths the filtered states backwards, so that later measurements count too.
-fn back(passed: &[Filtered]) -> (Vec<DVec4>, Vec<f64>) {
-    let (mut states, mut sigmas) = (Vec::with_capacity(passed.len()), Vec::with_capacity(passed.len()));
-    let mut after: Option<(Filtered, DVec4, DMat4)> = None;
-    for frame in passed.iter().rev() {
-        let (mut state, mut covariance) = frame.filtered;
-        if let Some((Filtered { step, predicted, .. }, later, later_covariance)) = after {
-            let gain = frame.filtered.1 * step.transpose() * predicted.1.inverse();
-            state = frame.filtered.0 + gain * (later - predicted.0);
-            covariance = frame.filtered.1 + gain * (later_covariance - predicted.1) * gain.transpose();
+fn smooth_backwards(filtered: &[Filtered]) -> (Vec<DVec4>, Vec<f64>) {
+    let (mut states, mut sigmas) = (Vec::with_capacity(filtered.len()), Vec::with_capacity(filtered.len()));
+    // Filter results and smoothed estimate of the frame after.
+    let mut after: Option<(Filtered, Estimate)> = None;
+    for frame in filtered.iter().rev() {
+        let updated = frame.updated;
+        let Estimate { mut state, mut covariance } = updated;
+        if let Some((Filtered { transition, predicted, .. }, later)) = after {
+            let gain = updated.covariance * transition.transpose() * predicted.covariance.inverse();
+            state = updated.state + gain * (later.state - predicted.state);
+            covariance = updated.covariance + gain * (later.covariance - predicted.covariance) * gain.transpose();
         }
         states.push(state);
         sigmas.push((covariance.x_axis.x + covariance.y_axis.y).max(0.0).sqrt());
-        after = Some((*frame, state, covariance));
+        after = Some((*frame, Estimate { state, covariance }));
     }
     states.reverse();
     sigmas.reverse();
@@ -475,11 +509,15 @@ mod tests {
         Sensor::new(&Scene::empty_space(&waveform).expect("a scene"), &waveform, 1.75).0
     }
 
+    fn first_echo(frame: usize) -> EchoIndex {
+        EchoIndex { frame, echo: 0 }
+    }
+
     /// Echoes of a person on a straight path, exactly as the sensor expects them, except for some from elsewhere.
-    fn detections(sensor: &Sensor, wrong: impl Fn(usize) -> bool) -> (Vec<Detections>, Vec<Smoothed>) {
+    fn detections(sensor: &Sensor, wrong: impl Fn(usize) -> bool) -> (Vec<Detections>, Vec<PersonState>) {
         let truth = |i: usize| {
             let time_s = 0.1 * i as f64;
-            Smoothed {
+            PersonState {
                 frame: i,
                 time_s,
                 x: sensor.position.x + 6.0 - 1.1 * time_s,
@@ -507,45 +545,51 @@ mod tests {
     }
 
     #[test]
-    fn a_straight_way_is_found_again_from_what_it_makes() {
+    fn a_straight_path_is_recovered_from_its_echoes() {
         let sensor = sensor();
         let (detections, truth) = detections(&sensor, |_| false);
-        let places: Vec<Place> = (0..40).filter(|i| !(15..20).contains(i)).map(|i| (i, 0)).collect();
+        let places: Vec<EchoIndex> = (0..40).filter(|i| !(15..20).contains(i)).map(first_echo).collect();
         let track = smooth(&detections, &places, &sensor);
         assert_eq!(track.len(), 40);
-        for (told, truth) in track.iter().zip(&truth) {
-            let (place, speed) =
-                ((told.x - truth.x).hypot(told.y - truth.y), (told.vx - truth.vx).hypot(told.vy - truth.vy));
-            assert!(place < 0.01 && speed < 0.02, "{told:?} {truth:?}");
-            assert_eq!(told.snr_db.is_none(), (15..20).contains(&told.frame));
+        for (estimate, truth) in track.iter().zip(&truth) {
+            let (distance, speed) = (
+                (estimate.x - truth.x).hypot(estimate.y - truth.y),
+                (estimate.vx - truth.vx).hypot(estimate.vy - truth.vy),
+            );
+            assert!(distance < 0.01 && speed < 0.02, "{estimate:?} {truth:?}");
+            assert_eq!(estimate.snr_db.is_none(), (15..20).contains(&estimate.frame));
         }
     }
 
     /// One echo in seven is 1.8 m to one side. An average over the echoes would be 0.26 m off; the smoother's error is
     /// less than half as much. (At the ends, where little else is known, wrong echoes weigh more.)
     #[test]
-    fn echoes_from_elsewhere_pull_little() {
+    fn outliers_change_a_trajectory_little() {
         let sensor = sensor();
         let (detections, truth) = detections(&sensor, |i| i % 7 == 3 && (7..33).contains(&i));
-        let places: Vec<Place> = (0..40).map(|i| (i, 0)).collect();
-        for (told, truth) in smooth(&detections, &places, &sensor).iter().zip(&truth) {
-            assert!((told.x - truth.x).hypot(told.y - truth.y) < 0.13, "{told:?} {truth:?}");
+        let places: Vec<EchoIndex> = (0..40).map(first_echo).collect();
+        for (estimate, truth) in smooth(&detections, &places, &sensor).iter().zip(&truth) {
+            assert!((estimate.x - truth.x).hypot(estimate.y - truth.y) < 0.13, "{estimate:?} {truth:?}");
         }
     }
 
     /// Compares gradients with differences of the values.
     #[test]
-    fn measures_change_as_their_gradients_say() {
+    fn gradients_of_measurements_agree_with_differences() {
         let sensor = sensor();
         let state = DVec4::new(sensor.position.x + 3.0, sensor.position.y + 0.8, -0.9, 0.5);
         for axis in 0..4 {
             let mut step = DVec4::ZERO;
             step[axis] = 1e-4;
             let (after, before) = (sensor.measures(state + step), sensor.measures(state - step));
-            for (which, (value, gradient)) in sensor.measures(state).into_iter().enumerate() {
-                let slope = (after[which].0 - before[which].0) / 2e-4;
+            for (quantity, (value, gradient)) in sensor.measures(state).into_iter().enumerate() {
+                let slope = (after[quantity].0 - before[quantity].0) / 2e-4;
                 // The gradient takes the reach and the lean of the trunk as constant.
-                assert!((slope - gradient[axis]).abs() < 0.05, "{which} {axis}: {slope} {} at {value}", gradient[axis]);
+                assert!(
+                    (slope - gradient[axis]).abs() < 0.05,
+                    "{quantity} {axis}: {slope} {} at {value}",
+                    gradient[axis]
+                );
             }
         }
     }
@@ -554,10 +598,10 @@ mod tests {
         use super::*;
 
         #[test]
-        fn nothing_to_follow_is_no_trajectory() {
+        fn nothing_to_track_is_no_trajectory() {
             assert!(smooth(&[], &[], &sensor()).is_empty());
             let lone = Detections { time_s: 0.0, people: 1, echoes: Vec::new() };
-            assert!(smooth(&[lone], &[(0, 3)], &sensor()).len() <= 1);
+            assert!(smooth(&[lone], &[EchoIndex { frame: 0, echo: 3 }], &sensor()).len() <= 1);
         }
     }
 }

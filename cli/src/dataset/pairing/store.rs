@@ -3,7 +3,7 @@
 use radome_dsp::{Rdm, Truth};
 use radome_models::dataset::{DatasetWriter, Domain, ManifestRow};
 
-use super::watcher::Taken;
+use super::echo_finder::FrameInfo;
 
 /// Writer of maps of both sides of a pair.
 pub struct Store {
@@ -22,7 +22,7 @@ impl Store {
         &mut self,
         domain: Domain,
         map: &Rdm,
-        of: &Taken,
+        info: &FrameInfo,
         truth: Truth,
         seed: Option<u64>,
     ) -> anyhow::Result<()> {
@@ -30,9 +30,9 @@ impl Store {
             Domain::Real => self.pair.clone(),
             Domain::Sim => format!("{}-mirror", self.pair),
         };
-        let mut row = ManifestRow::new(domain, &self.scene, &recording, &self.pair, of.sequence, truth.occupancy);
+        let mut row = ManifestRow::new(domain, &self.scene, &recording, &self.pair, info.sequence, truth.occupancy);
         row.subject.clone_from(&self.subject);
-        row.time_ns = Some(of.time_ns);
+        row.time_ns = Some(info.time_ns);
         row.pair = Some(self.pair.clone());
         row.transition = truth.transition;
         row.seed = seed;

@@ -27,7 +27,7 @@ pub const PASSWORD_VARIABLE: &str = "RADOME_MQTT_PASSWORD";
 /// Longest password that is read from a file, bytes.
 const MOST_PASSWORD_BYTES: u64 = 4096;
 /// Time to wait for a password from a pipe.
-const PASSWORD_PATIENCE: Duration = Duration::from_secs(10);
+const PASSWORD_WAIT: Duration = Duration::from_secs(10);
 /// Longest packet that is accepted from a broker, bytes. Messages of the subscribed topics have a few bytes.
 const MOST_PACKET_BYTES: u32 = 4096;
 /// Keep-alive interval of a connection. After one and a half times this, the broker reports the radar as offline.
@@ -98,24 +98,24 @@ fn variable(name: &str) -> anyhow::Result<Option<String>> {
     }
 }
 
-/// Reads the first line of a file that only its owner and group may read. Of a pipe, it waits for a few seconds.
+/// Reads the first line of a file that only its owner and group may read. Waits for a pipe for a few seconds.
 fn read_password(path: &Path) -> anyhow::Result<Secret> {
     let (sender, receiver) = bounded(1);
     let file = path.to_owned();
-    std::thread::spawn(move || sender.send(read_password_at_once(&file)));
-    receiver.recv_timeout(PASSWORD_PATIENCE).unwrap_or_else(|_| {
+    std::thread::spawn(move || sender.send(read_password_blocking(&file)));
+    receiver.recv_timeout(PASSWORD_WAIT).unwrap_or_else(|_| {
         bail!(
             "{}: no password has come for {} s\n\nhint: it is a pipe to which nobody writes, or its disk hangs",
             path.display(),
-            PASSWORD_PATIENCE.as_secs()
+            PASSWORD_WAIT.as_secs()
         )
     })
 }
 
-fn read_password_at_once(path: &Path) -> anyhow::Result<Secret> {
-    let named = || format!("cannot read the password in {}", path.display());
-    let file = File::open(path).with_context(named)?;
-    let mode = file.metadata().with_context(named)?.permissions().mode();
+fn read_password_blocking(path: &Path) -> anyhow::Result<Secret> {
+    let context = || format!("cannot read the password in {}", path.display());
+    let file = File::open(path).with_context(context)?;
+    let mode = file.metadata().with_context(context)?.permissions().mode();
     ensure!(
         mode & 0o007 == 0,
         "{path}: every user of this machine may read or change this password (mode {mode:03o})\n\nhint: chmod 600 {path}",
@@ -123,7 +123,7 @@ fn read_password_at_once(path: &Path) -> anyhow::Result<Secret> {
         mode = mode & 0o777
     );
     let mut text = Vec::new();
-    file.take(MOST_PASSWORD_BYTES + 1).read_to_end(&mut text).with_context(named)?;
+    file.take(MOST_PASSWORD_BYTES + 1).read_to_end(&mut text).with_context(context)?;
     if text.len() as u64 > MOST_PASSWORD_BYTES {
         bail!("{}: longer than {MOST_PASSWORD_BYTES} bytes, so it is no file of a password", path.display());
     }
@@ -133,7 +133,7 @@ fn read_password_at_once(path: &Path) -> anyhow::Result<Secret> {
     Ok(Secret(password.to_owned()))
 }
 
-/// Text that `{:?}` does not show and that has no `{}`.
+/// Text that no formatting shows.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Secret(String);
 
@@ -230,9 +230,9 @@ fn tls(authorities: Option<&Path>) -> anyhow::Result<rustls::ClientConfig> {
     let mut roots = rustls::RootCertStore::empty();
     match authorities {
         Some(path) => {
-            let named = || format!("cannot read the certificates in {}", path.display());
-            for certificate in CertificateDer::pem_file_iter(path).with_context(named)? {
-                roots.add(certificate.with_context(named)?).with_context(named)?;
+            let context = || format!("cannot read the certificates in {}", path.display());
+            for certificate in CertificateDer::pem_file_iter(path).with_context(context)? {
+                roots.add(certificate.with_context(context)?).with_context(context)?;
             }
             ensure!(
                 !roots.is_empty(),
@@ -319,7 +319,7 @@ mod tests {
         assert!(read_password(Path::new("/no/such/file")).is_err_and(|e| format!("{e:#}").contains("/no/such/file")));
     }
 
-    /// Regression test: of a file without a certificate it said to name the file, and not which was named.
+    /// Regression test: the error of a file without a certificate did not name the file.
     #[test]
     fn a_file_without_a_certificate_is_named() {
         let file = tempfile::NamedTempFile::new().expect("a file");
@@ -333,7 +333,7 @@ mod tests {
         use super::*;
 
         #[test]
-        fn what_is_no_address_is_refused_with_a_hint() {
+        fn an_invalid_address_is_refused_with_a_hint() {
             for url in [
                 "",
                 "hub",
@@ -366,7 +366,7 @@ mod tests {
         proptest! {
             /// A password in an address is refused and not quoted, whether the address is well formed or not.
             #[test]
-            fn no_password_in_an_address_is_taken_or_quoted(
+            fn a_password_in_an_address_is_neither_accepted_nor_quoted(
                 scheme in prop::sample::select(vec!["mqtt://", "mqtts://", "ssl://", "http://", "mqtt:", ""]),
                 user in "[a-z%:@]{0,6}",
                 inner in "[ -~äé€]{0,12}",

@@ -5,7 +5,7 @@ use radome_driver::BoardIdentity;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
-use super::latest::Said;
+use super::latest::SettledAnswer;
 
 /// Age beyond which a state counts as unknown, s.
 pub const EXPIRES_AFTER_S: u64 = 30;
@@ -23,11 +23,11 @@ pub struct Device {
     /// Whether that identity is the board's own.
     pub has_uuid: bool,
     model: String,
-    maker: &'static str,
+    manufacturer: &'static str,
     firmware: Option<String>,
     discovery_prefix: String,
     /// Whether reports of wrong answers are accepted.
-    takes_reports: bool,
+    accepts_reports: bool,
 }
 
 /// Buttons of the device, with which a user reports a wrong answer.
@@ -36,7 +36,12 @@ const REPORTS: [(&str, &str); 3] =
 
 impl Device {
     /// Creates the device of a board, or of a name where the board has no identity.
-    pub fn new(board: Option<&BoardIdentity>, name: Option<&str>, discovery_prefix: &str, takes_reports: bool) -> Self {
+    pub fn new(
+        board: Option<&BoardIdentity>,
+        name: Option<&str>,
+        discovery_prefix: &str,
+        accepts_reports: bool,
+    ) -> Self {
         let uuid = board.map(|board| board.uuid.as_str()).filter(|uuid| uuid.contains(|c| c != '0'));
         let id = uuid.map_or_else(|| slug(name.unwrap_or(UNNAMED)), slug);
         Device {
@@ -44,10 +49,10 @@ impl Device {
             id,
             has_uuid: uuid.is_some(),
             model: board.map_or("BGT60TR13C", |board| board.chip.as_str()).to_owned(),
-            maker: "Infineon",
+            manufacturer: "Infineon",
             firmware: board.map(|board| board.firmware_version.clone()),
             discovery_prefix: discovery_prefix.trim_matches('/').to_owned(),
-            takes_reports,
+            accepts_reports,
         }
     }
 
@@ -69,7 +74,7 @@ impl Device {
 
     /// Topic of reports; their payload is the name of the correct class.
     pub fn report_topic(&self) -> Option<String> {
-        self.takes_reports.then(|| format!("radome/{}/report", self.id))
+        self.accepts_reports.then(|| format!("radome/{}/report", self.id))
     }
 
     /// Topic where the hub reports that it is online.
@@ -120,12 +125,12 @@ impl Device {
                 None => json!({ "p": "button" }),
             };
         }
-        // The hub shows `sw` as the firmware of the device, and the origin `o` as the program that speaks for it.
+        // The hub shows `sw` as the firmware of the device, and the origin `o` as the program that publishes for it.
         let firmware = self.firmware.as_deref().unwrap_or(version);
         json!({
             "dev": {
                 "ids": [format!("bgt60_{}", self.id)],
-                "name": self.name, "mf": self.maker, "mdl": self.model, "sw": firmware,
+                "name": self.name, "mf": self.manufacturer, "mdl": self.model, "sw": firmware,
             },
             "o": { "name": "radome", "sw": version },
             "avty_t": self.availability_topic(),
@@ -135,18 +140,18 @@ impl Device {
     }
 }
 
-/// State that all entities read.
-pub fn state(said: &Said, dropped_frames: u64) -> Value {
+/// Message with the state that all entities read.
+pub fn state(answer: &SettledAnswer, dropped_frames: u64) -> Value {
     json!({
-        "occupancy": if said.people > 0 { "ON" } else { "OFF" },
-        "count": said.people,
-        "confidence": (f64::from(said.confidence()) * 1e3).round() / 1e3,
+        "occupancy": if answer.people > 0 { "ON" } else { "OFF" },
+        "count": answer.people,
+        "confidence": (f64::from(answer.confidence()) * 1e3).round() / 1e3,
         "dropped_frames": dropped_frames,
     })
 }
 
-/// Converts a text for topics and ids: lower-case letters, digits and `_`. Texts with other letters than those of ASCII end
-/// with a hash, since `_` in their places may be all that is left of them.
+/// Converts a text for topics and ids: lower-case letters, digits and `_`. A text with characters outside ASCII ends with a
+/// hash, since these characters all become `_`.
 fn slug(name: &str) -> String {
     const LONGEST: usize = 64;
     let mut text: String = name
@@ -182,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_is_known_by_its_identity_and_anything_else_by_its_name() {
+    fn a_board_is_identified_by_its_identity_and_anything_else_by_its_name() {
         let device = Device::new(Some(&board("00ab")), Some("Bedroom radar"), "homeassistant", false);
         assert_eq!(device.discovery_topic(), "homeassistant/device/bgt60_00ab/config");
         assert_eq!(device.discovery()["dev"]["name"], "Bedroom radar");
@@ -194,7 +199,7 @@ mod tests {
         assert_eq!(device.discovery()["cmps"]["report_empty"]["pl_prs"], "empty");
     }
 
-    /// Regression test: names in other letters than those of ASCII had one identity if they were equally long.
+    /// Regression test: names of equal length outside ASCII had the same identity.
     #[test]
     fn names_in_any_letters_have_an_identity_each() {
         let topics =
@@ -211,8 +216,8 @@ mod tests {
 
     #[test]
     fn occupancy_and_count_come_from_one_number() {
-        let said = |people| Said { probabilities: [0.1, 0.7, 0.2], people };
-        let state = |people| state(&said(people), 3);
+        let answer = |people| SettledAnswer { probabilities: [0.1, 0.7, 0.2], people };
+        let state = |people| state(&answer(people), 3);
         assert_eq!(state(0)["occupancy"], "OFF");
         assert_eq!((state(1)["occupancy"].as_str(), state(1)["confidence"].as_f64()), (Some("ON"), Some(0.7)));
         assert_eq!((state(2)["count"].as_u64(), state(2)["dropped_frames"].as_u64()), (Some(2), Some(3)));

@@ -11,9 +11,9 @@ use axum::{Extension, Router};
 use radome_dsp::Occupancy;
 use tokio::net::TcpListener;
 
-use super::keep::{Report, Reports};
 use super::latest::{Latest, count};
 use super::metrics;
+use super::report_buffer::{Report, ReportSender};
 use crate::live::access::{self, Access};
 use crate::live::http_server::{self, Client, Event, Limits};
 
@@ -21,20 +21,20 @@ use crate::live::http_server::{self, Client, Event, Limits};
 const MOST_CONNECTIONS: usize = 64;
 
 #[derive(Clone)]
-struct Served {
+struct HttpState {
     latest: Arc<Latest>,
-    reports: Option<Reports>,
+    reports: Option<ReportSender>,
 }
 
 /// Serves until the program ends.
-pub async fn serve(listener: TcpListener, access: Access, latest: Arc<Latest>, reports: Option<Reports>) {
+pub async fn serve(listener: TcpListener, access: Access, latest: Arc<Latest>, reports: Option<ReportSender>) {
     let router = Router::new()
         .route("/metrics", get(show_metrics))
         .route("/health", get(show_health))
         .route("/report/{truth}", post(report))
         .layer(middleware::from_fn_with_state(Arc::new(access), guard))
         .layer(middleware::from_fn_with_state(latest.clone(), count_refused))
-        .with_state(Served { latest: latest.clone(), reports });
+        .with_state(HttpState { latest: latest.clone(), reports });
     let limits = Limits { connections: MOST_CONNECTIONS, ..Limits::default() };
     http_server::serve(listener, router, limits, move |event: Event| match event {
         Event::Replaced => count(&latest.counters.http_turned_away),
@@ -58,7 +58,7 @@ async fn guard(
         }
         Err(refusal) => {
             drop(request);
-            refusal.answer().await
+            refusal.response().await
         }
     }
 }
@@ -77,13 +77,13 @@ async fn count_refused(State(latest): State<Arc<Latest>>, request: Request, next
     response
 }
 
-async fn show_metrics(State(served): State<Served>) -> impl IntoResponse {
-    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], metrics::text(&served.latest))
+async fn show_metrics(State(state): State<HttpState>) -> impl IntoResponse {
+    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], metrics::text(&state.latest))
 }
 
 /// Returns 200 while there is a settled answer, 503 otherwise.
-async fn show_health(State(served): State<Served>) -> impl IntoResponse {
-    match served.latest.said() {
+async fn show_health(State(state): State<HttpState>) -> impl IntoResponse {
+    match state.latest.answer() {
         Some(_) => (StatusCode::OK, "frames are labelled\n"),
         None => (
             StatusCode::SERVICE_UNAVAILABLE,
@@ -95,7 +95,7 @@ async fn show_health(State(served): State<Served>) -> impl IntoResponse {
 
 /// Saves the last minute. Accepts requests from this machine only, and none from a page in a browser.
 async fn report(
-    State(served): State<Served>,
+    State(state): State<HttpState>,
     Extension(client): Extension<Client>,
     headers: HeaderMap,
     Path(truth): Path<String>,
@@ -106,9 +106,9 @@ async fn report(
     let Some(truth) = Occupancy::from_name(&truth) else {
         return (StatusCode::NOT_FOUND, "report what is true: empty, one or two\n");
     };
-    match &served.reports {
+    match &state.reports {
         None => (StatusCode::NOT_FOUND, "nothing is kept: start with --keep-to DIR\n"),
-        Some(reports) if reports.send(Report { truth, by: "http" }) => {
+        Some(reports) if reports.send(Report { truth, channel: "http" }) => {
             (StatusCode::ACCEPTED, "accepted; the log says whether it is kept\n")
         }
         Some(_) => (StatusCode::TOO_MANY_REQUESTS, "another report is being saved\n"),

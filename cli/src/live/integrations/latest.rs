@@ -8,19 +8,19 @@ use radome_dsp::Gap;
 use tokio::sync::watch;
 
 use crate::live::health::Health;
-use crate::live::sink::{Moment, Sink};
+use crate::live::sink::{ClassifiedFrame, Sink};
 use crate::panics::lock;
 
-/// Newest answer and counters.
+/// Answer whose number of people is settled.
 #[derive(Debug, Clone, Copy)]
-pub struct Said {
+pub struct SettledAnswer {
     /// Probabilities of empty, one and two.
     pub probabilities: [f32; 3],
     /// Number of people in the room, after delays: the one authoritative answer.
     pub people: usize,
 }
 
-impl Said {
+impl SettledAnswer {
     /// Returns the probability of the number of people that counts.
     pub fn confidence(&self) -> f32 {
         self.probabilities.get(self.people).copied().unwrap_or(0.0)
@@ -29,11 +29,11 @@ impl Said {
 
 /// Newest state of a run.
 #[derive(Debug, Clone)]
-pub struct Newest {
+pub struct RunState {
     /// Newest answer; `None` until the first settled one, and again after a long gap.
-    pub said: Option<Said>,
-    /// Time at which the last frame with a signal was classified, labelled or not.
-    pub judged: Option<Instant>,
+    pub answer: Option<SettledAnswer>,
+    /// Time at which the last frame with a signal was classified, with or without a label.
+    pub last_classified: Option<Instant>,
     pub health: Health,
 }
 
@@ -65,7 +65,7 @@ pub fn count(counter: &AtomicU64) {
 
 /// Newest state of a run, shared between threads.
 pub struct Latest {
-    newest: Mutex<Newest>,
+    newest: Mutex<RunState>,
     changes: watch::Sender<u64>,
     silence: Duration,
     pub counters: Counters,
@@ -74,19 +74,19 @@ pub struct Latest {
 impl Latest {
     /// Creates the state of a run without answers. A board that is silent for `silence` counts as gone.
     pub fn new(started: Instant, silence: Duration) -> Arc<Self> {
-        let newest = Mutex::new(Newest { said: None, judged: None, health: Health::new(started) });
+        let newest = Mutex::new(RunState { answer: None, last_classified: None, health: Health::new(started) });
         Arc::new(Latest { newest, changes: watch::Sender::new(0), silence, counters: Counters::default() })
     }
 
     /// Returns a copy, so that slow readers hold no lock.
-    pub fn newest(&self) -> Newest {
+    pub fn newest(&self) -> RunState {
         lock(&self.newest).clone()
     }
 
     /// Returns the newest answer; `None` if there is no settled one, or if frames no longer arrive.
-    pub fn said(&self) -> Option<Said> {
+    pub fn answer(&self) -> Option<SettledAnswer> {
         let newest = lock(&self.newest);
-        newest.said.filter(|_| newest.judged.is_some_and(|judged| judged.elapsed() < self.silence))
+        newest.answer.filter(|_| newest.last_classified.is_some_and(|at| at.elapsed() < self.silence))
     }
 
     /// Frame rate over the newest frames, 1/s; 0 if frames no longer arrive.
@@ -110,22 +110,22 @@ impl Latest {
 pub struct LatestSink(pub Arc<Latest>);
 
 impl Sink for LatestSink {
-    fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
-        let answer = moment.answer;
+    fn answer(&mut self, classified: &ClassifiedFrame) -> anyhow::Result<()> {
+        let answer = classified.answer;
         let mut newest = lock(&self.0.newest);
-        newest.health.copy_from(moment.health);
+        newest.health.copy_from(classified.health);
         if !answer.no_signal {
-            newest.judged = Some(Instant::now());
+            newest.last_classified = Some(Instant::now());
         }
         // Other programs act on a room that becomes empty: an unsettled count is unknown to them.
         if !answer.is_settled {
-            newest.said = None;
+            newest.answer = None;
         }
         let Some(probabilities) = answer.probabilities.filter(|_| answer.is_settled) else { return Ok(()) };
-        let said = Said { probabilities: probabilities.values(), people: answer.people };
-        let is_change = newest.said.replace(said).is_none_or(|last| last.people != said.people);
+        let settled = SettledAnswer { probabilities: probabilities.values(), people: answer.people };
+        let has_changed = newest.answer.replace(settled).is_none_or(|last| last.people != settled.people);
         drop(newest);
-        if is_change {
+        if has_changed {
             self.0.changes.send_modify(|changes| *changes += 1);
         }
         Ok(())
@@ -142,13 +142,13 @@ mod tests {
     use radome_dsp::{Frame, Waveform, WaveformRequest};
 
     use super::*;
-    use crate::judge::{Delays, Model};
-    use crate::live::classify::FrameClassifier;
+    use crate::classifier::{Delays, Model};
+    use crate::live::classify::LiveClassifier;
 
-    /// Classifier of frames of an empty room, whose answers are told.
+    /// Classifier of frames of an empty room, with the sink that receives its answers.
     struct Room {
         waveform: Waveform,
-        judge: FrameClassifier,
+        classifier: LiveClassifier,
         sink: LatestSink,
         noise: u32,
     }
@@ -157,13 +157,13 @@ mod tests {
         fn new() -> Self {
             let waveform = Waveform::realise(WaveformRequest::paper()).expect("a valid waveform");
             let started = Instant::now();
-            let judge =
-                FrameClassifier::new(Model::Cfar, &waveform, Delays::default(), None, started).expect("a judge");
-            Room { waveform, judge, sink: LatestSink(Latest::new(started, Duration::from_secs(600))), noise: 1 }
+            let classifier =
+                LiveClassifier::new(Model::Cfar, &waveform, Delays::default(), None, started).expect("a classifier");
+            Room { waveform, classifier, sink: LatestSink(Latest::new(started, Duration::from_secs(600))), noise: 1 }
         }
 
-        /// Tells the answer to a frame, with or without a signal; returns whether there is a settled one.
-        fn is_known_at(&mut self, time_s: f64, has_signal: bool) -> bool {
+        /// Passes the answer to a frame with or without a signal to the sink; returns whether the sink has a settled answer.
+        fn is_settled_after(&mut self, time_s: f64, has_signal: bool) -> bool {
             let mut frame = Frame::zeroed(self.waveform.shape());
             (frame.sequence, frame.time_ns) = ((time_s * 10.0).round() as u64, (time_s * 1e9) as u64);
             for code in frame.codes.iter_mut().filter(|_| has_signal) {
@@ -171,41 +171,46 @@ mod tests {
                 *code = 2000 + (self.noise >> 26) as u16;
             }
             let frame = Arc::new(frame);
-            let answer = self.judge.frame(&frame, Instant::now()).expect("an answer");
+            let answer = self.classifier.classify(&frame, Instant::now()).expect("an answer");
             assert_eq!(answer.no_signal, !has_signal);
-            let moment = Moment { answer: &answer, frame: &frame, map: self.judge.map(), health: &self.judge.health };
-            self.sink.answer(&moment).expect("told");
-            self.sink.0.said().is_some()
+            let classified = ClassifiedFrame {
+                answer: &answer,
+                frame: &frame,
+                map: self.classifier.map(),
+                health: &self.classifier.health,
+            };
+            self.sink.answer(&classified).expect("accepted");
+            self.sink.0.answer().is_some()
         }
 
-        /// Tells the answers to 3.5 s of frames with a signal; returns whether there is a settled one after each.
-        fn known_from(&mut self, first_s: f64) -> Vec<bool> {
-            (0..=35).map(|tenth| self.is_known_at(first_s + 0.1 * f64::from(tenth), true)).collect()
+        /// Passes the answers to 3.5 s of frames with a signal; returns for each whether the sink then has a settled answer.
+        fn settled_during(&mut self, first_s: f64) -> Vec<bool> {
+            (0..=35).map(|tenth| self.is_settled_after(first_s + 0.1 * f64::from(tenth), true)).collect()
         }
     }
 
-    /// Regression test: when a board came back, the count from before its outage was told until the delays were over.
+    /// Regression test: when a board came back, the count from before its outage was reported until the delays were over.
     #[test]
     fn after_a_long_gap_the_count_is_unknown_until_it_is_settled_again() {
         let mut room = Room::new();
         for first_s in [0.0, 12.5] {
-            let known = room.known_from(first_s);
-            assert!(!known[0] && known[35], "from {first_s} s on: {known:?}");
-            assert!(room.is_known_at(first_s + 4.5, true), "a second without frames changes nothing");
+            let is_settled = room.settled_during(first_s);
+            assert!(!is_settled[0] && is_settled[35], "from {first_s} s on: {is_settled:?}");
+            assert!(room.is_settled_after(first_s + 4.5, true), "a second without frames changes nothing");
         }
     }
 
-    /// Regression test: after minutes of frames without a signal, the count from before was told as that of now.
+    /// Regression test: after minutes of frames without a signal, the count from before them was reported as current.
     #[test]
     fn after_long_without_a_signal_the_count_is_unknown_until_it_is_settled_again() {
         let mut room = Room::new();
-        assert!(room.known_from(0.0)[35]);
-        room.is_known_at(4.0, false);
-        assert!(room.is_known_at(4.1, true), "half a second without a signal changes nothing");
+        assert!(room.settled_during(0.0)[35]);
+        room.is_settled_after(4.0, false);
+        assert!(room.is_settled_after(4.1, true), "half a second without a signal changes nothing");
         for tenth in 42..=120 {
-            room.is_known_at(0.1 * f64::from(tenth), false);
+            room.is_settled_after(0.1 * f64::from(tenth), false);
         }
-        let known = room.known_from(12.1);
-        assert!(!known[0] && known[35], "{known:?}");
+        let is_settled = room.settled_during(12.1);
+        assert!(!is_settled[0] && is_settled[35], "{is_settled:?}");
     }
 }

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering;
 
 use radome_dsp::Occupancy;
 
-use super::latest::{Counters, Latest, Said};
+use super::latest::{Counters, Latest, SettledAnswer};
 use crate::live::health::{Health, LatencyHistogram};
 
 /// Upper bounds of the latency's buckets, s.
@@ -13,23 +13,24 @@ const BOUNDS_S: [f64; 10] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1,
 
 pub fn text(latest: &Latest) -> String {
     let health = latest.newest().health;
-    let said = latest.said();
+    let answer = latest.answer();
     let mut page = Page(String::with_capacity(4096));
     page.metric("radome_build_info", "gauge", "The program.");
     page.sample("radome_build_info", &[("version", env!("CARGO_PKG_VERSION"))], 1.0);
-    page.gauge("radome_up", "Whether frames come and the answer is settled.", Some(f64::from(said.is_some())));
+    page.gauge("radome_up", "Whether frames come and the answer is settled.", Some(f64::from(answer.is_some())));
     page.gauge(
         "radome_uptime_seconds",
         "Since the start of the program.",
         Some(health.started.elapsed().as_secs_f64()),
     );
-    page.answer(said);
+    page.answer(answer);
     page.frames(&health, latest.frames_per_s());
     page.latency(&health.latency);
     page.connections(&latest.counters);
     page.0
 }
 
+/// Metrics page under construction.
 struct Page(String);
 
 impl Page {
@@ -60,15 +61,15 @@ impl Page {
         self.sample(name, &[], value as f64);
     }
 
-    fn answer(&mut self, said: Option<Said>) {
+    fn answer(&mut self, answer: Option<SettledAnswer>) {
         let help = "Whether the room counts as occupied, after delays; absent while unknown.";
-        self.gauge("radome_occupied", help, said.map(|said| f64::from(said.people > 0)));
+        self.gauge("radome_occupied", help, answer.map(|answer| f64::from(answer.people > 0)));
         let help = "People that the room counts as holding, after delays.";
-        self.gauge("radome_people", help, said.map(|said| said.people as f64));
+        self.gauge("radome_people", help, answer.map(|answer| answer.people as f64));
         self.metric("radome_probability", "gauge", "Probability of each class.");
         for class in Occupancy::ALL {
-            if let Some(said) = said {
-                let probability = said.probabilities.get(class.index()).copied().unwrap_or(0.0);
+            if let Some(answer) = answer {
+                let probability = answer.probabilities.get(class.index()).copied().unwrap_or(0.0);
                 self.sample("radome_probability", &[("label", class.name())], f64::from(probability));
             }
         }

@@ -4,10 +4,10 @@
 pub mod broker;
 mod discovery;
 mod http;
-mod keep;
 mod latest;
 mod metrics;
 pub mod mqtt;
+mod report_buffer;
 mod systemd;
 
 use std::net::SocketAddr;
@@ -26,8 +26,8 @@ use tokio::task::JoinHandle;
 
 use self::broker::{Broker, BrokerArguments};
 use self::discovery::Device;
-use self::keep::{Keeper, Report, Reports, Saver};
 use self::latest::{Latest, LatestSink};
+use self::report_buffer::{BufferSink, Report, ReportSender, SavingThread};
 use super::access::{self, Access};
 use super::sink::Sink;
 use crate::exit::wrong_use;
@@ -48,7 +48,7 @@ pub struct Arguments {
     #[arg(long, value_name = "ADDRESS:PORT", value_parser = access::address)]
     metrics: Option<SocketAddr>,
     #[command(flatten)]
-    keep: keep::Arguments,
+    keep: report_buffer::Arguments,
 }
 
 impl Arguments {
@@ -57,7 +57,7 @@ impl Arguments {
     }
 
     /// Returns the broker with the options of its connection; `None` where no broker is named. Files of the password and of
-    /// certificates are read here alone: a pipe can be read once.
+    /// certificates are read only here, since a pipe can be read only once.
     ///
     /// # Errors
     /// [`WrongUse`](crate::exit::WrongUse) for an option that is wrong; a file of the password or of certificates cannot be read.
@@ -89,7 +89,7 @@ impl Arguments {
 }
 
 /// Longest time to close connections.
-const FAREWELL: Duration = Duration::from_secs(4);
+const CLOSING_TIME: Duration = Duration::from_secs(4);
 /// Number of frame intervals, and least time, without a frame after which a board counts as gone.
 const SILENT_FRAMES: f64 = 20.0;
 const SILENCE: Duration = Duration::from_secs(5);
@@ -101,12 +101,12 @@ pub struct Integrations {
     tasks: Vec<JoinHandle<()>>,
     runtime: Option<Runtime>,
     /// Declared after the runtime, whose tasks hold senders to it.
-    saver: Option<Saver>,
+    saving_thread: Option<SavingThread>,
 }
 
 impl Integrations {
-    /// Opens the requested connections. `broker` is that of [`Arguments::broker`], `header` describes the source, `access` the
-    /// policy of the metrics' port, and `board` the one at work, as which the broker knows this radar.
+    /// Opens the requested connections. `broker` is the result of [`Arguments::broker`], `header` describes the source, and
+    /// `access` has the options of the metrics' port. The broker identifies this radar by `board`, if one is at work.
     ///
     /// # Errors
     /// A port cannot be opened, the token cannot be read, a folder cannot be written, or a signal cannot be caught.
@@ -119,23 +119,24 @@ impl Integrations {
         started: Instant,
     ) -> anyhow::Result<Self> {
         let (stop, stopped) = watch::channel(false);
-        let mut integrations = Integrations { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saver: None };
+        let mut integrations =
+            Integrations { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saving_thread: None };
         let is_notified = systemd::is_wanted();
-        let keeps = arguments.keep.is_wanted();
-        if !keeps {
-            tell_of_unkept_reports()?;
+        let buffers_frames = arguments.keep.is_wanted();
+        if !buffers_frames {
+            warn_of_ignored_signals()?;
         }
-        if broker.is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
+        if broker.is_none() && arguments.metrics.is_none() && !buffers_frames && !is_notified {
             return Ok(integrations);
         }
         let silence = Duration::from_secs_f64(SILENT_FRAMES * header.waveform.frame_interval_s()).max(SILENCE);
         let latest = Latest::new(started, silence);
         integrations.sinks.push(Box::new(LatestSink(latest.clone())));
         let mut reports = None;
-        if let Some((keeper, way, saver)) = Keeper::open(&arguments.keep, header, latest.clone())? {
-            integrations.sinks.push(Box::new(keeper));
-            integrations.saver = Some(saver);
-            reports = Some(way);
+        if let Some((buffer, sender, saving_thread)) = BufferSink::open(&arguments.keep, header, latest.clone())? {
+            integrations.sinks.push(Box::new(buffer));
+            integrations.saving_thread = Some(saving_thread);
+            reports = Some(sender);
         }
 
         let runtime = tokio::runtime::Builder::new_multi_thread()
@@ -143,7 +144,7 @@ impl Integrations {
             .thread_name("integrations")
             .enable_all()
             .build()?;
-        let inside = runtime.enter();
+        let runtime_guard = runtime.enter();
         if let Some(address) = arguments.metrics {
             serve_metrics(&runtime, address, access, latest.clone(), reports.clone())?;
         }
@@ -161,13 +162,13 @@ impl Integrations {
             let mut signals = signal(SignalKind::user_defined1()).context("cannot catch SIGUSR1")?;
             tokio::spawn(async move {
                 while signals.recv().await.is_some() {
-                    if !reports.send(Report { truth: Occupancy::Empty, by: "signal" }) {
+                    if !reports.send(Report { truth: Occupancy::Empty, channel: "signal" }) {
                         tracing::warn!("another report is being saved; this one is lost");
                     }
                 }
             });
         }
-        drop(inside);
+        drop(runtime_guard);
         integrations.runtime = Some(runtime);
         Ok(integrations)
     }
@@ -178,8 +179,9 @@ impl Integrations {
     }
 }
 
-/// Says of each SIGUSR1, by which a program reports a wrong answer, that no report is kept. The signal would end this program.
-fn tell_of_unkept_reports() -> anyhow::Result<()> {
+/// Logs a warning at each SIGUSR1, which reports a wrong answer, that no report is kept. Without a handler, the signal would end
+/// this program.
+fn warn_of_ignored_signals() -> anyhow::Result<()> {
     let cannot = "cannot catch SIGUSR1";
     let mut signals = signal_hook::iterator::Signals::new([signal_hook::consts::SIGUSR1]).context(cannot)?;
     let wait = move || {
@@ -201,13 +203,13 @@ fn check_prefix(prefix: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Opens the metrics' port. The network reaches it only with a token: see [`Arguments::check_metrics`].
+/// Opens the metrics' port. If the network reaches it, it has a token: see [`Arguments::check_metrics`].
 fn serve_metrics(
     runtime: &Runtime,
     address: SocketAddr,
     access: &access::Arguments,
     latest: Arc<Latest>,
-    reports: Option<Reports>,
+    reports: Option<ReportSender>,
 ) -> anyhow::Result<()> {
     let token = access.token()?;
     let listener = runtime.block_on(tokio::net::TcpListener::bind(address)).with_context(|| {
@@ -231,11 +233,11 @@ impl Drop for Integrations {
                     let _ = task.await;
                 }
             };
-            let _ = tokio::time::timeout(FAREWELL, end).await;
+            let _ = tokio::time::timeout(CLOSING_TIME, end).await;
         });
         runtime.shutdown_timeout(Duration::from_secs(1));
         self.sinks.clear();
         // Waits until a report that is being saved is complete.
-        self.saver.take();
+        self.saving_thread.take();
     }
 }

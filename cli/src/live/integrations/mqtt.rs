@@ -15,19 +15,19 @@ use tokio::sync::{mpsc, watch};
 
 use super::broker::Broker;
 use super::discovery::{Device, state};
-use super::keep::{Report, Reports};
 use super::latest::{Latest, count};
+use super::report_buffer::{Report, ReportSender};
 
 /// Interval between repeated messages; a third of the hub's expiry time.
 const HEARTBEAT: Duration = Duration::from_secs(10);
-/// Interval of the check for new frames, and least time between two announcements to the hub.
-const LOOK: Duration = Duration::from_secs(1);
+/// Interval of the checks for an outage of answers, and least time between two announcements to the hub.
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// First and longest delay before the broker is tried again.
-const WAITS: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(15)];
+const RETRY_DELAYS: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(15)];
 /// Duration above which a connection counts as good.
 const GOOD_CONNECTION: Duration = Duration::from_secs(30);
 /// Longest time that the broker may take to close.
-const FAREWELL: Duration = Duration::from_secs(2);
+const CLOSING_TIME: Duration = Duration::from_secs(2);
 
 /// Options of a connection.
 pub struct Mqtt {
@@ -37,12 +37,12 @@ pub struct Mqtt {
     pub device: Device,
     pub latest: Arc<Latest>,
     /// Destination of reports of wrong answers.
-    pub reports: Option<Reports>,
+    pub reports: Option<ReportSender>,
 }
 
-/// Events of the connection.
+/// Event of the connection to the broker.
 #[derive(Clone, Copy)]
-enum Heard {
+enum BrokerEvent {
     Connected,
     Lost,
     HubOnline,
@@ -58,35 +58,35 @@ impl Mqtt {
         let will = LastWill::new(self.device.availability_topic(), "offline", QoS::AtLeastOnce, true, None);
         self.options.set_last_will(will);
         while !*stop.borrow() {
-            let (client, events) = AsyncClient::new(self.options.clone(), 64);
-            let (hears, mut heard) = mpsc::channel(16);
+            let (client, event_loop) = AsyncClient::new(self.options.clone(), 64);
+            let (sender, mut events) = mpsc::channel(16);
             let listener = Listener {
                 broker: self.broker.clone(),
                 device: self.device.clone(),
                 latest: self.latest.clone(),
-                hears,
+                sender,
             };
             // A separate task: if a packet makes the protocol library panic, only that task ends.
-            let mut connection = tokio::spawn(listener.listen(events));
-            let mut teller = Teller {
+            let mut connection = tokio::spawn(listener.listen(event_loop));
+            let mut publisher = Publisher {
                 mqtt: &self,
                 client,
-                told_online: None,
-                announced: None,
-                wants_hello: false,
+                published_online: None,
+                last_announcement: None,
+                needs_announcement: false,
                 has_warned: AtomicBool::new(false),
             };
             tokio::select! {
-                () = teller.tell(&mut heard, &mut stop) => {}
+                () = publisher.publish_until_stopped(&mut events, &mut stop) => {}
                 _ = &mut connection => {
                     self.latest.counters.mqtt_connected.store(false, Ordering::Relaxed);
                     tracing::error!("the connection to the MQTT broker {} ended unexpectedly; trying again", self.broker);
-                    tokio::time::sleep(WAITS[1]).await;
+                    tokio::time::sleep(RETRY_DELAYS[1]).await;
                     continue;
                 }
             }
             if self.latest.counters.mqtt_connected.swap(false, Ordering::Relaxed) {
-                let _ = tokio::time::timeout(FAREWELL, &mut connection).await;
+                let _ = tokio::time::timeout(CLOSING_TIME, &mut connection).await;
             }
             connection.abort();
         }
@@ -98,80 +98,80 @@ impl Mqtt {
 /// # Errors
 /// The cause, in words.
 pub async fn log_in(options: MqttOptions) -> Result<(), String> {
-    let (client, mut events) = AsyncClient::new(options, 8);
-    let is_encrypted = is_encrypted(&events);
+    let (client, mut event_loop) = AsyncClient::new(options, 8);
+    let is_encrypted = is_encrypted(&event_loop);
     loop {
-        match events.poll().await {
+        match event_loop.poll().await {
             Ok(Event::Incoming(Packet::ConnAck(_))) => {
                 let _ = client.disconnect().await;
             }
             Ok(Event::Outgoing(Outgoing::Disconnect)) => return Ok(()),
             Ok(_) => {}
-            Err(error) => return Err(in_words(&error, false, is_encrypted)),
+            Err(error) => return Err(describe_error(&error, false, is_encrypted)),
         }
     }
 }
 
-fn is_encrypted(events: &EventLoop) -> bool {
-    !matches!(events.options.transport(), Transport::Tcp)
+fn is_encrypted(event_loop: &EventLoop) -> bool {
+    !matches!(event_loop.options.transport(), Transport::Tcp)
 }
 
 /// Recent closings of the connection by the broker. Two clients with one name disconnect each other repeatedly.
 #[derive(Default)]
 struct Closings {
-    at: Vec<Instant>,
-    is_told: bool,
+    times: Vec<Instant>,
+    is_reported: bool,
 }
 
 impl Closings {
     /// Notes a closing; returns true once, at the third within a minute.
-    fn are_too_many(&mut self) -> bool {
+    fn add_and_check(&mut self) -> bool {
         let now = Instant::now();
-        self.at.retain(|at| now.duration_since(*at) < Duration::from_secs(60));
-        self.at.push(now);
-        self.at.len() >= 3 && !std::mem::replace(&mut self.is_told, true)
+        self.times.retain(|time| now.duration_since(*time) < Duration::from_secs(60));
+        self.times.push(now);
+        self.times.len() >= 3 && !std::mem::replace(&mut self.is_reported, true)
     }
 }
 
-/// Runs the connection and extracts relevant messages.
+/// Runs the connection, and passes its events to the [`Publisher`].
 struct Listener {
     broker: Broker,
     device: Device,
     latest: Arc<Latest>,
-    hears: mpsc::Sender<Heard>,
+    sender: mpsc::Sender<BrokerEvent>,
 }
 
 impl Listener {
-    async fn listen(self, mut events: EventLoop) {
+    async fn listen(self, mut event_loop: EventLoop) {
         let counters = &self.latest.counters;
-        let [first_wait, longest_wait] = WAITS;
+        let [first_wait, longest_wait] = RETRY_DELAYS;
         let mut wait = first_wait;
         let mut since: Option<Instant> = None;
         let mut closings = Closings::default();
-        let mut last_words = String::new();
-        let mut told_rejections = Vec::new();
-        let is_encrypted = is_encrypted(&events);
+        let mut last_description = String::new();
+        let mut reported_rejections = Vec::new();
+        let is_encrypted = is_encrypted(&event_loop);
         loop {
-            match events.poll().await {
+            match event_loop.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(_))) => {
                     since = Some(Instant::now());
-                    last_words.clear();
-                    told_rejections.clear();
+                    last_description.clear();
+                    reported_rejections.clear();
                     counters.mqtt_connected.store(true, Ordering::Relaxed);
                     count(&counters.mqtt_connections);
                     message!("MQTT broker {}: connected; answers go to {}", self.broker, self.device.state_topic());
-                    let _ = self.hears.send(Heard::Connected).await;
+                    let _ = self.sender.send(BrokerEvent::Connected).await;
                 }
-                Ok(Event::Incoming(Packet::Publish(message))) => match self.understand(&message) {
-                    Some(heard) if self.hears.try_send(heard).is_ok() => {}
+                Ok(Event::Incoming(Packet::Publish(message))) => match self.parse_message(&message) {
+                    Some(event) if self.sender.try_send(event).is_ok() => {}
                     _ => count(&counters.mqtt_refused),
                 },
                 Ok(Event::Incoming(packet)) => {
                     for rejection in rejections(&packet) {
                         count(&counters.mqtt_rejected);
-                        if !told_rejections.contains(&rejection) {
+                        if !reported_rejections.contains(&rejection) {
                             self.warn_of_rejection(&rejection);
-                            told_rejections.push(rejection);
+                            reported_rejections.push(rejection);
                         }
                     }
                 }
@@ -179,27 +179,27 @@ impl Listener {
                 Ok(Event::Outgoing(_)) => {}
                 Err(error) => {
                     counters.mqtt_connected.store(false, Ordering::Relaxed);
-                    let words = in_words(&error, since.is_some(), is_encrypted);
+                    let description = describe_error(&error, since.is_some(), is_encrypted);
                     if let Some(since) = since.take() {
                         if since.elapsed() > GOOD_CONNECTION {
                             wait = first_wait;
                         }
-                        if !self.device.has_uuid && is_closing(&error) && closings.are_too_many() {
-                            self.warn_of_another();
+                        if !self.device.has_uuid && is_closing(&error) && closings.add_and_check() {
+                            self.warn_of_name_conflict();
                         }
                     }
                     if is_malformed(&error) {
                         count(&counters.mqtt_refused);
                     }
                     // Each kind of error is reported once.
-                    if words != last_words {
+                    if description != last_description {
                         tracing::warn!(
-                            "MQTT broker {}: {words}; trying again, frames are judged meanwhile",
+                            "MQTT broker {}: {description}; trying again, frames are judged meanwhile",
                             self.broker
                         );
-                        last_words = words;
+                        last_description = description;
                     }
-                    let _ = self.hears.send(Heard::Lost).await;
+                    let _ = self.sender.send(BrokerEvent::Lost).await;
                     tokio::time::sleep(wait).await;
                     wait = (2 * wait).min(longest_wait);
                 }
@@ -207,7 +207,7 @@ impl Listener {
         }
     }
 
-    fn warn_of_another(&self) {
+    fn warn_of_name_conflict(&self) {
         tracing::warn!(
             "MQTT broker {}: it ends each connection; another radar of the same name may be connected there: give each a \
              name of its own with --mqtt-name",
@@ -227,19 +227,19 @@ impl Listener {
     }
 
     /// Parses a message; `None` if it is malformed.
-    fn understand(&self, message: &Publish) -> Option<Heard> {
+    fn parse_message(&self, message: &Publish) -> Option<BrokerEvent> {
         let topic = message.topic.as_ref();
         let text = std::str::from_utf8(&message.payload).ok()?.trim();
         if topic == self.device.hub_topic().as_bytes() {
             return match text {
-                "online" => Some(Heard::HubOnline),
-                "offline" => Some(Heard::HubOffline),
+                "online" => Some(BrokerEvent::HubOnline),
+                "offline" => Some(BrokerEvent::HubOffline),
                 _ => None,
             };
         }
         let is_report = self.device.report_topic().is_some_and(|report| topic == report.as_bytes());
         // A retained report refers to an earlier run.
-        (is_report && !message.retain).then(|| Occupancy::from_name(text).map(Heard::Report)).flatten()
+        (is_report && !message.retain).then(|| Occupancy::from_name(text).map(BrokerEvent::Report)).flatten()
     }
 }
 
@@ -259,8 +259,8 @@ fn rejections(packet: &Packet) -> Vec<String> {
     }
 }
 
-/// Returns whether data from the broker are no message of MQTT version 5. The library gives the same error for connections
-/// that break, and for messages that the broker does not take.
+/// Returns whether data from the broker are no message of MQTT version 5. The library gives the same kind of error for
+/// connections that break and for messages above the broker's limit, which are excluded here.
 fn is_malformed(error: &ConnectionError) -> bool {
     let ConnectionError::MqttState(StateError::Deserialization(error)) = error else { return false };
     match error {
@@ -271,14 +271,14 @@ fn is_malformed(error: &ConnectionError) -> bool {
     }
 }
 
-/// Returns whether the broker has closed the connection in order.
+/// Returns whether the broker has closed the connection properly.
 fn is_closing(error: &ConnectionError) -> bool {
     matches!(error, ConnectionError::MqttState(StateError::ServerDisconnect { .. } | StateError::ConnectionAborted))
 }
 
-/// Describes the cause of a failed connection, with a remedy. `was_up` tells whether the broker had accepted it. Data from the
+/// Describes the cause of a failed connection, with a remedy. `was_up` is whether the broker had accepted it. Data from the
 /// broker are never shown, since a server that echoes its input would echo the password.
-fn in_words(error: &ConnectionError, was_up: bool, is_encrypted: bool) -> String {
+fn describe_error(error: &ConnectionError, was_up: bool, is_encrypted: bool) -> String {
     use rumqttc::v5::mqttbytes::v5::ConnectReturnCode as Code;
     let [encryption, certificate] = match (was_up, is_encrypted) {
         (true, _) => ["", ""],
@@ -335,42 +335,46 @@ fn in_words(error: &ConnectionError, was_up: bool, is_encrypted: bool) -> String
 }
 
 /// Publishes answers and availability.
-struct Teller<'a> {
+struct Publisher<'a> {
     mqtt: &'a Mqtt,
     client: AsyncClient,
     /// Availability last published on this connection.
-    told_online: Option<bool>,
+    published_online: Option<bool>,
     /// Time of the last announcement to the hub.
-    announced: Option<Instant>,
-    wants_hello: bool,
+    last_announcement: Option<Instant>,
+    needs_announcement: bool,
     /// Whether a failed publication was reported.
     has_warned: AtomicBool,
 }
 
-impl Teller<'_> {
-    async fn tell(&mut self, heard: &mut mpsc::Receiver<Heard>, stop: &mut watch::Receiver<bool>) {
+impl Publisher<'_> {
+    async fn publish_until_stopped(
+        &mut self,
+        events: &mut mpsc::Receiver<BrokerEvent>,
+        stop: &mut watch::Receiver<bool>,
+    ) {
         let mut changes = self.mqtt.latest.changes();
-        let mut look = tokio::time::interval(LOOK);
-        let mut last_beat = Instant::now();
+        let mut check = tokio::time::interval(CHECK_INTERVAL);
+        let mut last_publication = Instant::now();
         let mut is_connected = false;
         loop {
             tokio::select! {
                 biased;
                 _ = stop.changed() => break,
-                event = heard.recv() => match event {
-                    Some(Heard::Connected) => {
+                event = events.recv() => match event {
+                    Some(BrokerEvent::Connected) => {
                         is_connected = true;
-                        self.told_online = None;
-                        self.announced = None;
-                        self.wants_hello = true;
+                        self.published_online = None;
+                        self.last_announcement = None;
+                        self.needs_announcement = true;
                         self.subscribe();
                     }
-                    Some(Heard::Lost) => is_connected = false,
-                    Some(Heard::HubOnline) => self.wants_hello = true,
-                    Some(Heard::HubOffline) => {}
-                    Some(Heard::Report(truth)) => match &self.mqtt.reports {
+                    Some(BrokerEvent::Lost) => is_connected = false,
+                    Some(BrokerEvent::HubOnline) => self.needs_announcement = true,
+                    Some(BrokerEvent::HubOffline) => {}
+                    Some(BrokerEvent::Report(truth)) => match &self.mqtt.reports {
                         Some(reports) => {
-                            reports.send(Report { truth, by: "mqtt" });
+                            reports.send(Report { truth, channel: "mqtt" });
                         }
                         None => count(&self.mqtt.latest.counters.reports_refused),
                     },
@@ -378,24 +382,24 @@ impl Teller<'_> {
                 },
                 _ = changes.changed() => {
                     if is_connected {
-                        self.beat(true);
-                        last_beat = Instant::now();
+                        self.publish_status(true);
+                        last_publication = Instant::now();
                     }
                 }
-                _ = look.tick() => {}
+                _ = check.tick() => {}
             }
             if !is_connected {
                 continue;
             }
-            if self.wants_hello && self.announced.is_none_or(|at| at.elapsed() >= LOOK) {
+            if self.needs_announcement && self.last_announcement.is_none_or(|time| time.elapsed() >= CHECK_INTERVAL) {
                 self.announce();
-                last_beat = Instant::now();
+                last_publication = Instant::now();
             }
-            let is_online = self.mqtt.latest.said().is_some();
-            let is_due = last_beat.elapsed() >= HEARTBEAT;
-            if is_due || self.told_online != Some(is_online) {
-                self.beat(is_due || is_online);
-                last_beat = Instant::now();
+            let is_online = self.mqtt.latest.answer().is_some();
+            let is_due = last_publication.elapsed() >= HEARTBEAT;
+            if is_due || self.published_online != Some(is_online) {
+                self.publish_status(is_due || is_online);
+                last_publication = Instant::now();
             }
         }
         if is_connected {
@@ -415,23 +419,23 @@ impl Teller<'_> {
     fn announce(&mut self) {
         let device = &self.mqtt.device;
         self.publish(&device.discovery_topic(), device.discovery().to_string());
-        self.wants_hello = false;
-        self.announced = Some(Instant::now());
-        self.beat(true);
+        self.needs_announcement = false;
+        self.last_announcement = Some(Instant::now());
+        self.publish_status(true);
     }
 
     /// Publishes the availability and, if `with_state` is set, the newest state.
-    fn beat(&mut self, with_state: bool) {
+    fn publish_status(&mut self, with_state: bool) {
         let latest = &self.mqtt.latest;
-        let said = latest.said();
-        if let Some(said) = said.filter(|_| with_state) {
+        let answer = latest.answer();
+        if let Some(answer) = answer.filter(|_| with_state) {
             let (_, dropped) = latest.frames();
-            self.publish(&self.mqtt.device.state_topic(), state(&said, dropped).to_string());
+            self.publish(&self.mqtt.device.state_topic(), state(&answer, dropped).to_string());
         }
-        let availability = if said.is_some() { "online" } else { "offline" };
-        // Published even if unchanged: the last will of a connection that died unnoticed may have said otherwise.
+        let availability = if answer.is_some() { "online" } else { "offline" };
+        // Published even if unchanged: the last will of a connection that died unnoticed may have published another state.
         self.publish(&self.mqtt.device.availability_topic(), availability.into());
-        self.told_online = Some(said.is_some());
+        self.published_online = Some(answer.is_some());
     }
 
     /// Publishes a retained message, so that later subscribers receive it too. If the queue is full, the broker takes
@@ -454,25 +458,25 @@ mod tests {
 
     use super::*;
 
-    /// A server that echoes its input receives the login in the first packet of the connection.
+    /// A server that echoes its input returns the login, which is in the first packet of the connection.
     #[test]
     fn a_login_that_comes_back_is_not_shown() {
         let connect = Connect { keep_alive: 15, client_id: "radome-1".into(), clean_start: true, properties: None };
         let login = Login { username: "radar".into(), password: "hunter2".into() };
         let error = ConnectionError::NotConnAck(Box::new(Packet::Connect(connect, None, Some(login))));
         assert!(error.to_string().contains("hunter2"), "the library shows it");
-        assert!(!in_words(&error, false, false).contains("hunter2"));
+        assert!(!describe_error(&error, false, false).contains("hunter2"));
     }
 
-    /// Regression test: of a broker that refuses version 5 in the words of version 3.1.1 it said that the connection was
-    /// closed abruptly.
+    /// Regression test: for a broker that refuses version 5 with an answer of version 3.1.1, the message said that the
+    /// connection was closed abruptly.
     #[test]
-    fn a_broker_of_an_older_version_is_said_to_be_one() {
+    fn a_broker_of_an_older_version_is_reported_as_such() {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         let port = listener.local_addr().expect("an address").port();
         let broker = std::thread::spawn(move || {
             let (mut connection, _) = listener.accept().expect("a client");
-            // Enough of its request; the rest may be lost with the connection.
+            // The rest of the request may be lost with the connection.
             connection.read_exact(&mut [0; 10]).expect("a request");
             connection.write_all(&[0x20, 0x02, 0x00, 0x01]).expect("answers");
             connection.shutdown(Shutdown::Write).expect("closes");
@@ -480,20 +484,20 @@ mod tests {
             let _ = std::io::copy(&mut connection, &mut std::io::sink());
         });
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-        let (client, mut events) = AsyncClient::new(MqttOptions::new("radome-1", "127.0.0.1", port), 8);
-        let error = runtime.block_on(events.poll()).expect_err("a refusal");
-        let words = in_words(&error, false, false);
-        assert!(words.contains("does not answer in MQTT version 5"), "{words}");
-        // Of a connection that was up, the end says nothing about versions.
-        assert!(!in_words(&error, true, false).contains("version"));
-        drop((client, events));
+        let (client, mut event_loop) = AsyncClient::new(MqttOptions::new("radome-1", "127.0.0.1", port), 8);
+        let error = runtime.block_on(event_loop.poll()).expect_err("a refusal");
+        let description = describe_error(&error, false, false);
+        assert!(description.contains("does not answer in MQTT version 5"), "{description}");
+        // The end of a connection that was up does not depend on versions.
+        assert!(!describe_error(&error, true, false).contains("version"));
+        drop((client, event_loop));
         broker.join().expect("no panic");
     }
 
     /// Regression test: each of these was said to be a broker that does not answer in MQTT version 5, and was counted as a
     /// message that is refused.
     #[test]
-    fn a_lost_connection_and_a_limit_are_not_taken_for_another_version() {
+    fn a_lost_connection_and_a_limit_are_not_reported_as_another_version() {
         let of = |error| ConnectionError::MqttState(StateError::Deserialization(error));
         let alert = rustls::Error::AlertReceived(rustls::AlertDescription::CertificateRequired);
         for (error, is_encrypted, expected) in [
@@ -506,33 +510,33 @@ mod tests {
             (PacketError::OutgoingPacketTooLarge { pkt_size: 1523, max: 1000 }, false, "1000 bytes is below the 1523"),
         ] {
             let error = of(error);
-            let words = in_words(&error, true, is_encrypted);
-            assert!(words.contains(expected) && !words.contains("version"), "{words}");
-            assert!(!is_malformed(&error) && !is_closing(&error), "{words}");
+            let description = describe_error(&error, true, is_encrypted);
+            assert!(description.contains(expected) && !description.contains("version"), "{description}");
+            assert!(!is_malformed(&error) && !is_closing(&error), "{description}");
         }
         let malformed = of(PacketError::InvalidPacketType(15));
-        assert!(is_malformed(&malformed) && in_words(&malformed, true, false).ends_with("in MQTT version 5"));
+        assert!(is_malformed(&malformed) && describe_error(&malformed, true, false).ends_with("in MQTT version 5"));
     }
 
     #[test]
     fn a_port_that_was_never_up_may_expect_encryption_or_a_certificate() {
         let of = |error| ConnectionError::MqttState(StateError::Deserialization(error));
         let malformed = of(PacketError::InvalidPacketType(15));
-        assert!(in_words(&malformed, false, false).contains("mqtts://"));
-        assert!(!in_words(&malformed, false, true).contains("mqtts://"));
+        assert!(describe_error(&malformed, false, false).contains("mqtts://"));
+        assert!(!describe_error(&malformed, false, true).contains("mqtts://"));
         let reset = of(PacketError::Io(ErrorKind::ConnectionReset.into()));
-        assert!(in_words(&reset, false, false).contains("mqtts://"));
-        assert!(in_words(&reset, false, true).contains("client certificate"));
+        assert!(describe_error(&reset, false, false).contains("mqtts://"));
+        assert!(describe_error(&reset, false, true).contains("client certificate"));
     }
 
-    /// Regression test: of a broker that takes no encrypted connections, only a client certificate was said to be missing.
+    /// Regression test: for a broker that takes no encrypted connections, the message only named a missing client certificate.
     #[test]
     fn an_encrypted_connection_that_breaks_may_be_to_a_port_that_does_not_encrypt() {
         let broken = |kind: ErrorKind| ConnectionError::Tls(TlsError::Io(kind.into()));
         for kind in [ErrorKind::UnexpectedEof, ErrorKind::ConnectionReset] {
-            let words = in_words(&broken(kind), false, true);
-            assert!(words.contains("it may not encrypt: mqtt://"), "{words}");
-            assert!(!in_words(&broken(kind), true, true).contains("encrypt"), "it was up");
+            let description = describe_error(&broken(kind), false, true);
+            assert!(description.contains("it may not encrypt: mqtt://"), "{description}");
+            assert!(!describe_error(&broken(kind), true, true).contains("encrypt"), "it was up");
         }
     }
 

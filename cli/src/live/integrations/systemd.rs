@@ -9,7 +9,7 @@ use tokio::sync::watch;
 use super::latest::Latest;
 
 /// Interval of the checks, unless the watchdog needs a shorter one.
-const LOOK: Duration = Duration::from_millis(500);
+const CHECK_INTERVAL: Duration = Duration::from_millis(500);
 /// Interval between lines of status.
 const STATUS_INTERVAL: Duration = Duration::from_secs(5);
 
@@ -21,38 +21,38 @@ pub fn is_wanted() -> bool {
 /// Sends notifications until `stop` is set.
 pub async fn run(latest: Arc<Latest>, mut stop: watch::Receiver<bool>) {
     let watchdog = sd_notify::watchdog_enabled();
-    let mut look = tokio::time::interval(watchdog.map_or(LOOK, |period| (period / 4).min(LOOK)));
+    let mut check = tokio::time::interval(watchdog.map_or(CHECK_INTERVAL, |period| (period / 4).min(CHECK_INTERVAL)));
     let mut is_ready = false;
-    let mut told: Option<Instant> = None;
+    let mut last_status: Option<Instant> = None;
     let mut frames_before = 0;
     loop {
         tokio::select! {
             _ = stop.changed() => break,
-            _ = look.tick() => {}
+            _ = check.tick() => {}
         }
         let (frames, _) = latest.frames();
-        let flows = frames > std::mem::replace(&mut frames_before, frames);
-        if !is_ready && latest.said().is_some() {
+        let has_new_frames = frames > std::mem::replace(&mut frames_before, frames);
+        if !is_ready && latest.answer().is_some() {
             is_ready = true;
-            tell(&[NotifyState::Ready]);
+            notify(&[NotifyState::Ready]);
         }
         // The watchdog is notified only while frames arrive, so that it also detects a dead board.
-        if flows && watchdog.is_some() {
-            tell(&[NotifyState::Watchdog]);
+        if has_new_frames && watchdog.is_some() {
+            notify(&[NotifyState::Watchdog]);
         }
-        if told.is_none_or(|told| told.elapsed() >= STATUS_INTERVAL) {
-            told = Some(Instant::now());
-            tell(&[NotifyState::Status(&status(&latest))]);
+        if last_status.is_none_or(|last_status| last_status.elapsed() >= STATUS_INTERVAL) {
+            last_status = Some(Instant::now());
+            notify(&[NotifyState::Status(&status(&latest))]);
         }
     }
-    tell(&[NotifyState::Stopping]);
+    notify(&[NotifyState::Stopping]);
 }
 
 fn status(latest: &Latest) -> String {
     let newest = latest.newest();
     let health = &newest.health;
-    let room = match latest.said() {
-        Some(said) => match said.people {
+    let room = match latest.answer() {
+        Some(answer) => match answer.people {
             0 => "empty",
             1 => "occupied, one person",
             _ => "occupied, two people or more",
@@ -68,7 +68,7 @@ fn status(latest: &Latest) -> String {
     )
 }
 
-fn tell(state: &[NotifyState]) {
+fn notify(state: &[NotifyState]) {
     if let Err(error) = sd_notify::notify(state) {
         tracing::debug!("systemd does not listen: {error}");
     }

@@ -7,7 +7,7 @@ use radome_driver::LabelSpan;
 use radome_dsp::Occupancy;
 use serde::Serialize;
 
-use crate::judge::CFAR;
+use crate::classifier::CFAR;
 use crate::shell;
 
 /// File that the command writes. `radome model adapt` does not replace an existing file.

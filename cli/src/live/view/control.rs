@@ -6,8 +6,8 @@ use radome_dsp::Occupancy;
 use serde::Deserialize;
 
 use super::feed::PageId;
-use super::labels::Book;
-use super::picture::Look;
+use super::label_set::LabelSet;
+use super::picture::Selection;
 use super::shared::Shared;
 
 /// Longest name of the person who labels, characters.
@@ -22,7 +22,7 @@ pub enum Command {
     /// The page has received a picture and is ready for the next.
     Seen,
     /// Selects the content of this page.
-    Look(Look),
+    Look(Selection),
     /// Continues the playback.
     Play,
     /// Pauses the playback.
@@ -56,7 +56,7 @@ pub enum Command {
 /// Executes the request of a page.
 ///
 /// # Errors
-/// The message is malformed, or the request cannot be met.
+/// The message is malformed, or the request cannot be fulfilled.
 pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
     let command: Command = serde_json::from_str(text).context("this is no message of the page")?;
     let transport = || {
@@ -65,12 +65,12 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
         anyhow::Ok(&playback.transport)
     };
     match command {
-        Command::Seen => shared.feed.seen(page),
-        Command::Look(look) => shared.feed.look(page, look)?,
+        Command::Seen => shared.feed.acknowledge(page),
+        Command::Look(selection) => shared.feed.select(page, selection)?,
         Command::Play => {
             let transport = transport()?;
             if transport.playback().at_end {
-                shared.labels.before_jump();
+                shared.labels.end_before_jump();
             }
             transport.play();
         }
@@ -82,12 +82,12 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
         Command::Seek { time_s } => {
             let transport = transport()?;
             ensure!(time_s.is_finite(), "a time must be finite");
-            shared.labels.before_jump();
+            shared.labels.end_before_jump();
             transport.seek_time_s(time_s);
         }
         Command::SeekFrame { sequence } => {
             let transport = transport()?;
-            shared.labels.before_jump();
+            shared.labels.end_before_jump();
             transport.seek_frame(sequence);
         }
         Command::Step { frames } if !(-100..=100).contains(&frames) => {
@@ -96,55 +96,55 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
         Command::Step { frames } => {
             let transport = transport()?;
             if frames < 0 {
-                shared.labels.before_jump();
+                shared.labels.end_before_jump();
             }
             transport.step(frames);
         }
         Command::Label { occupancy, who } => {
-            let who = name(who)?;
-            check_is_shown(shared)?;
-            edit(shared, |book, now_s| book.press(occupancy, now_s, who))?;
+            let who = labeller(who)?;
+            check_no_seek(shared)?;
+            edit(shared, |labels, now_s| labels.toggle(occupancy, now_s, who))?;
         }
         Command::Stop => {
-            check_is_shown(shared)?;
-            edit(shared, |book, now_s| {
-                book.stop(now_s);
+            check_no_seek(shared)?;
+            edit(shared, |labels, now_s| {
+                labels.stop(now_s);
                 Ok(())
             })?;
         }
         Command::Move { id, start_s, end_s } => {
-            edit(shared, |book, _| book.change(id, |label| (label.start_s, label.end_s) = (start_s, end_s)))?;
+            edit(shared, |labels, _| labels.change(id, |label| (label.start_s, label.end_s) = (start_s, end_s)))?;
         }
         Command::Relabel { id, occupancy } => {
-            edit(shared, |book, _| book.change(id, |label| label.label = occupancy.name().to_owned()))?;
+            edit(shared, |labels, _| labels.change(id, |label| label.label = occupancy.name().to_owned()))?;
         }
         Command::Add { start_s, end_s, occupancy, who } => {
             let mut label = LabelSpan::new(start_s, end_s, occupancy.name());
-            label.who = name(who)?;
-            edit(shared, |book, _| book.add(label))?;
+            label.who = labeller(who)?;
+            edit(shared, |labels, _| labels.add(label))?;
         }
-        Command::Delete { id } => edit(shared, |book, _| book.delete(id))?,
-        Command::Undo => edit(shared, |book, _| book.undo())?,
-        Command::Redo => edit(shared, |book, _| book.redo())?,
+        Command::Delete { id } => edit(shared, |labels, _| labels.delete(id))?,
+        Command::Undo => edit(shared, |labels, _| labels.undo())?,
+        Command::Redo => edit(shared, |labels, _| labels.redo())?,
     }
     Ok(())
 }
 
-/// Fails while a frame of a recording is being sought: a label would begin or end at the place before.
-fn check_is_shown(shared: &Shared) -> anyhow::Result<()> {
+/// Fails during a seek in a recording: a label would begin or end at the frame that was shown before.
+fn check_no_seek(shared: &Shared) -> anyhow::Result<()> {
     let Some(playback) = &shared.about.playback else { return Ok(()) };
     let transport = &playback.transport;
     let is_shown = |time_s| shared.labels.is_near(time_s);
-    let is_there = transport.playback().position.is_none_or(|position| is_shown(position.time_s()));
+    let is_position_shown = transport.playback().position.is_none_or(|position| is_shown(position.time_s()));
     ensure!(
-        !transport.is_seeking() && is_there,
+        !transport.is_seeking() && is_position_shown,
         "the recording is still being sought: press again when its frame is shown"
     );
     Ok(())
 }
 
-/// Changes the labels, unless pages may not.
-fn edit(shared: &Shared, change: impl FnOnce(&mut Book, f64) -> anyhow::Result<()>) -> anyhow::Result<()> {
+/// Changes the labels, unless they are read-only.
+fn edit(shared: &Shared, change: impl FnOnce(&mut LabelSet, f64) -> anyhow::Result<()>) -> anyhow::Result<()> {
     ensure!(
         !shared.about.read_only_labels,
         "labels are read-only here: the program was started with --read-only-labels"
@@ -152,7 +152,8 @@ fn edit(shared: &Shared, change: impl FnOnce(&mut Book, f64) -> anyhow::Result<(
     shared.labels.edit(change)
 }
 
-fn name(who: Option<String>) -> anyhow::Result<Option<String>> {
+/// Checks and trims the name of the person who labels.
+fn labeller(who: Option<String>) -> anyhow::Result<Option<String>> {
     let Some(who) = who else { return Ok(None) };
     if who.chars().count() > MOST_WHO || who.chars().any(char::is_control) {
         bail!("a name of at most {MOST_WHO} characters is expected");

@@ -15,43 +15,43 @@ use tokio::sync::mpsc;
 
 use super::history::{History, Point};
 use super::partner::Partner;
-use super::picture::{Channel, Look, Newest, Painters};
+use super::picture::{Channel, MapProcessors, NewestFrame, Selection};
 use crate::live::health::Arrivals;
-use crate::live::sink::Moment;
+use crate::live::sink::ClassifiedFrame;
 use crate::panics::lock;
 
 /// Shortest time between pictures, above the rate that viewers need.
 const SHORTEST_INTERVAL: Duration = Duration::from_millis(33);
 /// Largest number of pictures that a page has not acknowledged.
-const MOST_UNSEEN: u32 = 2;
+const MOST_UNACKNOWLEDGED: u32 = 2;
 /// Time after which a page gets a picture even without an acknowledgement, in case it cannot send.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 pub type PageId = u64;
 
 struct PageState {
-    look: Look,
+    selection: Selection,
     sender: mpsc::Sender<Bytes>,
-    unseen: u32,
+    unacknowledged: u32,
     sent_at: Instant,
     /// Version that was sent last.
     version: u64,
-    /// Number of answers that had been given at that time.
-    told: u64,
+    /// Number of answers that had entered the history at that time.
+    sent_answers: u64,
 }
 
 /// Data that the classifier's thread hands to the pages' thread.
 #[derive(Default)]
 struct Handover {
     /// Newest frame, if it has not been taken.
-    newest: Option<Newest>,
+    newest: Option<NewestFrame>,
     /// Answers that have not been taken.
     answers: History,
     after_gap: bool,
     /// Counter of frames and of changed selections of pages.
     version: u64,
-    /// Counter of all events that the pages' thread may be waiting for.
-    calls: u64,
+    /// Counter of all changes that the pages' thread may be waiting for.
+    events: u64,
     closed: bool,
 }
 
@@ -73,30 +73,30 @@ pub struct Feed {
     /// classifier's thread only.
     arrivals: Mutex<Arrivals>,
     waveform: Waveform,
-    is_tape: bool,
+    is_playback: bool,
     /// Lock with which a test stops the thread that writes messages.
     #[cfg(test)]
-    hold_up: Mutex<()>,
+    message_lock: Mutex<()>,
 }
 
 impl Feed {
-    pub fn new(waveform: &Waveform, is_tape: bool) -> Self {
+    pub fn new(waveform: &Waveform, is_playback: bool) -> Self {
         Feed {
             handover: Mutex::default(),
             wake: Condvar::new(),
             pages: Mutex::default(),
             arrivals: Mutex::default(),
             waveform: waveform.clone(),
-            is_tape,
+            is_playback,
             #[cfg(test)]
-            hold_up: Mutex::default(),
+            message_lock: Mutex::default(),
         }
     }
 
     /// Changes the handover and wakes the pages' thread.
-    fn call<T>(&self, change: impl FnOnce(&mut Handover) -> T) -> T {
+    fn update<T>(&self, change: impl FnOnce(&mut Handover) -> T) -> T {
         let mut handover = lock(&self.handover);
-        handover.calls += 1;
+        handover.events += 1;
         let result = change(&mut handover);
         drop(handover);
         self.wake.notify_all();
@@ -104,10 +104,10 @@ impl Feed {
     }
 
     /// Takes the newest frame without waiting for any page.
-    pub fn publish(&self, moment: &Moment) {
-        let newest = Newest::of(moment, self.rate(moment));
-        let mut point = Point::of(moment.answer);
-        let old = self.call(|handover| {
+    pub fn publish(&self, classified: &ClassifiedFrame) {
+        let newest = NewestFrame::of(classified, self.rate(classified));
+        let mut point = Point::of(classified.answer);
+        let old = self.update(|handover| {
             point.after_gap = std::mem::take(&mut handover.after_gap);
             handover.answers.push(point);
             handover.version += 1;
@@ -118,9 +118,9 @@ impl Feed {
     }
 
     /// Frame rate over the newest frames that are shown, 1/s.
-    fn rate(&self, moment: &Moment) -> f64 {
-        if !self.is_tape {
-            return moment.health.frames_per_s();
+    fn rate(&self, classified: &ClassifiedFrame) -> f64 {
+        if !self.is_playback {
+            return classified.health.frames_per_s();
         }
         let mut arrivals = lock(&self.arrivals);
         arrivals.add(Instant::now());
@@ -133,19 +133,26 @@ impl Feed {
 
     /// Ends the feed after the run.
     pub fn close(&self) {
-        self.call(|handover| handover.closed = true);
+        self.update(|handover| handover.closed = true);
     }
 
     /// Adds a page; its pictures arrive at the receiver.
     pub fn join(&self) -> (PageId, mpsc::Receiver<Bytes>) {
-        let (sender, receiver) = mpsc::channel(MOST_UNSEEN as usize + 1);
+        let (sender, receiver) = mpsc::channel(MOST_UNACKNOWLEDGED as usize + 1);
         let mut pages = lock(&self.pages);
         let id = pages.next;
         pages.next += 1;
-        let page = PageState { look: Look::default(), sender, unseen: 0, sent_at: Instant::now(), version: 0, told: 0 };
+        let page = PageState {
+            selection: Selection::default(),
+            sender,
+            unacknowledged: 0,
+            sent_at: Instant::now(),
+            version: 0,
+            sent_answers: 0,
+        };
         pages.open.insert(id, page);
         drop(pages);
-        self.call(|_| ());
+        self.update(|_| ());
         (id, receiver)
     }
 
@@ -158,35 +165,35 @@ impl Feed {
     }
 
     /// Notes that a page has received a picture.
-    pub fn seen(&self, page: PageId) {
+    pub fn acknowledge(&self, page: PageId) {
         if let Some(page) = lock(&self.pages).open.get_mut(&page) {
-            page.unseen = page.unseen.saturating_sub(1);
+            page.unacknowledged = page.unacknowledged.saturating_sub(1);
         }
-        self.call(|_| ());
+        self.update(|_| ());
     }
 
     /// Changes the selection of a page.
     ///
     /// # Errors
     /// The frames have no such channel or chirp.
-    pub fn look(&self, page: PageId, look: Look) -> anyhow::Result<()> {
+    pub fn select(&self, page: PageId, selection: Selection) -> anyhow::Result<()> {
         let shape = self.waveform.shape();
-        if let Channel::Rx(rx) = look.channel
+        if let Channel::Rx(rx) = selection.channel
             && rx >= shape.rx
         {
             bail!("channel {rx}, expected 0 to {}", shape.rx.saturating_sub(1));
         }
-        if look.chirp.is_some_and(|chirp| chirp >= shape.chirps) {
+        if selection.chirp.is_some_and(|chirp| chirp >= shape.chirps) {
             bail!("no such chirp, expected 0 to {}", shape.chirps.saturating_sub(1));
         }
         if let Some(page) = lock(&self.pages).open.get_mut(&page) {
-            page.look = look;
+            page.selection = selection;
         }
-        self.call(|handover| handover.version += 1);
+        self.update(|handover| handover.version += 1);
         Ok(())
     }
 
-    /// Waits until there is a frame and a page wants a picture; `false` once closed.
+    /// Waits until there is a frame and a page needs a picture; `false` once closed.
     fn wait_for_pages(&self, mut has_frame: bool) -> bool {
         loop {
             let handover = lock(&self.handover);
@@ -194,13 +201,13 @@ impl Feed {
                 return false;
             }
             has_frame |= handover.newest.is_some();
-            let (version, calls) = (handover.version, handover.calls);
+            let (version, events) = (handover.version, handover.events);
             drop(handover);
-            if has_frame && lock(&self.pages).open.values().any(|page| page.wants(version)) {
+            if has_frame && lock(&self.pages).open.values().any(|page| page.is_due(version)) {
                 return true;
             }
             let handover = lock(&self.handover);
-            if handover.calls == calls {
+            if handover.events == events {
                 // Bounded wait, since a page may stay silent.
                 drop(self.wake.wait_timeout(handover, PATIENCE));
             }
@@ -209,9 +216,9 @@ impl Feed {
 
     /// Makes pictures until the feed is closed.
     pub fn serve(&self, partner: Option<Partner>) {
-        let mut painters = Painters::new(&self.waveform);
-        let mut mirrored: Option<(u64, Frame)> = None;
-        let mut newest: Option<Newest> = None;
+        let mut processors = MapProcessors::new(&self.waveform);
+        let mut simulated: Option<(u64, Frame)> = None;
+        let mut newest: Option<NewestFrame> = None;
         let mut history = History::default();
         let mut taken = History::default();
         // Number of answers that have entered the history.
@@ -229,33 +236,35 @@ impl Feed {
             answers += history.append(&mut taken);
             let Some(newest) = &newest else { continue };
             let pages = lock(&self.pages);
-            let wanting = pages.open.iter().filter(|(_, page)| page.wants(version));
-            let looks: Vec<(PageId, Look, u64)> = wanting.map(|(id, page)| (*id, page.look, page.told)).collect();
-            let shown: Vec<Look> = pages.open.values().map(|page| page.look).collect();
+            let due = pages.open.iter().filter(|(_, page)| page.is_due(version));
+            let selections: Vec<(PageId, Selection, u64)> =
+                due.map(|(id, page)| (*id, page.selection, page.sent_answers)).collect();
+            let shown: Vec<Selection> = pages.open.values().map(|page| page.selection).collect();
             drop(pages);
 
-            // From here on, only pages wait for the work.
-            painters.retain(&shown);
-            if let Some(partner) = partner.as_ref().filter(|_| looks.iter().any(|(_, look, _)| look.partner))
-                && mirrored.as_ref().is_none_or(|(sequence, _)| *sequence != newest.frame.sequence)
+            // From here on, no lock is held: only pages wait for this work.
+            processors.retain(&shown);
+            if let Some(partner) =
+                partner.as_ref().filter(|_| selections.iter().any(|(_, selection, _)| selection.partner))
+                && simulated.as_ref().is_none_or(|(sequence, _)| *sequence != newest.frame.sequence)
             {
-                mirrored = partner.frame(&newest.frame).map(|frame| (newest.frame.sequence, frame));
+                simulated = partner.frame(&newest.frame).map(|frame| (newest.frame.sequence, frame));
             }
-            let current = mirrored.as_ref().filter(|(sequence, _)| *sequence == newest.frame.sequence);
+            let current = simulated.as_ref().filter(|(sequence, _)| *sequence == newest.frame.sequence);
             let partner_frame = current.map(|(_, frame)| frame);
-            for (id, look, told) in looks {
-                let picture = painters.picture(newest, &look, partner_frame);
+            for (id, selection, sent_answers) in selections {
+                let picture = processors.picture(newest, &selection, partner_frame);
                 #[cfg(test)]
-                drop(self.hold_up.lock());
-                let Some(message) = picture.message(history.newest_rows(answers - told)) else { continue };
+                drop(self.message_lock.lock());
+                let Some(message) = picture.message(history.newest_rows(answers - sent_answers)) else { continue };
                 let mut pages = lock(&self.pages);
                 let Some(page) = pages.open.get_mut(&id) else { continue };
                 // A page whose earlier pictures still wait gets this one later. One that takes none stays open until the
                 // server drops it.
                 if page.sender.try_send(message).is_ok() {
                     page.version = version;
-                    page.told = answers;
-                    page.unseen += 1;
+                    page.sent_answers = answers;
+                    page.unacknowledged += 1;
                 }
                 page.sent_at = Instant::now();
             }
@@ -264,8 +273,8 @@ impl Feed {
 }
 
 impl PageState {
-    fn wants(&self, version: u64) -> bool {
-        self.version < version && (self.unseen < MOST_UNSEEN || self.sent_at.elapsed() > PATIENCE)
+    fn is_due(&self, version: u64) -> bool {
+        self.version < version && (self.unacknowledged < MOST_UNACKNOWLEDGED || self.sent_at.elapsed() > PATIENCE)
     }
 }
 
@@ -291,7 +300,7 @@ mod tests {
         let frame = Arc::new(Frame::zeroed(feed.waveform.shape()));
         for sequence in sequences {
             let answer = Answer { sequence, time_s: sequence as f64 * 0.1, ..Answer::default() };
-            feed.publish(&Moment { answer: &answer, frame: &frame, map: &map, health: &health });
+            feed.publish(&ClassifiedFrame { answer: &answer, frame: &frame, map: &map, health: &health });
         }
     }
 
@@ -324,7 +333,7 @@ mod tests {
 
         // The thread that writes messages is stopped within the message with the whole history.
         let (page, mut pictures) = feed.join();
-        let held = feed.hold_up.lock().expect("a lock");
+        let held = feed.message_lock.lock().expect("a lock");
         let of = feed.clone();
         let serving = thread::spawn(move || of.serve(None));
         let start = Instant::now();
@@ -339,7 +348,7 @@ mod tests {
         let rows = first["history"].as_array().expect("rows");
         assert_eq!((rows.len(), &rows[0][0]), (HISTORY, &json!(100)));
         // Answers that were given meanwhile come with the next picture, once.
-        feed.seen(page);
+        feed.acknowledge(page);
         let second = header(&pictures.blocking_recv().expect("a picture"));
         let rows = second["history"].as_array().expect("rows");
         assert_eq!((rows.len(), &rows[49][0]), (50, &json!(answers + 49)));
@@ -364,7 +373,7 @@ mod tests {
         let of = feed.clone();
         let serving = thread::spawn(move || of.serve(None));
         // One picture more than can wait.
-        let newest = MOST_UNSEEN as u64 + 1;
+        let newest = MOST_UNACKNOWLEDGED as u64 + 1;
         for sequence in 0..=newest {
             let published = Instant::now();
             publish(&feed, sequence..sequence + 1);
@@ -372,7 +381,7 @@ mod tests {
                 assert!(published.elapsed() < PATIENCE, "picture {sequence} is not made");
                 thread::sleep(Duration::from_millis(5));
             }
-            feed.seen(page);
+            feed.acknowledge(page);
         }
         let begun = Instant::now();
         let mut shown = None;

@@ -1,4 +1,4 @@
-//! Pictures: what pages show of a frame, as a message.
+//! Pictures: messages with the content that pages show of a frame.
 //!
 //! A picture is a message with the length of its header in four bytes, little-endian; the header in JSON; and the parts
 //! that it lists. Keys of the header:
@@ -29,7 +29,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::live::answer::Answer;
-use crate::live::sink::Moment;
+use crate::live::sink::ClassifiedFrame;
 
 /// Step of a cell's byte, dB.
 const STEP_DB: f32 = 0.5;
@@ -63,10 +63,10 @@ pub enum Removal {
     Mti,
 }
 
-/// Selection of a page: what its pictures show.
+/// Content that a page selects for its pictures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Look {
+pub struct Selection {
     #[serde(default)]
     pub channel: Channel,
     #[serde(default)]
@@ -79,38 +79,38 @@ pub struct Look {
     pub partner: bool,
 }
 
-/// Kind of a map.
+/// Channel and static-echo removal of a map.
 type Kind = (Channel, Removal);
 
-impl Look {
+impl Selection {
     fn kind(&self) -> Kind {
         (self.channel, self.removal)
     }
 }
 
 /// Newest frame with its answer and the counters of the run.
-pub struct Newest {
+pub struct NewestFrame {
     answer: Answer,
     pub frame: Arc<Frame>,
     network_map: Rdm,
     health: serde_json::Value,
 }
 
-impl Newest {
-    /// Copies what pictures show of a frame. `frames_per_s` is the rate of the frames that are shown.
-    pub fn of(moment: &Moment, frames_per_s: f64) -> Self {
-        Newest {
-            answer: moment.answer.clone(),
-            frame: moment.frame.clone(),
-            network_map: moment.map.clone(),
-            health: health(moment, frames_per_s),
+impl NewestFrame {
+    /// Copies the content of pictures from a frame. `frames_per_s` is the rate of the frames that are shown.
+    pub fn of(classified: &ClassifiedFrame, frames_per_s: f64) -> Self {
+        NewestFrame {
+            answer: classified.answer.clone(),
+            frame: classified.frame.clone(),
+            network_map: classified.map.clone(),
+            health: health(classified, frames_per_s),
         }
     }
 }
 
 /// Counters of the run, for the line at the top of the page.
-fn health(moment: &Moment, frames_per_s: f64) -> serde_json::Value {
-    let health = moment.health;
+fn health(classified: &ClassifiedFrame, frames_per_s: f64) -> serde_json::Value {
+    let health = classified.health;
     let dropped: BTreeMap<&str, u64> = health.dropped.iter().map(|(reason, frames)| (reason.name(), *frames)).collect();
     json!({
         "frames": health.frames,
@@ -125,69 +125,71 @@ fn health(moment: &Moment, frames_per_s: f64) -> serde_json::Value {
     })
 }
 
-/// Painters of all maps that pages show. Each map is computed once for all pages.
-pub struct Painters {
+/// Processors of all maps that pages show. Each map is computed once for all pages.
+pub struct MapProcessors {
     waveform: Waveform,
-    /// By whether it is the partner's map, and its kind.
-    painters: BTreeMap<(bool, Kind), Painter>,
+    /// Key: whether it is the partner's map, and its kind.
+    processors: BTreeMap<(bool, Kind), MapProcessor>,
 }
 
-impl Painters {
+impl MapProcessors {
     pub fn new(waveform: &Waveform) -> Self {
-        Painters { waveform: waveform.clone(), painters: BTreeMap::new() }
+        MapProcessors { waveform: waveform.clone(), processors: BTreeMap::new() }
     }
 
-    /// Removes the painters of maps that no page shows.
-    pub fn retain(&mut self, shown: &[Look]) {
-        self.painters.retain(|(_, kind), _| shown.iter().any(|look| look.kind() == *kind));
+    /// Removes the processors of maps that no page shows.
+    pub fn retain(&mut self, shown: &[Selection]) {
+        self.processors.retain(|(_, kind), _| shown.iter().any(|selection| selection.kind() == *kind));
     }
 
     /// Makes the picture of a page. `partner` is the simulated partner of the frame, if there is one.
-    pub fn picture(&mut self, newest: &Newest, look: &Look, partner: Option<&Frame>) -> Picture {
+    pub fn picture(&mut self, newest: &NewestFrame, selection: &Selection, partner: Option<&Frame>) -> Picture {
         let mut picture = Picture {
             header: json!({ "answer": newest.answer, "health": newest.health, "look": {
-                "channel": look.channel, "removal": look.removal,
+                "channel": selection.channel, "removal": selection.removal,
             } }),
             parts: Vec::new(),
         };
-        if look.channel == Channel::Network {
+        if selection.channel == Channel::Network {
             if newest.answer.warming_up.is_none() {
-                picture.map("map", "floor", &newest.network_map);
+                picture.add_map("map", "floor", &newest.network_map);
             }
         } else {
-            picture.painted("map", "floor", self.painter(false, look), &newest.frame);
+            picture.add_computed_map("map", "floor", self.processor(false, selection), &newest.frame);
         }
-        if let Some(frame) = partner.filter(|_| look.partner) {
+        if let Some(frame) = partner.filter(|_| selection.partner) {
             // The network's map may span several frames; the partner has only one.
-            picture.painted("partner", "partner_floor", self.painter(true, look), frame);
+            picture.add_computed_map("partner", "partner_floor", self.processor(true, selection), frame);
         }
-        if let Some(chirp) = look.chirp {
-            picture.chirps(&newest.frame, look.channel, chirp);
+        if let Some(chirp) = selection.chirp {
+            picture.add_chirps(&newest.frame, selection.channel, chirp);
         }
         picture
     }
 
-    /// Returns the painter of a kind of map; `None` if the frames have no such map.
-    fn painter(&mut self, is_partner: bool, look: &Look) -> Option<&mut Painter> {
-        match self.painters.entry((is_partner, look.kind())) {
+    /// Returns the processor of a kind of map; `None` if the frames have no such map.
+    fn processor(&mut self, is_partner: bool, selection: &Selection) -> Option<&mut MapProcessor> {
+        match self.processors.entry((is_partner, selection.kind())) {
             Entry::Occupied(entry) => Some(entry.into_mut()),
-            Entry::Vacant(entry) => Painter::new(look.kind(), &self.waveform).map(|painter| entry.insert(painter)),
+            Entry::Vacant(entry) => {
+                MapProcessor::new(selection.kind(), &self.waveform).map(|processor| entry.insert(processor))
+            }
         }
     }
 }
 
 /// Computes maps of one kind. The static-echo filter counts the frames that it receives, so frames that pages skip do
 /// not reset it.
-struct Painter {
+struct MapProcessor {
     processor: RdmProcessor,
     map: Rdm,
     samples: Vec<f32>,
     count: u64,
-    /// Frame that the map was computed from.
-    made_of: Option<(u64, u64)>,
+    /// Number and time of the frame that the map was computed from.
+    source_frame: Option<(u64, u64)>,
 }
 
-impl Painter {
+impl MapProcessor {
     fn new((channel, removal): Kind, waveform: &Waveform) -> Option<Self> {
         let channels = match channel {
             Channel::Rx(rx) => Channels::One(rx),
@@ -203,20 +205,21 @@ impl Painter {
             .inspect_err(|error| tracing::warn!("the page has no map: {error}"))
             .ok()?;
         let map = processor.empty_map();
-        Some(Painter { processor, map, samples: Vec::new(), count: 0, made_of: None })
+        Some(MapProcessor { processor, map, samples: Vec::new(), count: 0, source_frame: None })
     }
 
-    fn paint(&mut self, frame: &Frame) -> Option<&Rdm> {
-        let of = (frame.sequence, frame.time_ns);
-        if self.made_of != Some(of) {
-            if self.made_of.is_some_and(|(sequence, _)| frame.sequence < sequence) {
+    /// Returns the map of a frame, computed once per frame; `None` while the filter warms up.
+    fn compute(&mut self, frame: &Frame) -> Option<&Rdm> {
+        let id = (frame.sequence, frame.time_ns);
+        if self.source_frame != Some(id) {
+            if self.source_frame.is_some_and(|(sequence, _)| frame.sequence < sequence) {
                 self.processor.reset();
             }
             self.samples.clear();
             self.samples.extend(frame.codes.iter().map(|code| f32::from(*code) * (1.0 / 2048.0) - 1.0));
             self.count += 1;
             match self.processor.process_samples(self.count, &self.samples, &mut self.map) {
-                Ok(MapStatus::Ready) => self.made_of = Some(of),
+                Ok(MapStatus::Ready) => self.source_frame = Some(id),
                 Ok(MapStatus::WarmingUp { .. }) | Err(_) => return None,
             }
         }
@@ -231,14 +234,20 @@ pub struct Picture {
 }
 
 impl Picture {
-    fn painted(&mut self, name: &'static str, floor: &'static str, painter: Option<&mut Painter>, frame: &Frame) {
-        if let Some(map) = painter.and_then(|painter| painter.paint(frame)) {
-            self.map(name, floor, map);
+    fn add_computed_map(
+        &mut self,
+        name: &'static str,
+        floor: &'static str,
+        processor: Option<&mut MapProcessor>,
+        frame: &Frame,
+    ) {
+        if let Some(map) = processor.and_then(|processor| processor.compute(frame)) {
+            self.add_map(name, floor, map);
         }
     }
 
     /// Adds the first channel of a map, and its noise floor.
-    fn map(&mut self, name: &'static str, floor: &'static str, map: &Rdm) {
+    fn add_map(&mut self, name: &'static str, floor: &'static str, map: &Rdm) {
         let cells = map.db.get(..map.shape.doppler * map.shape.range).unwrap_or(&[]);
         let finite = || cells.iter().copied().filter(|v| v.is_finite());
         let (low, high) = finite().fold((f32::MAX, f32::MIN), |(low, high), v| (low.min(v), high.max(v)));
@@ -261,7 +270,8 @@ impl Picture {
         self.parts.push((floor, floor_db.iter().flat_map(|v| v.to_le_bytes()).collect()));
     }
 
-    fn chirps(&mut self, frame: &Frame, channel: Channel, chirp: usize) {
+    /// Adds a chirp of a receiver with the envelope of all its chirps.
+    fn add_chirps(&mut self, frame: &Frame, channel: Channel, chirp: usize) {
         let rx = if let Channel::Rx(rx) = channel { rx } else { 0 };
         let samples = frame.shape.samples;
         let (mut least, mut most) = (vec![u16::MAX; samples], vec![0u16; samples]);
@@ -272,8 +282,8 @@ impl Picture {
             }
         }
         let clipped = |rx: usize| {
-            let of = (0..frame.shape.chirps).flat_map(|chirp| frame.chirp(rx, chirp));
-            of.filter(|code| **code == 0 || **code >= MAX_CODE).count()
+            let codes = (0..frame.shape.chirps).flat_map(|chirp| frame.chirp(rx, chirp));
+            codes.filter(|code| **code == 0 || **code >= MAX_CODE).count()
         };
         let clipped: Vec<usize> = (0..frame.shape.rx).map(clipped).collect();
         self.header["chirps"] = json!({ "rx": rx, "chirp": chirp, "samples": samples, "clipped_by_rx": clipped });
@@ -302,7 +312,7 @@ mod tests {
     use radome_dsp::detect::LEAKAGE_BINS;
 
     #[test]
-    fn the_page_seeks_echoes_in_the_bins_of_the_detector() {
+    fn the_page_searches_echoes_in_the_bins_of_the_detector() {
         let script = include_str!("page/plot.js");
         assert!(script.contains(&format!("LEAKAGE_BINS = {LEAKAGE_BINS};")));
     }

@@ -40,7 +40,7 @@ const SLOWEST_SEND: Duration = Duration::from_secs(10);
 /// Interval at which changes besides pictures are sent to a page.
 const TICK: Duration = Duration::from_millis(100);
 /// Longest wait for pages at the end of a run.
-const FAREWELL: Duration = Duration::from_secs(1);
+const CLOSING_WAIT: Duration = Duration::from_secs(1);
 
 const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
@@ -61,9 +61,9 @@ const FILES: [(&str, &str, &str); 12] = [
     ("health.js", JS, include_str!("page/health.js")),
 ];
 
-/// Waits a short time for pages to receive the end of the run and disconnect.
-pub fn wait_for_farewells(shared: &Shared) {
-    let end = Instant::now() + FAREWELL;
+/// Waits for pages to receive the end of the run and disconnect, at most [`CLOSING_WAIT`].
+pub fn wait_for_disconnections(shared: &Shared) {
+    let end = Instant::now() + CLOSING_WAIT;
     while shared.feed.pages() > 0 && Instant::now() < end {
         std::thread::sleep(Duration::from_millis(20));
     }
@@ -98,7 +98,7 @@ async fn guard(
         Ok(admitted) => {
             client.admit();
             match admitted {
-                Admitted::ByLink => shared.policy.access.logged_in(),
+                Admitted::ByLink => shared.policy.access.login_response(),
                 Admitted::Reader => next.run(request).await,
                 Admitted::Writer => {
                     shared.policy.count(Refusal::Method);
@@ -110,7 +110,7 @@ async fn guard(
             shared.policy.count(refusal.into());
             // The body is freed before the delayed response.
             drop(request);
-            refusal.answer().await
+            refusal.response().await
         }
     };
     if response.status() == StatusCode::NOT_FOUND {
@@ -180,8 +180,8 @@ async fn named(Path(name): Path<String>, State(shared): State<Arc<Shared>>) -> R
 }
 
 async fn health(State(shared): State<Arc<Shared>>) -> Response {
-    let told = json!({ "pages": shared.feed.pages(), "refused": shared.policy.refused() });
-    ([(header::CONTENT_TYPE, "application/json")], told.to_string()).into_response()
+    let counters = json!({ "pages": shared.feed.pages(), "refused": shared.policy.refused() });
+    ([(header::CONTENT_TYPE, "application/json")], counters.to_string()).into_response()
 }
 
 async fn stream(upgrade: WebSocketUpgrade, State(shared): State<Arc<Shared>>) -> Response {
@@ -194,7 +194,7 @@ async fn stream(upgrade: WebSocketUpgrade, State(shared): State<Arc<Shared>>) ->
     let upgrade = upgrade.max_message_size(LONGEST_MESSAGE).max_frame_size(LONGEST_MESSAGE);
     upgrade.on_upgrade(move |socket| async move {
         let (page, pictures) = shared.feed.join();
-        converse(socket, &shared, page, pictures).await;
+        run_connection(socket, &shared, page, pictures).await;
         shared.feed.leave(page);
         drop(permit);
     })
@@ -202,50 +202,52 @@ async fn stream(upgrade: WebSocketUpgrade, State(shared): State<Arc<Shared>>) ->
 
 /// State that was sent to a page, besides pictures.
 #[derive(Default)]
-struct Told {
+struct SentState {
     labels: Option<u64>,
     playback: Option<radome_driver::player::Playback>,
     refused: Option<serde_json::Value>,
 }
 
 /// Exchanges messages until the page disconnects, is dropped, or the run is over.
-async fn converse(socket: WebSocket, shared: &Shared, page: PageId, mut pictures: mpsc::Receiver<Bytes>) {
+async fn run_connection(socket: WebSocket, shared: &Shared, page: PageId, mut pictures: mpsc::Receiver<Bytes>) {
     let now = Instant::now();
-    let (told, heard, pinged, second) = (Told::default(), now, now, now);
-    let mut page = Visitor { socket, shared, page, told, heard, pinged, second, messages: 0, malformed: 0 };
+    let (sent, last_message, last_ping, second_start) = (SentState::default(), now, now, now);
+    let mut page =
+        Connection { socket, shared, page, sent, last_message, last_ping, second_start, messages: 0, malformed: 0 };
     let mut tick = tokio::time::interval(TICK);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let mut stays = say(&mut page.socket, shared.about.hello()).await;
-    while stays {
-        stays = tokio::select! {
-            said = page.socket.recv() => page.hear(said).await,
+    let mut is_connected = send_json(&mut page.socket, shared.about.hello()).await;
+    while is_connected {
+        is_connected = tokio::select! {
+            received = page.socket.recv() => page.handle_received(received).await,
             picture = pictures.recv() => match picture {
                 Some(picture) => send(&mut page.socket, Message::Binary(picture)).await,
                 None => false,
             },
-            _ = tick.tick() => page.look_after().await,
+            _ = tick.tick() => page.send_updates().await,
         };
     }
 }
 
 /// Connected page. Its methods return whether it stays connected.
-struct Visitor<'a> {
+struct Connection<'a> {
     socket: WebSocket,
     shared: &'a Shared,
     page: PageId,
-    told: Told,
-    /// Times of its last complete message and of the last ping.
-    heard: Instant,
-    pinged: Instant,
+    sent: SentState,
+    /// Time of the page's last complete message.
+    last_message: Instant,
+    last_ping: Instant,
     /// Start of the second in which `messages` are counted.
-    second: Instant,
+    second_start: Instant,
     messages: u32,
     malformed: u32,
 }
 
-impl Visitor<'_> {
-    async fn hear(&mut self, said: Option<Result<Message, axum::Error>>) -> bool {
-        match said {
+impl Connection<'_> {
+    /// Handles a message, or the end of the connection.
+    async fn handle_received(&mut self, received: Option<Result<Message, axum::Error>>) -> bool {
+        match received {
             None | Some(Ok(Message::Close(_))) => false,
             Some(Err(error)) => {
                 let is_size = std::error::Error::source(&error).is_some_and(|e| e.to_string().contains("too long"))
@@ -254,93 +256,93 @@ impl Visitor<'_> {
                 false
             }
             Some(Ok(message)) => {
-                self.heard = Instant::now();
-                matches!(message, Message::Ping(_) | Message::Pong(_)) || self.obey(&message).await
+                self.last_message = Instant::now();
+                matches!(message, Message::Ping(_) | Message::Pong(_)) || self.handle_request(&message).await
             }
         }
     }
 
     /// Executes the request in a message, unless there are too many.
-    async fn obey(&mut self, message: &Message) -> bool {
-        if self.second.elapsed() >= Duration::from_secs(1) {
-            (self.second, self.messages) = (Instant::now(), 0);
+    async fn handle_request(&mut self, message: &Message) -> bool {
+        if self.second_start.elapsed() >= Duration::from_secs(1) {
+            (self.second_start, self.messages) = (Instant::now(), 0);
         }
         self.messages += 1;
         if self.messages > MOST_MESSAGES {
             self.shared.policy.count(Refusal::Flood);
-            return throw_out(&mut self.socket, "too many messages").await;
+            return close(&mut self.socket, "too many messages").await;
         }
-        let obeyed = match message {
+        let result = match message {
             Message::Text(text) => control::handle(self.shared, self.page, text.as_str()),
             _ => Err(anyhow::anyhow!("this is no message of the page")),
         };
-        let Err(error) = obeyed else { return true };
+        let Err(error) = result else { return true };
         if error.downcast_ref::<serde_json::Error>().is_some() || matches!(message, Message::Binary(_)) {
             self.shared.policy.count(Refusal::Message);
             self.malformed += 1;
             if self.malformed > MOST_MALFORMED {
-                return throw_out(&mut self.socket, "too many malformed messages").await;
+                return close(&mut self.socket, "too many malformed messages").await;
             }
         }
-        say(&mut self.socket, json!({ "refused": crate::output::chain(&error) })).await
+        send_json(&mut self.socket, json!({ "refused": crate::output::chain(&error) })).await
     }
 
     /// Sends changes and pings; drops a silent page, and sends the summary at the end of the run.
-    async fn look_after(&mut self) -> bool {
-        if !news(&mut self.socket, self.shared, &mut self.told).await {
+    async fn send_updates(&mut self) -> bool {
+        if !send_changes(&mut self.socket, self.shared, &mut self.sent).await {
             return false;
         }
-        let over = lock(&self.shared.over).clone();
-        if let Some(over) = over {
-            say(&mut self.socket, over).await;
-            return throw_out(&mut self.socket, "the run is over").await;
+        let summary = lock(&self.shared.summary).clone();
+        if let Some(summary) = summary {
+            send_json(&mut self.socket, summary).await;
+            return close(&mut self.socket, "the run is over").await;
         }
-        if self.heard.elapsed() > SILENCE {
+        if self.last_message.elapsed() > SILENCE {
             return false;
         }
-        if self.pinged.elapsed() <= PING {
+        if self.last_ping.elapsed() <= PING {
             return true;
         }
-        self.pinged = Instant::now();
+        self.last_ping = Instant::now();
         send(&mut self.socket, Message::Ping(Bytes::new())).await
     }
 }
 
-/// Sends changes besides pictures.
-async fn news(socket: &mut WebSocket, shared: &Shared, told: &mut Told) -> bool {
-    let labels = shared.labels.told_count();
-    if told.labels != Some(labels) {
-        told.labels = Some(labels);
-        if !say(socket, shared.labels.told()).await {
+/// Sends changes of labels, playback and refusals.
+async fn send_changes(socket: &mut WebSocket, shared: &Shared, sent: &mut SentState) -> bool {
+    let labels = shared.labels.version();
+    if sent.labels != Some(labels) {
+        sent.labels = Some(labels);
+        if !send_json(socket, shared.labels.message()).await {
             return false;
         }
     }
     if let Some(playback) = &shared.about.playback {
         let playback = playback.transport.playback();
         // Pictures report the playback position, unless the playback is paused.
-        let is_news = told.playback.is_none_or(|told| {
-            (told.playing, told.speed, told.at_end) != (playback.playing, playback.speed, playback.at_end)
+        let has_changed = sent.playback.is_none_or(|sent| {
+            (sent.playing, sent.speed, sent.at_end) != (playback.playing, playback.speed, playback.at_end)
         });
-        if is_news {
-            told.playback = Some(playback);
+        if has_changed {
+            sent.playback = Some(playback);
             let playback = json!({ "playing": playback.playing, "speed": playback.speed, "at_end": playback.at_end });
-            if !say(socket, json!({ "playback": playback })).await {
+            if !send_json(socket, json!({ "playback": playback })).await {
                 return false;
             }
         }
     }
     let refused = shared.policy.refused();
-    if told.refused.as_ref() != Some(&refused) {
+    if sent.refused.as_ref() != Some(&refused) {
         let pages = shared.feed.pages();
-        if !say(socket, json!({ "access": { "refused": refused, "pages": pages } })).await {
+        if !send_json(socket, json!({ "access": { "refused": refused, "pages": pages } })).await {
             return false;
         }
-        told.refused = Some(refused);
+        sent.refused = Some(refused);
     }
     true
 }
 
-async fn say(socket: &mut WebSocket, value: serde_json::Value) -> bool {
+async fn send_json(socket: &mut WebSocket, value: serde_json::Value) -> bool {
     send(socket, Message::Text(value.to_string().into())).await
 }
 
@@ -349,8 +351,8 @@ async fn send(socket: &mut WebSocket, message: Message) -> bool {
     matches!(tokio::time::timeout(SLOWEST_SEND, socket.send(message)).await, Ok(Ok(())))
 }
 
-/// Closes the connection; always returns `false`: the page does not stay.
-async fn throw_out(socket: &mut WebSocket, why: &'static str) -> bool {
+/// Closes the connection. Always returns `false`: the page is no longer connected.
+async fn close(socket: &mut WebSocket, why: &'static str) -> bool {
     send(socket, Message::Close(Some(CloseFrame { code: 1008, reason: why.into() }))).await;
     false
 }

@@ -7,7 +7,7 @@ use radome_dsp::Waveform;
 use serde_json::json;
 
 use super::feed::Feed;
-use super::labels::Keeper;
+use super::label_store::LabelStore;
 use super::policy::Policy;
 use crate::source::Playback;
 
@@ -58,10 +58,10 @@ impl About {
 pub struct Shared {
     pub about: About,
     pub feed: Feed,
-    pub labels: Keeper,
+    pub labels: LabelStore,
     pub policy: Policy,
     /// Summary of the run, once it is over.
-    pub over: Mutex<Option<serde_json::Value>>,
+    pub summary: Mutex<Option<serde_json::Value>>,
 }
 
 #[cfg(test)]
@@ -72,7 +72,7 @@ mod tests {
 
     /// Regression test: the time axis of the chirps was that of the requested rate, which the chip rounds.
     #[test]
-    fn pages_are_told_the_realised_sample_interval() {
+    fn pages_receive_the_realised_sample_interval() {
         let request = WaveformRequest { sample_rate_hz: 0.99e6, ..WaveformRequest::paper() };
         let about = About {
             description: String::new(),

@@ -15,14 +15,14 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::frames::Frames;
-use crate::judge::Model;
+use super::feature_reader::FeatureReader;
+use crate::classifier::Model;
 use crate::{files, output};
 
 const FORMAT: u32 = 1;
 /// Time between the adaptation intervals and the test intervals, s. It is long enough for all people to have left in
 /// between.
-const APART_S: f64 = 60.0;
+const GAP_S: f64 = 60.0;
 /// Longest time in the file, s.
 const LONGEST_S: f64 = 86_400.0;
 /// Longest time of the empty room that is used to adapt with empty frames only, minutes.
@@ -107,146 +107,153 @@ struct Curve {
 /// The file of rooms or a scene cannot be read, or the model does not take their waveform.
 pub fn run(model: Model, adapter: &Adapter, path: &Path, json: bool) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    let file: RoomsFile = files::toml(path, "list of rooms")?;
+    let file: RoomsFile = files::read_toml(path, "list of rooms")?;
     file.check().with_context(|| path.display().to_string())?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let bar = output::progress(file.room.len() as u64, "rooms");
-    let mut frames = Frames::new(model, adapter, None);
+    let mut reader = FeatureReader::new(model, adapter, None);
     let mut rooms = Vec::with_capacity(file.room.len());
-    for of in &file.room {
-        bar.set_message(of.name.clone());
-        rooms.push(simulate(&mut frames, &file, folder, of).with_context(|| format!("room {}", of.name))?);
+    for room_file in &file.room {
+        bar.set_message(room_file.name.clone());
+        rooms
+            .push(simulate(&mut reader, &file, folder, room_file).with_context(|| format!("room {}", room_file.name))?);
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let curves = rooms.iter().map(|room| curve(adapter, &file, &rooms, room)).collect::<anyhow::Result<Vec<_>>>()?;
+    let curves =
+        rooms.iter().map(|room| measure_curve(adapter, &file, &rooms, room)).collect::<anyhow::Result<Vec<_>>>()?;
     if json {
-        return output::json_line(&json!({ "minutes": file.minutes, "curves": curves, "mean": mean(&curves) }));
+        return output::json_line(&json!({ "minutes": file.minutes, "curves": curves, "mean": mean_curve(&curves) }));
     }
     print(&file.minutes, &curves)
 }
 
-fn simulate(frames: &mut Frames, file: &RoomsFile, folder: &Path, of: &RoomFile) -> anyhow::Result<Room> {
-    let named = named_by_spec(folder, &of.scene).with_context(|| format!("cannot read {}", of.scene.display()))?;
-    let scene = Scene::load(&named)?;
+fn simulate(reader: &mut FeatureReader, file: &RoomsFile, folder: &Path, room_file: &RoomFile) -> anyhow::Result<Room> {
+    let scene_path = named_by_spec(folder, &room_file.scene)
+        .with_context(|| format!("cannot read {}", room_file.scene.display()))?;
+    let scene = Scene::load(&scene_path)?;
     let interval_s = scene.waveform().frame_interval_s();
     let count = |seconds: f64| ((seconds / interval_s).round() as u64).max(1);
     let (labelled, recording, test) = (count(file.labelled_s()), count(file.recording_s), count(file.test_s));
     let mut training: [Vec<AdaptRecording>; CLASSES] = Default::default();
     let mut tests = Vec::new();
     for (people, training) in training.iter_mut().enumerate() {
-        let options = SimulateOptions { seed: of.seed, people: Some(people), ..SimulateOptions::default() };
+        let options = SimulateOptions { seed: room_file.seed, people: Some(people), ..SimulateOptions::default() };
         // Features are computed on this thread. On the shared thread pool they would queue behind the next frames.
         let mut simulator = Simulator::new(&scene, options)?.on_own_threads()?;
         // No two intervals cover the same time, since people would move in both alike.
-        let first = people as u64 * labelled;
-        let mut at = first;
-        while at < first + labelled {
-            let length = recording.min(first + labelled - at);
-            simulator.seek(at);
-            training.push(stretch(frames, &mut simulator, length)?);
-            at += length;
+        let start = people as u64 * labelled;
+        let mut position = start;
+        while position < start + labelled {
+            let length = recording.min(start + labelled - position);
+            simulator.seek(position);
+            training.push(read_recording(reader, &mut simulator, length)?);
+            position += length;
         }
-        simulator.seek(CLASSES as u64 * labelled + count(APART_S) + people as u64 * test);
-        tests.push(stretch(frames, &mut simulator, test)?);
+        simulator.seek(CLASSES as u64 * labelled + count(GAP_S) + people as u64 * test);
+        tests.push(read_recording(reader, &mut simulator, test)?);
     }
-    Ok(Room { name: of.name.clone(), training, test: tests })
+    Ok(Room { name: room_file.name.clone(), training, test: tests })
 }
 
 /// Reads the next frames of a simulation as a recording.
-fn stretch(frames: &mut Frames, simulator: &mut Simulator, length: u64) -> anyhow::Result<AdaptRecording> {
+fn read_recording(
+    reader: &mut FeatureReader,
+    simulator: &mut Simulator,
+    length: u64,
+) -> anyhow::Result<AdaptRecording> {
     let waveform = simulator.waveform().clone();
-    let mut left = length;
+    let mut remaining = length;
     let next = |frame: &mut Frame| {
         ensure!(!output::interrupted(), "interrupted");
-        if left == 0 {
+        if remaining == 0 {
             return Ok(SourceEvent::End);
         }
-        left -= 1;
+        remaining -= 1;
         simulator.next_frame(frame).map_err(anyhow::Error::from_boxed)
     };
     let truth = |frame: &Frame| frame.truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy);
-    frames.read(&waveform, next, truth)
+    reader.read(&waveform, next, truth)
 }
 
-/// Takes the first seconds of the recordings.
-fn first(recordings: &[AdaptRecording], seconds: f64) -> Vec<AdaptRecording> {
-    let mut left_s = seconds;
+/// Copies the first seconds of the recordings.
+fn first_seconds(recordings: &[AdaptRecording], seconds: f64) -> Vec<AdaptRecording> {
+    let mut remaining_s = seconds;
     let mut all = Vec::new();
     for recording in recordings {
-        let count = (left_s / recording.frame_interval_s).round().max(0.0) as usize;
+        let count = (remaining_s / recording.frame_interval_s).round().max(0.0) as usize;
         let frames: Vec<_> = recording.frames.iter().take(count).cloned().collect();
         if frames.is_empty() {
             break;
         }
-        left_s -= frames.len() as f64 * recording.frame_interval_s;
+        remaining_s -= frames.len() as f64 * recording.frame_interval_s;
         all.push(AdaptRecording { frame_interval_s: recording.frame_interval_s, frames });
     }
     all
 }
 
-fn curve(adapter: &Adapter, file: &RoomsFile, rooms: &[Room], room: &Room) -> anyhow::Result<Curve> {
+fn measure_curve(adapter: &Adapter, file: &RoomsFile, rooms: &[Room], room: &Room) -> anyhow::Result<Curve> {
     let others = rooms.iter().filter(|other| other.name != room.name);
     let others: Vec<AdaptRecording> = others.flat_map(|other| other.test.iter().cloned()).collect();
     let point = |recordings: Option<Vec<AdaptRecording>>| -> anyhow::Result<Point> {
         let fit = recordings.map(|recordings| adapter.fit(&recordings)).transpose()?;
-        let of = |test: &[AdaptRecording]| adapter.scores(fit.as_ref(), test);
-        let others = if others.is_empty() { None } else { Some(of(&others)?) };
-        Ok(Point { room: of(&room.test)?, others })
+        let scores = |test: &[AdaptRecording]| adapter.scores(fit.as_ref(), test);
+        let others = if others.is_empty() { None } else { Some(scores(&others)?) };
+        Ok(Point { room: scores(&room.test)?, others })
     };
     let labelled = |minutes: &f64| {
-        let of_class = |training: &Vec<AdaptRecording>| first(training, 60.0 * minutes / CLASSES as f64);
+        let of_class = |training: &Vec<AdaptRecording>| first_seconds(training, 60.0 * minutes / CLASSES as f64);
         point(Some(room.training.iter().flat_map(of_class).collect()))
     };
     Ok(Curve {
         room: room.name.clone(),
         before: point(None)?,
-        empty: point(Some(first(&room.training[0], 60.0 * EMPTY_MINUTES)))?,
+        empty: point(Some(first_seconds(&room.training[0], 60.0 * EMPTY_MINUTES)))?,
         labelled: file.minutes.iter().map(labelled).collect::<anyhow::Result<_>>()?,
     })
 }
 
 /// Averages over rooms.
-fn mean(curves: &[Curve]) -> Curve {
-    let of = |point: &dyn Fn(&Curve) -> Option<Scores>| -> Option<Scores> {
+fn mean_curve(curves: &[Curve]) -> Curve {
+    let mean_scores = |point: &dyn Fn(&Curve) -> Option<Scores>| -> Option<Scores> {
         let all: Vec<Scores> = curves.iter().filter_map(point).collect();
-        let mean = |of: fn(&Scores) -> f64| all.iter().map(of).sum::<f64>() / all.len() as f64;
+        let mean = |value: fn(&Scores) -> f64| all.iter().map(value).sum::<f64>() / all.len() as f64;
         let scores = Scores { by_frame: mean(|scores| scores.by_frame), filtered: mean(|scores| scores.filtered) };
         (!all.is_empty()).then_some(scores)
     };
     let none = Scores { by_frame: f64::NAN, filtered: f64::NAN };
-    let point = |at: &dyn Fn(&Curve) -> Option<Point>| Point {
-        room: of(&|curve| at(curve).map(|point| point.room)).unwrap_or(none),
-        others: of(&|curve| at(curve).and_then(|point| point.others)),
+    let mean_point = |select: &dyn Fn(&Curve) -> Option<Point>| Point {
+        room: mean_scores(&|curve| select(curve).map(|point| point.room)).unwrap_or(none),
+        others: mean_scores(&|curve| select(curve).and_then(|point| point.others)),
     };
     let count = curves.iter().map(|curve| curve.labelled.len()).min().unwrap_or(0);
     Curve {
         room: "mean".to_owned(),
-        before: point(&|curve| Some(curve.before)),
-        empty: point(&|curve| Some(curve.empty)),
-        labelled: (0..count).map(|index| point(&|curve| curve.labelled.get(index).copied())).collect(),
+        before: mean_point(&|curve| Some(curve.before)),
+        empty: mean_point(&|curve| Some(curve.empty)),
+        labelled: (0..count).map(|index| mean_point(&|curve| curve.labelled.get(index).copied())).collect(),
     }
 }
 
 fn print(minutes: &[f64], curves: &[Curve]) -> anyhow::Result<()> {
     message!("balanced accuracy by frame / filtered, on other recordings of the room, by minutes of labels");
-    let said = |scores: Option<Scores>| {
+    let scores_text = |scores: Option<Scores>| {
         scores.map_or("-".to_owned(), |scores| format!("{:.2}/{:.2}", scores.by_frame, scores.filtered))
     };
     let line = |name: &str, cells: Vec<String>| {
         let cells: String = cells.iter().map(|cell| format!(" {cell:>9}")).collect();
         output::text_line(&format!("{name:<12}{cells}"))
     };
-    let head = ["0".to_owned(), "empty 1".to_owned()].into_iter().chain(minutes.iter().map(f64::to_string));
-    line("room", head.collect())?;
+    let heading = ["0".to_owned(), "empty 1".to_owned()].into_iter().chain(minutes.iter().map(f64::to_string));
+    line("room", heading.collect())?;
     let points = |curve: &Curve| {
         [curve.before, curve.empty].into_iter().chain(curve.labelled.iter().copied()).collect::<Vec<Point>>()
     };
-    let mean = mean(curves);
+    let mean = mean_curve(curves);
     for curve in curves.iter().chain([&mean]) {
-        line(&curve.room, points(curve).iter().map(|point| said(Some(point.room))).collect())?;
+        line(&curve.room, points(curve).iter().map(|point| scores_text(Some(point.room))).collect())?;
     }
-    line("other rooms", points(&mean).iter().map(|point| said(point.others)).collect())
+    line("other rooms", points(&mean).iter().map(|point| scores_text(point.others)).collect())
 }
 
 #[cfg(test)]
@@ -278,7 +285,7 @@ mod tests {
             AdaptRecording { frame_interval_s: 0.1, frames: (0..count).map(frame).collect() }
         };
         let lengths = |seconds: f64| -> Vec<usize> {
-            first(&[frames(100), frames(100), frames(100)], seconds)
+            first_seconds(&[frames(100), frames(100), frames(100)], seconds)
                 .iter()
                 .map(|recording| recording.frames.len())
                 .collect()

@@ -10,7 +10,7 @@ use radome_models::{Classifier, Metrics};
 use serde::Serialize;
 
 use super::labelled::LabelledRecording;
-use crate::judge::{CFAR, Model, Prediction};
+use crate::classifier::{CFAR, Model, Prediction};
 use crate::output::{self, or_dash};
 
 /// Scores of single maps with one part replaced.
@@ -29,7 +29,7 @@ pub struct Row {
 ///
 /// # Errors
 /// A recording cannot be read, or the model does not take its waveform.
-pub fn on_recordings(
+pub fn ablate_recordings(
     mut model: Model,
     recordings: &[&LabelledRecording],
     max_range_m: Option<f64>,
@@ -41,25 +41,26 @@ pub fn on_recordings(
         let path = &recording.path;
         let mut source = Recording::open(path)?;
         let mut frame = Frame::zeroed(source.waveform().shape());
-        let mut judge = model.judge(source.waveform(), max_range_m).with_context(|| path.display().to_string())?;
+        let mut frame_classifier =
+            model.for_waveform(source.waveform(), max_range_m).with_context(|| path.display().to_string())?;
         loop {
             match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
                 SourceEvent::End => break,
-                SourceEvent::Gap(_) => judge.reset(),
+                SourceEvent::Gap(_) => frame_classifier.reset(),
                 SourceEvent::Frame => {
-                    let prediction = judge.frame(&frame)?;
+                    let prediction = frame_classifier.classify(&frame)?;
                     if let (Prediction::Probabilities(_), Some(label)) =
                         (prediction, recording.truth(&frame, source.waveform()))
                     {
-                        let map = judge.map().clone();
-                        if let Some(classifier) = judge.classifier() {
-                            scores.add(&map, label, |map| classifier.classify(map))?;
+                        let map = frame_classifier.map().clone();
+                        if let Some(network) = frame_classifier.network() {
+                            scores.add(&map, label, |map| network.classify(map))?;
                         }
                     }
                 }
             }
         }
-        model = judge.into_model();
+        model = frame_classifier.into_model();
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -70,7 +71,7 @@ pub fn on_recordings(
 ///
 /// # Errors
 /// A map cannot be read, or the network fails.
-pub fn on_dataset(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize]) -> anyhow::Result<Vec<Row>> {
+pub fn ablate_dataset(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize]) -> anyhow::Result<Vec<Row>> {
     Ok(rows(&ablate(classifier, dataset, indices)?))
 }
 

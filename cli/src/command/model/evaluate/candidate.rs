@@ -9,7 +9,7 @@ use radome_models::occupancy_filter::OccupancyFilter;
 use radome_models::train::FilterSequence;
 use serde::Serialize;
 
-use crate::judge::{Judge, Model, Prediction};
+use crate::classifier::{FrameClassifier, Model, Prediction};
 use crate::output;
 
 /// Model that predicts one recording after another.
@@ -35,7 +35,7 @@ impl Candidate {
     /// Takes the model out.
     ///
     /// # Errors
-    /// If it has to be opened again and cannot be.
+    /// It has to be opened again and cannot be.
     pub fn take(&mut self) -> anyhow::Result<Model> {
         match self.model.take() {
             Some(model) => Ok(model),
@@ -50,28 +50,28 @@ impl Candidate {
     /// Starts the model on the frames of a recording.
     ///
     /// # Errors
-    /// If the model refuses the waveform. It can judge other recordings afterwards.
-    pub fn start(&mut self, waveform: &Waveform) -> anyhow::Result<Run> {
+    /// The model refuses the waveform. It can classify other recordings afterwards.
+    pub fn start_run(&mut self, waveform: &Waveform) -> anyhow::Result<Run> {
         let model = self.take()?;
         let filter = OccupancyFilter::new(model.smoothing(), waveform.frame_interval_s());
-        let judge = model.judge(waveform, self.max_range_m)?;
+        let classifier = model.for_waveform(waveform, self.max_range_m)?;
         let frame_interval_s = waveform.frame_interval_s();
         Ok(Run {
-            judge,
+            classifier,
             filter,
-            predictions: Predictions { filtered: Vec::new(), alone: Vec::new(), frame_interval_s },
+            predictions: Predictions { filtered: Vec::new(), single_frames: Vec::new(), frame_interval_s },
         })
     }
 
-    pub fn end(&mut self, run: Run) -> Predictions {
-        self.model = Some(run.judge.into_model());
+    pub fn end_run(&mut self, run: Run) -> Predictions {
+        self.model = Some(run.classifier.into_model());
         run.predictions
     }
 }
 
 /// Model running on a recording.
 pub struct Run {
-    judge: Judge,
+    classifier: FrameClassifier,
     filter: OccupancyFilter,
     predictions: Predictions,
 }
@@ -80,28 +80,33 @@ impl Run {
     /// Predicts the next frame, whose label is `truth`.
     ///
     /// # Errors
-    /// If the model cannot judge it.
-    pub fn frame(&mut self, frame: &Frame, truth: Option<Occupancy>) -> anyhow::Result<()> {
-        self.changed_frame(frame, frame, truth)
+    /// The model cannot classify it.
+    pub fn predict(&mut self, frame: &Frame, truth: Option<Occupancy>) -> anyhow::Result<()> {
+        self.predict_changed(frame, frame, truth)
     }
 
-    /// Predicts the next frame with other codes than it was `received` with ([`Judge::changed_frame`]).
+    /// Predicts the next frame with other codes than it was `received` with ([`FrameClassifier::classify_changed`]).
     ///
     /// # Errors
-    /// If the model cannot judge it.
-    pub fn changed_frame(&mut self, received: &Frame, changed: &Frame, truth: Option<Occupancy>) -> anyhow::Result<()> {
-        if let Prediction::Probabilities(alone) = self.judge.changed_frame(received, changed)? {
+    /// The model cannot classify it.
+    pub fn predict_changed(
+        &mut self,
+        received: &Frame,
+        changed: &Frame,
+        truth: Option<Occupancy>,
+    ) -> anyhow::Result<()> {
+        if let Prediction::Probabilities(probabilities) = self.classifier.classify_changed(received, changed)? {
             let time_s = received.time_s();
-            let filtered = self.filter.update(time_s, alone);
+            let filtered = self.filter.update(time_s, probabilities);
             self.predictions.filtered.push(FramePrediction { time_s, truth, probabilities: filtered });
-            self.predictions.alone.push(FramePrediction { time_s, truth, probabilities: alone });
+            self.predictions.single_frames.push(FramePrediction { time_s, truth, probabilities });
         }
         Ok(())
     }
 
     /// Notes that frames are missing before the next one.
-    pub fn gap(&mut self) {
-        self.judge.reset();
+    pub fn note_gap(&mut self) {
+        self.classifier.reset();
     }
 }
 
@@ -110,7 +115,7 @@ pub struct Predictions {
     /// Predictions after the filter.
     pub filtered: Vec<FramePrediction>,
     /// Predictions for each single frame.
-    pub alone: Vec<FramePrediction>,
+    pub single_frames: Vec<FramePrediction>,
     frame_interval_s: f64,
 }
 
@@ -119,18 +124,18 @@ impl Predictions {
         RecordingScores::new(&self.filtered, self.frame_interval_s)
     }
 
-    pub fn alone_scores(&self) -> RecordingScores {
-        RecordingScores::new(&self.alone, self.frame_interval_s)
+    pub fn single_frame_scores(&self) -> RecordingScores {
+        RecordingScores::new(&self.single_frames, self.frame_interval_s)
     }
 
     /// Returns the single-frame predictions, to which a filter is fitted.
     pub fn sequence(&self) -> FilterSequence {
-        FilterSequence { frame_interval_s: self.frame_interval_s, frames: self.alone.clone() }
+        FilterSequence { frame_interval_s: self.frame_interval_s, frames: self.single_frames.clone() }
     }
 }
 
 /// Adds the reliability of the predictions' confidence to the sums.
-pub fn count_reliability(predictions: &[FramePrediction], sums: &mut ReliabilitySums) {
+pub fn add_reliability(predictions: &[FramePrediction], sums: &mut ReliabilitySums) {
     for prediction in predictions {
         if let Some(truth) = prediction.truth {
             sums.add(&prediction.probabilities, truth);
@@ -140,16 +145,16 @@ pub fn count_reliability(predictions: &[FramePrediction], sums: &mut Reliability
 
 /// Recording that a model refused.
 #[derive(Debug, Clone, Serialize)]
-pub struct Refused {
+pub struct Refusal {
     pub recording: String,
     pub reason: String,
 }
 
-impl Refused {
+impl Refusal {
     /// Stores the reason of a refusal without its hint.
     pub fn new(recording: String, refusal: &anyhow::Error) -> Self {
         let reason = output::chain(refusal);
         let reason = reason.split_once("\n\nhint: ").map_or(reason.as_str(), |(reason, _)| reason).to_owned();
-        Refused { recording, reason }
+        Refusal { recording, reason }
     }
 }

@@ -18,11 +18,11 @@ pub struct LabelledRecording {
 
 enum Labels {
     /// One label for all frames.
-    Throughout(Occupancy),
+    Constant(Occupancy),
     /// Spans; frames outside of them have no label.
     Spans(Vec<LabelSpan>),
     /// The truth that a simulator wrote with each frame.
-    OfFrames,
+    InFrames,
 }
 
 impl LabelledRecording {
@@ -54,7 +54,7 @@ impl LabelledRecording {
         if let Some((path, label)) = after
             && let Some(occupancy) = Occupancy::from_name(label)
         {
-            return Ok(LabelledRecording { path: path.into(), labels: Labels::Throughout(occupancy) });
+            return Ok(LabelledRecording { path: path.into(), labels: Labels::Constant(occupancy) });
         }
         let (path, spans) = match after {
             Some((path, file)) if !Path::new(input).exists() => {
@@ -64,23 +64,23 @@ impl LabelledRecording {
                          RECORDING=two, RECORDING=LABELS.txt, or RECORDING alone if it holds labels"
                     );
                 }
-                (PathBuf::from(path), labels::read(Path::new(file))?)
+                (PathBuf::from(path), labels::read_file(Path::new(file))?)
             }
             _ => {
                 let path = PathBuf::from(input);
-                let spans = labels::of(&path)?;
+                let spans = labels::of_recording(&path)?;
                 if spans.iter().all(|span| span.occupancy().is_none()) {
-                    return Ok(LabelledRecording { path, labels: Labels::OfFrames });
+                    return Ok(LabelledRecording { path, labels: Labels::InFrames });
                 }
                 (path, spans)
             }
         };
         let extent_s = labels::extent_s(&mut Recording::open(&path)?)?;
-        labels::check_read(&spans, extent_s).with_context(|| format!("{input}: labels cannot be used"))?;
+        labels::check_imported(&spans, extent_s).with_context(|| format!("{input}: labels cannot be used"))?;
         Ok(LabelledRecording { path, labels: Labels::Spans(spans) })
     }
 
-    /// Error of a recording of which a model can judge no frame.
+    /// Creates the error for a recording of which a model can classify no frame.
     pub fn without_frames(&self) -> anyhow::Error {
         anyhow!(
             "{}: no frame of it can be judged\n\nhint: it is shorter than the slow time of the model's maps, or its receivers give no \
@@ -92,9 +92,9 @@ impl LabelledRecording {
     /// Returns the label of a frame; `None` where it has none, or where someone is entering or leaving.
     pub fn truth(&self, frame: &Frame, waveform: &Waveform) -> Option<Occupancy> {
         let truth = match &self.labels {
-            Labels::Throughout(occupancy) => return Some(*occupancy),
-            Labels::Spans(spans) => labels::by_span(spans, frame, waveform),
-            Labels::OfFrames => frame.truth,
+            Labels::Constant(occupancy) => return Some(*occupancy),
+            Labels::Spans(spans) => labels::truth_of_frame(spans, frame, waveform),
+            Labels::InFrames => frame.truth,
         };
         truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy)
     }

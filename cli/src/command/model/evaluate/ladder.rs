@@ -17,11 +17,11 @@ use radome_sim::{SimulateOptions, Simulator};
 use serde_json::json;
 
 use self::rung::{Rung, Simulation, load};
-use self::scores::{OfModel, RungScores, print, print_fit};
-use super::candidate::{Candidate, Refused, Run};
-use crate::judge::Model;
-use crate::panics::Guarded;
-use crate::{kept, output};
+use self::scores::{ModelScores, RungScores, print, print_fit};
+use super::candidate::{Candidate, Refusal, Run};
+use crate::classifier::Model;
+use crate::panics::PanicGuard;
+use crate::{output, stored_simulation};
 
 /// Evaluates models on the recordings of a ladder and prints their scores. With `fit`, also prints the filter settings
 /// that suit all of them best.
@@ -29,12 +29,12 @@ use crate::{kept, output};
 /// With `empty_hours`, that many hours of each rung's rooms without people replace the rung's recordings.
 ///
 /// # Errors
-/// A rung or a model cannot be read, a simulation fails, or nothing can be judged.
+/// A rung or a model cannot be read, a simulation fails, or nothing can be evaluated.
 pub fn run(
     models: &[PathBuf],
     ladder: &Path,
     empty_hours: Option<f64>,
-    keep: Option<&Path>,
+    store: Option<&Path>,
     fit: bool,
     json: bool,
 ) -> anyhow::Result<()> {
@@ -46,29 +46,32 @@ pub fn run(
     }
     let open = |path: &PathBuf| anyhow::Ok(Candidate::new(path.clone(), Model::open(path)?, None));
     let mut candidates = models.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
-    if let Some(folder) = keep {
+    if let Some(folder) = store {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
     }
     let frames: u64 = rungs.iter().flat_map(|rung| &rung.simulations).map(|simulation| simulation.frames).sum();
     let bar = output::progress(frames, "ladder");
     // [model][rung]
-    let mut all: Vec<Vec<RungScores>> = candidates.iter().map(|_| Vec::new()).collect();
+    let mut scores_by_model: Vec<Vec<RungScores>> = candidates.iter().map(|_| Vec::new()).collect();
     for rung in &rungs {
         bar.set_message(rung.name.clone());
         let mut scores: Vec<RungScores> = candidates.iter().map(|_| RungScores::default()).collect();
         for simulation in &rung.simulations {
             simulation
-                .judge(&mut candidates, &mut scores, keep, &bar)
+                .evaluate(&mut candidates, &mut scores, store, &bar)
                 .with_context(|| format!("rung {}, recording {}", rung.name, simulation.name))?;
         }
-        all.iter_mut().zip(scores).for_each(|(all, scores)| all.push(scores));
+        scores_by_model.iter_mut().zip(scores).for_each(|(all, scores)| all.push(scores));
     }
     bar.finish_and_clear();
-    let answers: Vec<OfModel> =
-        candidates.iter().zip(&all).map(|(candidate, scores)| OfModel::new(candidate.path(), &rungs, scores)).collect();
+    let model_scores: Vec<ModelScores> = candidates
+        .iter()
+        .zip(&scores_by_model)
+        .map(|(candidate, scores)| ModelScores::new(candidate.path(), &rungs, scores))
+        .collect();
     let fit = fit.then(|| {
         let sequences = |scores: &mut RungScores| std::mem::take(&mut scores.sequences);
-        let groups: Vec<Vec<FilterSequence>> = all.iter_mut().flatten().map(sequences).collect();
+        let groups: Vec<Vec<FilterSequence>> = scores_by_model.iter_mut().flatten().map(sequences).collect();
         fit_smoothing(&groups, Smoothing::default())
     });
     let fitted = fit.flatten();
@@ -78,32 +81,32 @@ pub fn run(
             json!({ "rung": rung.name, "about": rung.about, "recordings": rung.simulations.len(), "frames": frames })
         };
         let ladder: Vec<_> = rungs.iter().map(of_rung).collect();
-        let mut answer = json!({ "ladder": ladder, "models": answers });
+        let mut answer = json!({ "ladder": ladder, "models": model_scores });
         if let Some(fitted) = &fitted {
             answer["fitted_smoothing"] = serde_json::to_value(fitted)?;
         }
         return output::json_line(&answer);
     }
-    print(&answers)?;
+    print(&model_scores)?;
     fitted.map_or(Ok(()), |fitted| print_fit(&fitted))
 }
 
 impl Simulation {
     /// Runs all models on the frames, each of which is simulated once.
-    fn judge(
+    fn evaluate(
         &self,
         candidates: &mut [Candidate],
         scores: &mut [RungScores],
-        keep: Option<&Path>,
+        store: Option<&Path>,
         bar: &ProgressBar,
     ) -> anyhow::Result<()> {
-        let (mut source, mut recorder) = self.open(keep)?;
+        let (mut source, mut recorder) = self.open(store)?;
         let waveform = source.waveform().clone();
         let mut runs: Vec<Option<Run>> = Vec::new();
         for (candidate, scores) in candidates.iter_mut().zip(scores.iter_mut()) {
-            let started = candidate.start(&waveform);
+            let started = candidate.start_run(&waveform);
             if let Err(refusal) = &started {
-                scores.refused.push(Refused::new(self.name.clone(), refusal));
+                scores.refused.push(Refusal::new(self.name.clone(), refusal));
             }
             runs.push(started.ok());
         }
@@ -116,14 +119,14 @@ impl Simulation {
             ensure!(!output::interrupted(), "interrupted");
             match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
                 SourceEvent::End => break,
-                SourceEvent::Gap(_) => runs.iter_mut().flatten().for_each(Run::gap),
+                SourceEvent::Gap(_) => runs.iter_mut().flatten().for_each(Run::note_gap),
                 SourceEvent::Frame => {
                     if let Some(recorder) = &mut recorder {
                         recorder.frame(&frame)?;
                     }
                     let truth = frame.truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy);
                     for run in runs.iter_mut().flatten() {
-                        run.frame(&frame, truth)?;
+                        run.predict(&frame, truth)?;
                     }
                     bar.inc(1);
                 }
@@ -134,14 +137,14 @@ impl Simulation {
         }
         for ((candidate, run), scores) in candidates.iter_mut().zip(runs).zip(scores.iter_mut()) {
             if let Some(run) = run {
-                scores.add(&self.name, &candidate.end(run));
+                scores.add(&self.name, &candidate.end_run(run));
             }
         }
         Ok(())
     }
 
     /// Opens the frames: simulated, or stored by an earlier run. Returns a recorder if they are to be stored.
-    fn open(&self, keep: Option<&Path>) -> anyhow::Result<(Box<dyn FrameSource>, Option<Recorder>)> {
+    fn open(&self, store: Option<&Path>) -> anyhow::Result<(Box<dyn FrameSource>, Option<Recorder>)> {
         let options = SimulateOptions {
             seed: self.seed,
             people: self.people,
@@ -150,10 +153,10 @@ impl Simulation {
         };
         let simulator = Simulator::new(&self.scene, options)?;
         let mut recorder = None;
-        if let Some(folder) = keep {
+        if let Some(folder) = store {
             let path = folder.join(format!("{}.mcap", self.name));
             // Any change of the scene or the simulator shows in the last frame.
-            if kept::is_recording_of(&path, &simulator, 0..self.frames, &[self.frames - 1]) {
+            if stored_simulation::is_recording_of(&path, &simulator, 0..self.frames, &[self.frames - 1]) {
                 return Ok((Box::new(Recording::open(&path)?), None));
             }
             let header = RecordingHeader::new(simulator.waveform().clone());
@@ -161,7 +164,7 @@ impl Simulation {
             recorder = Some(Recorder::with_options(&path, &header, &options)?);
         }
         // Models run on this thread. On the shared thread pool they would queue behind the next frames.
-        let source: Box<dyn FrameSource> = Box::new(Guarded::new(Box::new(simulator.on_own_threads()?)));
+        let source: Box<dyn FrameSource> = Box::new(PanicGuard::new(Box::new(simulator.on_own_threads()?)));
         Ok((source, recorder))
     }
 }
@@ -219,13 +222,13 @@ mod tests {
     }
 
     #[test]
-    fn a_kept_recording_is_known_again() {
+    fn a_stored_recording_is_recognised() {
         let folder = tempfile::tempdir().expect("a folder");
         let mut simulation = load(&ladder().join("rooms.toml")).expect("a rung").remove(0).simulations.remove(0);
         simulation.frames = 4;
         let bar = ProgressBar::hidden();
         let path = folder.path().join(format!("{}.mcap", simulation.name));
-        simulation.judge(&mut [], &mut [], Some(folder.path()), &bar).expect("simulated");
+        simulation.evaluate(&mut [], &mut [], Some(folder.path()), &bar).expect("simulated");
         assert!(path.exists());
         assert!(simulation.open(Some(folder.path())).expect("kept").1.is_none());
         // A recording with another seed or length is a different one.

@@ -31,7 +31,7 @@ impl ThermalNoise {
     ///
     /// # Errors
     /// The recording cannot be read, or the ratio gives no finite noise.
-    pub fn of(path: &Path, snr_db: f64) -> anyhow::Result<Self> {
+    pub fn for_recording(path: &Path, snr_db: f64) -> anyhow::Result<Self> {
         let mut source = Recording::open(path)?;
         let shape = source.waveform().shape();
         let mut frame = Frame::zeroed(shape);
@@ -45,9 +45,9 @@ impl ThermalNoise {
         Ok(ThermalNoise { normal: Normal::new(0.0, sigma)?, seed: sum.to_bits() })
     }
 
-    /// Returns a frame with noise, the same in every call. Codes stay within the converter's range, so that noise which reaches
-    /// its ends has less than its variance. Noise of datasets ([`RawNoise`](crate::dataset::thermal::RawNoise)) is not cut off.
-    pub fn added(&self, frame: &Frame) -> Frame {
+    /// Returns a frame with noise, the same in every call. Codes are limited to the converter's range, so noise at its ends has
+    /// less variance. Noise of datasets ([`RawNoise`](crate::dataset::thermal::RawNoise)) is not cut off.
+    pub fn add_to(&self, frame: &Frame) -> Frame {
         let mut noisy = frame.clone();
         let mut rng = radome_models::stream(self.seed, "thermal noise", frame.sequence);
         for code in &mut noisy.codes {
@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     /// Noise that is added to a recording of one frame with a tone of this amplitude, codes.
-    fn added(amplitude: f64, snr_db: f64) -> Vec<f64> {
+    fn added_noise(amplitude: f64, snr_db: f64) -> Vec<f64> {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("tone.mcap");
         let request = WaveformRequest { samples_per_chirp: 64, chirps_per_frame: 16, ..WaveformRequest::paper() };
@@ -80,17 +80,17 @@ mod tests {
         let mut writer = RecordingWriter::create(&path, Format::Mcap, &header).expect("a file");
         writer.frame(&frame).expect("written");
         writer.finish().expect("written");
-        let noisy = ThermalNoise::of(&path, snr_db).expect("noise").added(&frame);
+        let noisy = ThermalNoise::for_recording(&path, snr_db).expect("noise").add_to(&frame);
         noisy.codes.iter().zip(&frame.codes).map(|(noisy, code)| f64::from(*noisy) - f64::from(*code)).collect()
     }
 
     /// Frames of one number had the same noise in all recordings, and other noise at another ratio.
     #[test]
     fn each_recording_has_its_own_noise_and_only_its_size_follows_the_ratio() {
-        let (one, twice) = (added(100.0, 0.0), added(100.0, -20.0 * 2f64.log10()));
+        let (one, twice) = (added_noise(100.0, 0.0), added_noise(100.0, -20.0 * 2f64.log10()));
         // Both are rounded to codes.
         assert!(one.iter().zip(&twice).all(|(one, twice)| (2.0 * one - twice).abs() < 1.6));
-        let other = added(90.0, 0.0);
+        let other = added_noise(90.0, 0.0);
         let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let correlation = product(&one, &other) / (product(&one, &one) * product(&other, &other)).sqrt();
         assert!(correlation.abs() < 0.2, "{correlation}");

@@ -11,7 +11,7 @@ use radome_models::study::{Condition, Report, condition_file_name};
 use schemars::JsonSchema;
 use serde::Deserialize;
 
-use super::{Arguments, is_dataset, make_dataset, named};
+use super::{Arguments, is_dataset, make_dataset, resolve};
 use crate::dataset::plan::Plan;
 use crate::dataset::rung::RungFile;
 use crate::dataset::spec::BuildSpec;
@@ -44,26 +44,26 @@ pub struct ConditionFile {
 
 /// Name of a condition and the folder of its dataset: `NAME=DIR`.
 #[derive(Debug, Clone)]
-pub struct Given {
+pub struct GivenCondition {
     name: String,
     folder: PathBuf,
 }
 
-impl FromStr for Given {
+impl FromStr for GivenCondition {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
         match text.split_once('=') {
             Some((name, folder)) if !folder.is_empty() => {
                 condition_file_name(name).map_err(|error| error.to_string())?;
-                Ok(Given { name: name.to_owned(), folder: PathBuf::from(folder) })
+                Ok(GivenCondition { name: name.to_owned(), folder: PathBuf::from(folder) })
             }
             _ => Err("expected NAME=DIR, such as office=out/office".to_owned()),
         }
     }
 }
 
-impl Given {
+impl GivenCondition {
     /// Formats `NAME=DIR` with the full form of the folder, as one word of a shell.
     ///
     /// # Errors
@@ -96,7 +96,7 @@ impl ConditionFile {
     /// # Errors
     /// There is no such file, or it lies where a study's files may not be.
     pub fn source(&self, study: &Path) -> anyhow::Result<PathBuf> {
-        named(study, self.named_source())
+        resolve(study, self.named_source())
     }
 
     fn named_source(&self) -> &Path {
@@ -125,27 +125,27 @@ impl ConditionFile {
 ///
 /// # Errors
 /// `--condition` gives a name twice, or what the file names is not there or lies where a study's files may not be.
-pub fn check_sources(study: &Path, files: &[ConditionFile], given: &[Given]) -> anyhow::Result<()> {
+pub fn check_sources(study: &Path, files: &[ConditionFile], given: &[GivenCondition]) -> anyhow::Result<()> {
     check_given(given)?;
-    let mut absent = files.iter().filter(|file| folder_of(given, &file.name).is_none());
+    let mut absent = files.iter().filter(|file| given_folder(given, &file.name).is_none());
     absent.try_for_each(|file| file.source(study).map(drop))
 }
 
-fn check_given(given: &[Given]) -> anyhow::Result<()> {
+fn check_given(given: &[GivenCondition]) -> anyhow::Result<()> {
     let mut names = BTreeSet::new();
-    if let Some(twice) = given.iter().find(|given| !names.insert(&given.name)) {
-        wrong_use!("--condition '{}' is given twice", twice.name);
+    if let Some(duplicate) = given.iter().find(|given| !names.insert(&given.name)) {
+        wrong_use!("--condition '{}' is given twice", duplicate.name);
     }
     Ok(())
 }
 
-fn folder_of<'a>(given: &'a [Given], name: &str) -> Option<&'a Path> {
+fn given_folder<'a>(given: &'a [GivenCondition], name: &str) -> Option<&'a Path> {
     given.iter().find(|given| given.name == name).map(|given| given.folder.as_path())
 }
 
 /// Opens the datasets of all conditions: those of the study's file in its order, and then those that only `--condition`
-/// names. Builds absent datasets. If no work is to be done, leaves them out instead. Returns the number of those left
-/// out, too.
+/// names. Builds absent datasets. For a report or a plan, leaves them out instead. Also returns the number of those
+/// left out.
 ///
 /// # Errors
 /// A dataset cannot be built or read, or `--condition` gives a name twice.
@@ -156,10 +156,10 @@ pub(super) fn open(
 ) -> anyhow::Result<(Vec<Condition>, usize)> {
     let folder = arguments.output.join("conditions");
     check_given(&arguments.condition)?;
-    let given = |name: &str| folder_of(&arguments.condition, name);
+    let given = |name: &str| given_folder(&arguments.condition, name);
     let absent: Vec<&ConditionFile> = files.iter().filter(|file| given(&file.name).is_none()).collect();
-    let is_work = !(arguments.report_only || arguments.plan);
-    if is_work && !absent.is_empty() {
+    let may_build = !(arguments.report_only || arguments.plan);
+    if may_build && !absent.is_empty() {
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
         // Each shard begins with a different dataset, so that shards do not wait for each other.
         for file in absent.iter().cycle().skip(arguments.shard.index % absent.len()).take(absent.len()) {
@@ -172,18 +172,18 @@ pub(super) fn open(
             Some(folder) => folder.to_owned(),
             None => folder.join(condition_file_name(&file.name)?),
         };
-        if !is_work && given(&file.name).is_none() && !is_dataset(&maps) {
+        if !may_build && given(&file.name).is_none() && !is_dataset(&maps) {
             unbuilt += 1;
             if arguments.report_only {
                 message!("condition '{}' is left out: its dataset is not built yet", file.name);
             }
             continue;
         }
-        conditions.push(Condition::new(&file.name, file.group.as_deref(), dataset(&file.name, &maps)?)?);
+        conditions.push(Condition::new(&file.name, file.group.as_deref(), open_dataset(&file.name, &maps)?)?);
     }
-    for Given { name, folder } in &arguments.condition {
+    for GivenCondition { name, folder } in &arguments.condition {
         if !files.iter().any(|file| file.name == *name) {
-            let dataset = dataset(name, folder)?;
+            let dataset = open_dataset(name, folder)?;
             let is_real = dataset.rows().iter().all(|row| row.domain == Domain::Real);
             conditions.push(Condition::new(name, is_real.then_some(REAL), dataset)?);
         }
@@ -191,7 +191,7 @@ pub(super) fn open(
     Ok((conditions, unbuilt))
 }
 
-fn dataset(name: &str, maps: &Path) -> anyhow::Result<Dataset> {
+fn open_dataset(name: &str, maps: &Path) -> anyhow::Result<Dataset> {
     Dataset::open(maps).with_context(|| format!("condition '{name}'"))
 }
 
@@ -203,7 +203,7 @@ pub(super) fn count(report: &Report) -> (usize, usize) {
 
 #[cfg(test)]
 mod tests {
-    use super::super::read;
+    use super::super::read_study;
     use super::*;
     use crate::files;
 
@@ -215,13 +215,13 @@ mod tests {
     #[test]
     fn strangers_are_put_to_the_whole_ladder() {
         let study = fixture("studies/strangers.toml");
-        let (_, _, conditions) = read(&study).expect("a study");
+        let (_, _, conditions) = read_study(&study).expect("a study");
         let rungs =
             std::fs::read_dir(fixture("ladder")).expect("a folder").map(|entry| entry.expect("an entry").path());
         let rungs: BTreeSet<PathBuf> = rungs.filter(|path| path.extension().is_some_and(|e| e == "toml")).collect();
-        let named: Vec<PathBuf> = conditions.iter().filter_map(|condition| condition.ladder.clone()).collect();
+        let ladders: Vec<PathBuf> = conditions.iter().filter_map(|condition| condition.ladder.clone()).collect();
         let found: BTreeSet<PathBuf> =
-            named.iter().filter_map(|path| path.file_name()).map(|n| fixture("ladder").join(n)).collect();
+            ladders.iter().filter_map(|path| path.file_name()).map(|n| fixture("ladder").join(n)).collect();
         assert_eq!(found, rungs);
         let map = BuildSpec::load(&fixture("datasets/rooms.toml")).expect("a dataset").map;
         for condition in conditions {
@@ -235,8 +235,8 @@ mod tests {
     #[test]
     fn thermal_noise_is_on_the_frames_of_the_study() {
         let study = fixture("studies/paper.toml");
-        let (spec, dataset, conditions) = read(&study).expect("a study");
-        let clean = Plan::new(&named(&study, &dataset).expect("a spec"), Shard::WHOLE).expect("a plan");
+        let (spec, dataset, conditions) = read_study(&study).expect("a study");
+        let clean = Plan::new(&resolve(&study, &dataset).expect("a spec"), Shard::WHOLE).expect("a plan");
         let names = |plan: &Plan| plan.units.iter().map(|unit| unit.sequence.clone()).collect::<Vec<_>>();
         let mut ratios = Vec::new();
         for condition in conditions {
@@ -259,10 +259,10 @@ mod tests {
             let text = "title = \"a\"\ndataset = \"b.toml\"\nseeds = [1]\nlabel_fractions = [0.5]\n\
                         variants = [{ name = \"hqnn\" }]\nconditions = [{ name = \"c\", dataset = \"d.toml\" }]\n";
             std::fs::write(&path, text).expect("written");
-            let error = read(&path).expect_err("no model").to_string();
+            let error = read_study(&path).expect_err("no model").to_string();
             assert!(error.contains("label_fractions") && error.contains("models of all labels"), "{error}");
             std::fs::write(&path, text.replace("[0.5]", "[0.5, 1.0]")).expect("written");
-            assert!(read(&path).is_ok());
+            assert!(read_study(&path).is_ok());
         }
 
         #[test]
@@ -287,9 +287,9 @@ mod tests {
                 "two conditions are called 'A_1'",
             );
             for text in ["office", "=out", "office=", "|=out"] {
-                assert!(Given::from_str(text).is_err(), "{text}");
+                assert!(GivenCondition::from_str(text).is_err(), "{text}");
             }
-            assert_eq!(Given::from_str("a b=c=d").expect("a folder").folder, Path::new("c=d"));
+            assert_eq!(GivenCondition::from_str("a b=c=d").expect("a folder").folder, Path::new("c=d"));
         }
     }
 }

@@ -19,24 +19,25 @@ const PAGES: [(Theme, &str); 2] = [(Theme::LIGHT, ""), (Theme::DARK, "-dark")];
 /// # Errors
 /// A file cannot be written.
 pub fn write(report: &Report, folder: &Path) -> anyhow::Result<()> {
-    let whole: Vec<&Cell> = report.cells.iter().filter(|cell| cell.label_fraction == 1.0 && cell.done > 0).collect();
-    let noise = with_points(of_cells(&whole, |cell| {
+    let with_all_labels: Vec<&Cell> =
+        report.cells.iter().filter(|cell| cell.label_fraction == 1.0 && cell.done > 0).collect();
+    let noise = with_points(series_of_cells(&with_all_labels, |cell| {
         cell.noisy.iter().filter_map(|(snr_db, of)| Some((*snr_db, of.as_ref()?.mean))).collect()
     }));
-    let labels = labels(report);
+    let labels = label_series(report);
     let curve = |value: &dyn Fn(&CurvePoint) -> Option<Interval>| {
-        of_cells(&whole, |cell| {
+        series_of_cells(&with_all_labels, |cell| {
             cell.curve.iter().filter_map(|point| Some((point.epoch as f64, value(point)?.mean))).collect()
         })
     };
     let (validation, training) = (curve(&|point| point.validation), curve(&|point| point.training));
-    let cost = with_points(of_cells(&whole, |cell| {
+    let cost = with_points(series_of_cells(&with_all_labels, |cell| {
         // A logarithmic axis cannot show an error of zero.
         let error = cell.test.as_ref().map(|test| (1.0 - test.mean).max(1e-3));
         error.map(|error| (cell.multiply_adds as f64, error)).into_iter().collect()
     }));
     let share = "balanced accuracy";
-    for (theme, end) in &PAGES {
+    for (theme, suffix) in &PAGES {
         let plots = [
             ("noise", &noise, plot::lines(theme, ("SNR / dB", share), &noise, &[])),
             ("labels", &labels, plot::lines(theme, ("labels / %", share), &labels, &[])),
@@ -52,14 +53,14 @@ pub fn write(report: &Report, folder: &Path) -> anyhow::Result<()> {
                 continue;
             }
             for extension in ["svg", "png"] {
-                picture.save(&folder.join(format!("{name}{end}.{extension}")))?;
+                picture.save(&folder.join(format!("{name}{suffix}.{extension}")))?;
             }
         }
     }
     Ok(())
 }
 
-fn of_cells<'a>(cells: &[&'a Cell], points: impl Fn(&Cell) -> Vec<(f64, f64)>) -> Vec<Series<'a>> {
+fn series_of_cells<'a>(cells: &[&'a Cell], points: impl Fn(&Cell) -> Vec<(f64, f64)>) -> Vec<Series<'a>> {
     cells.iter().map(|cell| (cell.variant.as_str(), points(cell))).collect()
 }
 
@@ -68,7 +69,7 @@ fn with_points(series: Vec<Series>) -> Vec<Series> {
 }
 
 /// Balanced accuracy by the fraction of labels; empty for a study with a single fraction.
-fn labels(report: &Report) -> Vec<Series<'_>> {
+fn label_series(report: &Report) -> Vec<Series<'_>> {
     let mut series: Vec<Series> = Vec::new();
     if report.cells.iter().all(|cell| cell.label_fraction >= 1.0) {
         return series;
@@ -96,7 +97,7 @@ mod tests {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/studies/paper/report.json");
         let text = std::fs::read_to_string(path).expect("a report");
         let report: Report = serde_json::from_str(&text).expect("JSON");
-        let series = labels(&report);
+        let series = label_series(&report);
         let (_, points) = series.iter().find(|(name, _)| *name == "hqnn").expect("the network");
         assert_eq!(points.iter().map(|(share, _)| *share).collect::<Vec<_>>(), [10.0, 30.0, 50.0, 100.0]);
     }

@@ -74,7 +74,7 @@ impl Copies {
         for seed in self.seeds.clone() {
             let (mut sample, mut slow_time) = (Sample::default(), SlowTimeStatistics::new(waveform, WINDOW_S));
             calibration.begin_recording();
-            self.each_frame(receiver, seed, self.people, |frame| {
+            self.for_each_frame(receiver, seed, self.people, |frame| {
                 calibration.push(frame)?;
                 slow_time.push(frame);
                 sampler.add(frame, &mut sample)
@@ -99,7 +99,7 @@ impl Copies {
             rx.transient.clear();
         }
         let mut slow_time = SlowTimeStatistics::new(self.scene.waveform(), WINDOW_S);
-        self.each_frame(&quiet, self.seeds.start, Some(0), |frame| {
+        self.for_each_frame(&quiet, self.seeds.start, Some(0), |frame| {
             slow_time.push(frame);
             Ok(())
         })?;
@@ -107,7 +107,7 @@ impl Copies {
         Ok(slow_time)
     }
 
-    fn each_frame(
+    fn for_each_frame(
         &self,
         receiver: &Receiver,
         seed: u64,

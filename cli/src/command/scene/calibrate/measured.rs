@@ -12,7 +12,7 @@ pub struct Measured {
     /// Fit to the first parts of the recordings.
     pub fit: Fit,
     /// Fit to the other parts, which are held out for comparison.
-    pub judged: Fit,
+    pub held_out: Fit,
     /// Slow-time statistics of the first parts.
     pub fitted_slow_time: SlowTimeStatistics,
     /// Slow-time statistics of whole recordings.
@@ -26,18 +26,18 @@ pub struct Measured {
 pub fn measure(arguments: &Arguments, recordings: &Recordings, base: &Receiver) -> anyhow::Result<Measured> {
     let waveform = &recordings.waveform;
     let mut fitted = Calibration::new(waveform, recordings.frames_fitted() as usize)?;
-    let mut judged = Calibration::new(waveform, recordings.frames_judged() as usize)?;
+    let mut held_out = Calibration::new(waveform, recordings.frames_held_out() as usize)?;
     let (mut fitted_slow_time, mut slow_time) =
         (SlowTimeStatistics::new(waveform, WINDOW_S), SlowTimeStatistics::new(waveform, WINDOW_S));
     for recording in &recordings.all {
         fitted.begin_recording();
-        judged.begin_recording();
-        recording.each_frame("measuring", |place, frame| {
-            if place.is_fitted {
+        held_out.begin_recording();
+        recording.for_each_frame("measuring", |position, frame| {
+            if position.is_fitted {
                 fitted.push(frame)?;
                 fitted_slow_time.push(frame);
             } else {
-                judged.push(frame)?;
+                held_out.push(frame)?;
             }
             slow_time.push(frame);
             Ok(())
@@ -48,7 +48,7 @@ pub fn measure(arguments: &Arguments, recordings: &Recordings, base: &Receiver) 
     let name = arguments.name.clone().unwrap_or_else(|| recordings.name());
     Ok(Measured {
         fit: fitted.fit(base, &name, &recordings.measured_from())?,
-        judged: judged.fit(&Receiver::typical(), "", "")?,
+        held_out: held_out.fit(&Receiver::typical(), "", "")?,
         fitted_slow_time,
         slow_time,
     })

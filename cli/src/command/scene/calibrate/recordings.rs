@@ -10,21 +10,21 @@ use radome_sim::receiver::calibration::LEAST_FRAMES;
 
 use crate::{output, source};
 
-/// Recordings of one waveform, each cut in two.
+/// Recordings of one waveform, each split in two.
 pub struct Recordings {
     pub waveform: Waveform,
-    pub all: Vec<Cut>,
+    pub all: Vec<SplitRecording>,
 }
 
 /// Recording whose first frames are used for the fit.
-pub struct Cut {
+pub struct SplitRecording {
     path: PathBuf,
     frames: u64,
     fitted: u64,
 }
 
 /// Position of a frame in a recording.
-pub struct Place {
+pub struct FramePosition {
     /// Whether the receiver is fitted to it.
     pub is_fitted: bool,
     /// Relative position in its part, 0..1.
@@ -53,18 +53,19 @@ impl Recordings {
                 Some(_) => {}
             }
             let frames = source.whole_frames();
-            let cut = Cut { path: path.clone(), frames, fitted: (frames as f64 * part).round() as u64 };
-            if cut.fitted.min(cut.frames - cut.fitted.min(cut.frames)) < LEAST_FRAMES as u64 {
-                let is_long = cut.frames >= 2 * LEAST_FRAMES as u64;
+            let recording =
+                SplitRecording { path: path.clone(), frames, fitted: (frames as f64 * part).round() as u64 };
+            if recording.fitted.min(recording.frames - recording.fitted.min(recording.frames)) < LEAST_FRAMES as u64 {
+                let is_long = recording.frames >= 2 * LEAST_FRAMES as u64;
                 let hint = if is_long { "choose a --part nearer to 0.5" } else { "record ten seconds or more" };
                 bail!(
                     "{}: {} frames to fit and {} to judge by, {LEAST_FRAMES} of each are needed\n\nhint: {hint}",
                     path.display(),
-                    cut.fitted,
-                    cut.frames.saturating_sub(cut.fitted)
+                    recording.fitted,
+                    recording.frames.saturating_sub(recording.fitted)
                 );
             }
-            all.push(cut);
+            all.push(recording);
         }
         match waveform {
             Some((waveform, _)) => Ok(Recordings { waveform, all }),
@@ -73,26 +74,28 @@ impl Recordings {
     }
 
     pub fn frames_fitted(&self) -> u64 {
-        self.all.iter().map(|cut| cut.fitted).sum()
+        self.all.iter().map(|recording| recording.fitted).sum()
     }
 
-    pub fn frames_judged(&self) -> u64 {
-        self.all.iter().map(|cut| cut.frames - cut.fitted).sum()
+    pub fn frames_held_out(&self) -> u64 {
+        self.all.iter().map(|recording| recording.frames - recording.fitted).sum()
     }
 
     /// Returns the name of the first recording.
     pub fn name(&self) -> String {
-        self.all.first().map(Cut::name).unwrap_or_default()
+        self.all.first().map(SplitRecording::name).unwrap_or_default()
     }
 
     /// Returns the names of the recordings that a receiver was fitted to.
     pub fn measured_from(&self) -> String {
-        let of = |cut: &Cut| format!("{}: {} of {} frames", cut.name(), cut.fitted, cut.frames);
+        let of = |recording: &SplitRecording| {
+            format!("{}: {} of {} frames", recording.name(), recording.fitted, recording.frames)
+        };
         self.all.iter().map(of).collect::<Vec<_>>().join("; ")
     }
 }
 
-impl Cut {
+impl SplitRecording {
     pub fn name(&self) -> String {
         source::name_of(&self.path).to_string_lossy().into_owned()
     }
@@ -101,10 +104,10 @@ impl Cut {
     ///
     /// # Errors
     /// The recording cannot be read, or the callback fails.
-    pub fn each_frame(
+    pub fn for_each_frame(
         &self,
         what: &'static str,
-        mut visit: impl FnMut(Place, &Frame) -> anyhow::Result<()>,
+        mut visit: impl FnMut(FramePosition, &Frame) -> anyhow::Result<()>,
     ) -> anyhow::Result<()> {
         let mut source = Recording::open(&self.path)?;
         let bar = output::progress(self.frames, what);
@@ -114,7 +117,7 @@ impl Cut {
             let is_fitted = index < self.fitted;
             let (at, of) =
                 if is_fitted { (index, self.fitted) } else { (index - self.fitted, self.frames - self.fitted) };
-            visit(Place { is_fitted, in_part: at as f64 / of.max(1) as f64 }, &frame)?;
+            visit(FramePosition { is_fitted, in_part: at as f64 / of.max(1) as f64 }, &frame)?;
             index += 1;
             bar.inc(1);
         }

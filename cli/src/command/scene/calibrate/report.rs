@@ -9,8 +9,8 @@ use radome_sim::receiver::calibration::gain::{GainFit, LEAST_BINS, LEAST_RANGE_M
 use serde::Serialize;
 
 use super::arguments::Arguments;
-use super::gap::{Channel, Figures};
-use super::line::{Lines, Many};
+use super::difference::{Channel, Figures};
+use super::line::{CopyLines, Lines};
 use super::still::Clutter;
 use crate::{files, output, shell};
 
@@ -116,10 +116,10 @@ pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
         "fitted to {} frames, compared with {} others by {} simulated copies",
         answer.frames_fitted, answer.frames_judged, answer.copies
     ))?;
-    channels(answer)?;
-    still(answer)?;
+    print_channels(answer)?;
+    print_static_echoes(answer)?;
     if let Some(lines) = &answer.line {
-        slow_time(lines)?;
+        print_slow_time(lines)?;
     }
     let residuals: Vec<String> = answer.fit_residual_lsb.iter().map(|r| format!("{r:.1}")).collect();
     output::text_line(&format!("the fit leaves {} LSB rms of the mean chirps", residuals.join(", ")))?;
@@ -130,7 +130,7 @@ pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
 }
 
 /// Prints the table of receivers, simulated and real.
-fn channels(answer: &Answer) -> anyhow::Result<()> {
+fn print_channels(answer: &Answer) -> anyhow::Result<()> {
     output::text_line(&format!(
         "{:>9} {:>3} {:>16} {:>9} {:>14} {:>12} {:>23} {:>6} {:>6} {:>11} {:>12} {:>7} {:>6}",
         "receiver",
@@ -156,12 +156,12 @@ fn channels(answer: &Answer) -> anyhow::Result<()> {
                 100.0 * channel.leakage_error
             );
             let [low, high] = channel.interval.get("wasserstein_db").copied().unwrap_or_default();
-            let figures = figures(&channel.figures, &format!("{low:.2}..{high:.2}"));
+            let figures = format_figures(&channel.figures, &format!("{low:.2}..{high:.2}"));
             output::text_line(&format!("{which:>9} {:>3} {receiver} {figures}", channel.rx))?;
         }
     }
     for (rx, between) in answer.between_real.iter().enumerate() {
-        output::text_line(&format!("{:>9} {:>3} {:>26} {}", "real", rx + 1, "", figures(between, "")))?;
+        output::text_line(&format!("{:>9} {:>3} {:>26} {}", "real", rx + 1, "", format_figures(between, "")))?;
     }
     let resampled = answer.resampled;
     output::text_line(&format!(
@@ -170,7 +170,7 @@ fn channels(answer: &Answer) -> anyhow::Result<()> {
 }
 
 /// Prints the jitter and the level of static echoes.
-fn still(answer: &Answer) -> anyhow::Result<()> {
+fn print_static_echoes(answer: &Answer) -> anyhow::Result<()> {
     output::text_line(&match &answer.clutter {
         Some(clutter) => format!(
             "clutter jitters by {:.0} mrad and {:.1} % and drifts by {:.2} rad in ten seconds, from {} bins that stand still",
@@ -194,7 +194,7 @@ fn still(answer: &Answer) -> anyhow::Result<()> {
 }
 
 /// Formats the columns of map figures.
-fn figures(figures: &Figures, interval: &str) -> String {
+fn format_figures(figures: &Figures, interval: &str) -> String {
     let get = |name: &str| figures.get(name).copied();
     let pair = |a: &str, b: &str| match (get(a), get(b)) {
         (Some(a), Some(b)) => format!("{a:.2}/{b:.2}"),
@@ -223,7 +223,7 @@ fn figures(figures: &Figures, interval: &str) -> String {
 }
 
 /// Prints the slow-time lines of moving people.
-fn slow_time(lines: &Lines) -> anyhow::Result<()> {
+fn print_slow_time(lines: &Lines) -> anyhow::Result<()> {
     let breath = |hz: Option<f64>| hz.map_or(String::new(), |hz| format!(", {hz:.2} Hz"));
     output::text_line(&match &lines.real {
         Some(real) => format!(
@@ -236,7 +236,7 @@ fn slow_time(lines: &Lines) -> anyhow::Result<()> {
         None => "slow time    real: nothing stands out".to_owned(),
     })?;
     for (which, many) in [("before", &lines.before), ("fitted", &lines.after)] {
-        let Some(Many { level_dbfs, level_quartiles_dbfs: [low, high], range_m, copies, .. }) = many else {
+        let Some(CopyLines { level_dbfs, level_quartiles_dbfs: [low, high], range_m, copies, .. }) = many else {
             output::text_line(&format!("{which:>17}: nothing stands out"))?;
             continue;
         };

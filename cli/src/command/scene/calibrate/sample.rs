@@ -43,7 +43,7 @@ impl Sampler {
     /// Adds a frame to a sample.
     ///
     /// # Errors
-    /// The frame is of another shape than the waveform says.
+    /// The frame does not have the shape of the waveform.
     pub fn add(&mut self, frame: &Frame, sample: &mut Sample) -> anyhow::Result<()> {
         sample.maps.resize(frame.shape.rx, MapStatistics::default());
         let [moving, all] = &mut self.processors;

@@ -37,9 +37,9 @@ pub fn fit_clutter(waveform: &Waveform, measured: &mut Measured) -> Option<Clutt
             let Some(changes) = real.changes(rx, bin).filter(|_| still >= LEAST_OVER_NOISE * noise) else { continue };
             if moving <= MOST_MOVING * still {
                 // Half of the noise is in phase with the echo, half in quadrature.
-                let own = 0.5 * noise / still;
-                phases.push((changes.phase_rad2 - own).max(0.0).sqrt());
-                amplitudes.push((changes.amplitude - own).max(0.0).sqrt());
+                let noise_share = 0.5 * noise / still;
+                phases.push((changes.phase_rad2 - noise_share).max(0.0).sqrt());
+                amplitudes.push((changes.amplitude - noise_share).max(0.0).sqrt());
                 drifts.push(changes.drift_rad2_per_10s.sqrt());
             }
         }

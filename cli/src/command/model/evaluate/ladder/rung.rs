@@ -56,8 +56,8 @@ pub(super) fn load(path: &Path) -> anyhow::Result<Vec<Rung>> {
     let mut scenes = BTreeMap::new();
     let rungs = files.iter().map(|file| Rung::load(file, &mut scenes)).collect::<anyhow::Result<Vec<_>>>()?;
     let mut names = BTreeSet::new();
-    if let Some(twice) = rungs.iter().find(|rung| !names.insert(rung.name.as_str())) {
-        bail!("{}: two rungs are called {}", path.display(), twice.name);
+    if let Some(duplicate) = rungs.iter().find(|rung| !names.insert(rung.name.as_str())) {
+        bail!("{}: two rungs are called {}", path.display(), duplicate.name);
     }
     Ok(rungs)
 }
@@ -67,30 +67,30 @@ impl Rung {
         let file = RungFile::load(path)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut simulations = Vec::new();
-        for of in &file.scene {
-            let named = named_by_spec(folder, &of.path)
-                .with_context(|| format!("{}: cannot read {}", path.display(), of.path.display()))?;
-            let mut scene = match scenes.get(&named) {
+        for entry in &file.scene {
+            let scene_path = named_by_spec(folder, &entry.path)
+                .with_context(|| format!("{}: cannot read {}", path.display(), entry.path.display()))?;
+            let mut scene = match scenes.get(&scene_path) {
                 Some(scene) => scene.clone(),
                 None => {
-                    let scene = Scene::load(&named).with_context(|| path.display().to_string())?;
-                    scenes.insert(named.clone(), scene.clone());
+                    let scene = Scene::load(&scene_path).with_context(|| path.display().to_string())?;
+                    scenes.insert(scene_path.clone(), scene.clone());
                     scene
                 }
             };
-            if let Some(body) = of.body {
+            if let Some(body) = entry.body {
                 scene = scene.with_body(body);
             }
-            let stem = named.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            let people = of.people.map_or(String::new(), |people| format!("-people{people}"));
-            for seed in of.seeds.0..=of.seeds.1 {
+            let stem = scene_path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let people = entry.people.map_or(String::new(), |people| format!("-people{people}"));
+            for seed in entry.seeds.0..=entry.seeds.1 {
                 simulations.push(Simulation {
                     name: format!("{}-{stem}-seed{seed}{people}", file.name),
                     stem: stem.clone(),
                     scene: scene.clone(),
                     seed,
-                    people: of.people,
-                    frames: of.frames,
+                    people: entry.people,
+                    frames: entry.frames,
                 });
             }
         }
@@ -113,11 +113,11 @@ impl Rung {
         for (stem, last) in &last_of_scene {
             let recordings = (time_s / EMPTY_RECORDING_S).ceil();
             let frames = (time_s / recordings / last.scene.waveform().frame_interval_s()).ceil();
-            let all = recordings * frames;
-            if !(1.0..=MOST_FRAMES as f64).contains(&all) {
-                let found = if all.is_finite() { all.to_string() } else { "no number of".to_owned() };
+            let total_frames = recordings * frames;
+            if !(1.0..=MOST_FRAMES as f64).contains(&total_frames) {
+                let count = if total_frames.is_finite() { total_frames.to_string() } else { "no number of".to_owned() };
                 wrong_use!(
-                    "--empty-hours {hours}: {found} frames of {stem}, expected 1 to {MOST_FRAMES}\n\nhint: a day is enough for any rate \
+                    "--empty-hours {hours}: {count} frames of {stem}, expected 1 to {MOST_FRAMES}\n\nhint: a day is enough for any rate \
                      that can be told"
                 );
             }

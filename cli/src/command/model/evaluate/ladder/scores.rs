@@ -8,7 +8,7 @@ use radome_models::evaluate::{Confusion, FalseAlarms, FoundTimes, Metrics, Recor
 use radome_models::train::{FilterSequence, SmoothingFit};
 use serde::Serialize;
 
-use super::super::candidate::{Predictions, Refused, count_reliability};
+use super::super::candidate::{Predictions, Refusal, add_reliability};
 use super::rung::Rung;
 use crate::output::{self, or_dash};
 
@@ -16,18 +16,18 @@ use crate::output::{self, or_dash};
 #[derive(Default)]
 pub(super) struct RungScores {
     filtered: Confusion,
-    alone: Confusion,
-    recordings: Vec<OfRecording>,
+    single_frames: Confusion,
+    recordings: Vec<RecordingResult>,
     scores: Vec<RecordingScores>,
     reliability: ReliabilitySums,
-    pub(super) refused: Vec<Refused>,
+    pub(super) refused: Vec<Refusal>,
     /// Frames that a filter is fitted to, by recording.
     pub(super) sequences: Vec<FilterSequence>,
 }
 
 /// Predictions for a recording, after the filter.
 #[derive(Debug, Clone, Serialize)]
-struct OfRecording {
+struct RecordingResult {
     recording: String,
     /// Its label, or "mixed" where it has several.
     label: &'static str,
@@ -45,10 +45,10 @@ impl RungScores {
             return;
         }
         add_confusion(&mut self.filtered, &scores.confusion);
-        add_confusion(&mut self.alone, &predictions.alone_scores().confusion);
-        count_reliability(&predictions.filtered, &mut self.reliability);
+        add_confusion(&mut self.single_frames, &predictions.single_frame_scores().confusion);
+        add_reliability(&predictions.filtered, &mut self.reliability);
         self.sequences.push(predictions.sequence());
-        self.recordings.push(OfRecording {
+        self.recordings.push(RecordingResult {
             recording: name.to_owned(),
             label: scores.label().map_or("mixed", Occupancy::name),
             majority: scores.majority(),
@@ -61,7 +61,7 @@ impl RungScores {
 
     fn merge(&mut self, other: &RungScores) {
         add_confusion(&mut self.filtered, &other.filtered);
-        add_confusion(&mut self.alone, &other.alone);
+        add_confusion(&mut self.single_frames, &other.single_frames);
         self.reliability.merge(&other.reliability);
         self.recordings.extend_from_slice(&other.recordings);
         self.scores.extend_from_slice(&other.scores);
@@ -87,8 +87,8 @@ struct Row {
     false_alarms: FalseAlarms,
     /// Reliability of the filter's largest probability.
     reliability: Reliability,
-    recordings: Vec<OfRecording>,
-    refused: Vec<Refused>,
+    recordings: Vec<RecordingResult>,
+    refused: Vec<Refusal>,
 }
 
 impl Row {
@@ -99,7 +99,7 @@ impl Row {
         Row {
             rung: rung.to_owned(),
             balanced_accuracy: balanced(scores.filtered),
-            balanced_accuracy_by_single_frames: balanced(scores.alone),
+            balanced_accuracy_by_single_frames: balanced(scores.single_frames),
             confusion: scores.filtered,
             recordings_right: scores.recordings.iter().filter(|recording| recording.is_right).count(),
             recordings_judged: scores.recordings.len(),
@@ -114,7 +114,7 @@ impl Row {
 
 /// Scores of a model on a ladder.
 #[derive(Serialize)]
-pub(super) struct OfModel {
+pub(super) struct ModelScores {
     model: PathBuf,
     rungs: Vec<Row>,
     /// Scores on all rungs. Accuracies are means over the rungs, so that each weighs the same. All other scores are
@@ -122,7 +122,7 @@ pub(super) struct OfModel {
     all: Row,
 }
 
-impl OfModel {
+impl ModelScores {
     pub(super) fn new(model: &Path, rungs: &[Rung], scores: &[RungScores]) -> Self {
         let rows: Vec<Row> = rungs.iter().zip(scores).map(|(rung, scores)| Row::new(&rung.name, scores)).collect();
         let mut sum = RungScores::default();
@@ -138,14 +138,14 @@ impl OfModel {
             recordings: Vec::new(),
             ..Row::new("all", &sum)
         };
-        OfModel { model: model.to_owned(), rungs: rows, all }
+        ModelScores { model: model.to_owned(), rungs: rows, all }
     }
 }
 
-pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
+pub(super) fn print(models: &[ModelScores]) -> anyhow::Result<()> {
     message!("frames in which someone enters or leaves are left out; `two` means two people or more");
-    for of in answers {
-        output::text_line(&of.model.display().to_string())?;
+    for model in models {
+        output::text_line(&model.model.display().to_string())?;
         output::text_line(&format!(
             "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9} {:>9} {:>9} {:>12}",
             "rung",
@@ -158,8 +158,8 @@ pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
             "alarm, %",
             "calibration"
         ))?;
-        for row in of.rungs.iter().chain([&of.all]) {
-            let some = match row.refused.len() {
+        for row in model.rungs.iter().chain([&model.all]) {
+            let refused_count = match row.refused.len() {
                 0 => String::new(),
                 refused => format!("  {refused} refused"),
             };
@@ -168,7 +168,7 @@ pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
                 continue;
             }
             output::text_line(&format!(
-                "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9.3} {:>9} {:>9} {:>12}{some}",
+                "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9.3} {:>9} {:>9} {:>12}{refused_count}",
                 row.rung,
                 or_dash(row.balanced_accuracy_by_single_frames, 3),
                 or_dash(row.balanced_accuracy, 3),
@@ -180,9 +180,9 @@ pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
                 or_dash(row.reliability.expected_calibration_error, 3),
             ))?;
         }
-        for row in &of.rungs {
+        for row in &model.rungs {
             if let Some(first) = row.refused.first() {
-                message!("{}: {} refused: {}", of.model.display(), first.recording, first.reason);
+                message!("{}: {} refused: {}", model.model.display(), first.recording, first.reason);
             }
         }
     }

@@ -13,10 +13,10 @@ use sha2::{Digest, Sha256};
 use crate::{files, output};
 
 /// Relative difference up to which a recomputed chirp counts as the same, since machines round differently.
-const SAME: f64 = 1e-6;
+const SAME_TOLERANCE: f64 = 1e-6;
 /// Relative difference up to which a stored frame is still used, with a message. On a walker's map, -54 dB are about
 /// 0.05 dB.
-const CLOSE: f64 = 2e-3;
+const USABLE_TOLERANCE: f64 = 2e-3;
 
 /// Inputs of the computation of a frame.
 pub struct DenseFrame<'a> {
@@ -40,23 +40,23 @@ impl DenseFrame<'_> {
     /// them with a progress bar, and stores them there.
     ///
     /// # Errors
-    /// The frame cannot be computed, or the file of kept samples cannot be read or written.
+    /// The frame cannot be computed, or the file of stored samples cannot be read or written.
     pub fn samples(&self, folder: Option<&Path>) -> anyhow::Result<DenseSamples> {
         let Some(folder) = folder else { return self.compute() };
         let path = self.path(folder);
         if path.exists() {
             let samples = self.read(&path)?;
             let started = Instant::now();
-            let off = self.off(&samples);
-            let off_db = 20.0 * off.log10();
-            if off <= CLOSE {
-                if off > SAME {
-                    message!("{}: {off_db:.1} dB off what the program makes now", path.display());
+            let difference = self.difference(&samples);
+            let difference_db = 20.0 * difference.log10();
+            if difference <= USABLE_TOLERANCE {
+                if difference > SAME_TOLERANCE {
+                    message!("{}: {difference_db:.1} dB off what the program makes now", path.display());
                 }
                 let milliseconds = started.elapsed().as_secs_f64() * 1e3 * self.shape()[1] as f64;
                 return Ok(DenseSamples { samples, milliseconds });
             }
-            message!("{}: {off_db:.1} dB off what the program makes now; computed anew", path.display());
+            message!("{}: {difference_db:.1} dB off what the program makes now; computed anew", path.display());
         }
         std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         let computed = self.compute()?;
@@ -73,8 +73,8 @@ impl DenseFrame<'_> {
     /// Path of the stored frame, named by a hash of the settings. The content of the scene file is not part of the
     /// name: the recomputed chirp detects changes, and a scene file that gains a new key stays valid.
     fn path(&self, folder: &Path) -> PathBuf {
-        let asked = format!("{} {}", self.margin_db, self.settings);
-        let digest: String = Sha256::digest(asked).iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+        let settings = format!("{} {}", self.margin_db, self.settings);
+        let digest: String = Sha256::digest(settings).iter().take(4).map(|byte| format!("{byte:02x}")).collect();
         folder.join(format!("dense-{}-{digest}-{}.npy", self.simulator.scene().name(), self.index))
     }
 
@@ -97,18 +97,18 @@ impl DenseFrame<'_> {
     }
 
     /// Difference of the frame's middle chirp from the one that the program computes now, relative to the latter.
-    fn off(&self, samples: &[f64]) -> f64 {
+    fn difference(&self, samples: &[f64]) -> f64 {
         let [_, chirps, length] = self.shape();
         let middle = chirps / 2;
         let now = self.simulator.dense_echo_chirp(self.index, middle, self.margin_db);
-        let kept =
+        let stored =
             samples.chunks(chirps * length).map(|channel| channel.chunks(length).nth(middle).unwrap_or_default());
-        let (mut apart, mut power) = (0.0, 0.0);
-        for (now, kept) in now.iter().flatten().zip(kept.flatten()) {
-            apart += (now - kept).powi(2);
+        let (mut squared_difference, mut power) = (0.0, 0.0);
+        for (now, stored) in now.iter().flatten().zip(stored.flatten()) {
+            squared_difference += (now - stored).powi(2);
             power += now * now;
         }
-        if apart > 0.0 { (apart / power).sqrt() } else { 0.0 }
+        if squared_difference > 0.0 { (squared_difference / power).sqrt() } else { 0.0 }
     }
 
     fn read(&self, path: &Path) -> anyhow::Result<Vec<f64>> {

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use anyhow::{Context, ensure};
-use radome_driver::Judge as NamedJudge;
+use radome_driver::Judge;
 use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::detect::CfarCounter;
 use radome_dsp::rdm::{AxesCoverage, PhysicalAxes, SlowTime};
@@ -32,10 +32,10 @@ const COUNTING_RESOLUTION_M_PER_S: f64 = 0.25;
 
 static BUILT_IN_FILE: &[u8] = include_bytes!("../../fixtures/models/room-hqnn.safetensors");
 
-/// Probabilities of the number of people who are seen, by the number that a detector counts, `[counted][seen]`. Missing
-/// a person who is hidden or turned away is more likely than counting noise as a person. Chosen on simulated corridors
-/// (seeds 90001 to 90006) and halls (200001 to 200006).
-const COUNTED_TO_SEEN: [[f32; 3]; 3] = [[0.70, 0.20, 0.10], [0.05, 0.60, 0.35], [0.01, 0.10, 0.89]];
+/// Probabilities of the classes empty, one and two for each number of people that the detector counts, `[counted][class]`.
+/// Missing a person who is hidden or turned away is more likely than counting noise as a person. Chosen on simulated
+/// corridors (seeds 90001 to 90006) and halls (200001 to 200006).
+const COUNT_TO_PROBABILITIES: [[f32; 3]; 3] = [[0.70, 0.20, 0.10], [0.05, 0.60, 0.35], [0.01, 0.10, 0.89]];
 
 /// Opens a native network by its file, or the built-in one by its name.
 ///
@@ -102,8 +102,8 @@ pub enum Model {
     Cfar,
 }
 
-/// Model set up for frames of one waveform.
-pub struct Judge(Kind);
+/// Model prepared for frames of one waveform. Receives frames in order.
+pub struct FrameClassifier(Kind);
 
 // A program holds one instance, so its size does not matter.
 #[allow(clippy::large_enum_variant)]
@@ -149,9 +149,9 @@ impl std::fmt::Display for FaultyReceiver {
 }
 
 /// Prints the error of a receiver on stderr, each one once per run of the program.
-fn say_fault(faulty: FaultyReceiver) {
-    static SAID: Mutex<BTreeSet<FaultyReceiver>> = Mutex::new(BTreeSet::new());
-    if lock(&SAID).insert(faulty) {
+fn warn_once(faulty: FaultyReceiver) {
+    static REPORTED: Mutex<BTreeSet<FaultyReceiver>> = Mutex::new(BTreeSet::new());
+    if lock(&REPORTED).insert(faulty) {
         message!("warning: {faulty}");
     }
 }
@@ -184,11 +184,11 @@ impl Model {
         self.network().map(Classifier::waveform)
     }
 
-    /// Returns name and hash of the model, as recordings store them.
+    /// Describes the model with its settings, as recordings store it.
     ///
     /// # Errors
     /// The file cannot be read.
-    pub fn named(&self, path: &Path, delays: Delays, max_range_m: Option<f64>) -> anyhow::Result<NamedJudge> {
+    pub fn description(&self, path: &Path, delays: Delays, max_range_m: Option<f64>) -> anyhow::Result<Judge> {
         let model = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let model_hash = match self {
             // The detector is identified by the program's version.
@@ -203,7 +203,7 @@ impl Model {
             }
         };
         let Delays { on_s: on_delay_s, off_s: off_delay_s } = delays;
-        Ok(NamedJudge { version: RESULTS_VERSION, model, model_hash, on_delay_s, off_delay_s, max_range_m })
+        Ok(Judge { version: RESULTS_VERSION, model, model_hash, on_delay_s, off_delay_s, max_range_m })
     }
 
     /// Returns the time over which the model averages the evidence of frames, s.
@@ -224,11 +224,10 @@ impl Model {
         }
     }
 
-    /// Checks whether frames of a waveform can be judged.
+    /// Checks whether frames of a waveform can be classified.
     ///
     /// # Errors
-    /// The quantity in which the waveform differs from the model's own; of a model on physical axes, the limit that it
-    /// exceeds.
+    /// The waveform differs from the model's own. For a model on physical axes: the waveform exceeds one of its limits.
     pub fn check_waveform(&self, waveform: &Waveform) -> anyhow::Result<()> {
         let Some(network) = self.network() else { return Ok(()) };
         Ok(network.rdm_spec().check_compatible(waveform, network.waveform())?)
@@ -241,17 +240,17 @@ impl Model {
         skipped as f64 * card.rdm_spec.steps(&card.waveform).0
     }
 
-    /// Sets the model up for frames of a waveform. People farther away than `max_range_m`, if given, do not count. Prints on stderr
+    /// Prepares the model for frames of a waveform. People farther away than `max_range_m`, if given, do not count. Prints on stderr
     /// what is lost relative to the model's own waveform.
     ///
     /// # Errors
-    /// If the model cannot judge frames of the waveform, or if its maps cannot be limited to this range.
-    pub fn judge(self, waveform: &Waveform, max_range_m: Option<f64>) -> anyhow::Result<Judge> {
+    /// The model cannot classify frames of the waveform, or its maps cannot be limited to this range.
+    pub fn for_waveform(self, waveform: &Waveform, max_range_m: Option<f64>) -> anyhow::Result<FrameClassifier> {
         self.check_waveform(waveform)?;
         if let Some(range_m) = max_range_m {
-            let is_of_any_waveform = self.network().is_none_or(|of| of.rdm_spec().physical_axes.is_some());
+            let takes_any_waveform = self.network().is_none_or(|network| network.rdm_spec().physical_axes.is_some());
             ensure!(
-                is_of_any_waveform,
+                takes_any_waveform,
                 "--max-range-m is for models of any waveform, and this model takes only its own\n\nhint: leave it out, or use {BUILT_IN} \
                  or {CFAR}"
             );
@@ -261,11 +260,11 @@ impl Model {
                 "--max-range-m {range_m}: the model sees nobody nearer than {nearest_m:.2} m\n\nhint: give a greater distance"
             );
         }
-        Ok(Judge(match self {
+        Ok(FrameClassifier(match self {
             Model::Network(classifier) => {
                 let spec = classifier.rdm_spec();
                 if let Some(axes) = spec.physical_axes {
-                    say_losses(&losses(&axes, waveform, classifier.waveform()));
+                    note_once(&losses(&axes, waveform, classifier.waveform()));
                 }
                 let processor = RdmProcessor::new(&RdmSpec { max_range_m, ..*spec }, waveform)?;
                 let map = processor.empty_map();
@@ -315,7 +314,7 @@ fn losses(axes: &PhysicalAxes, waveform: &Waveform, nominal: &Waveform) -> Vec<S
             losses.push("two people are mostly counted as one".to_owned());
         }
     }
-    let samples = |of: &AxesCoverage| (of.samples.len() * of.chirps.len()) as f64;
+    let samples = |coverage: &AxesCoverage| (coverage.samples.len() * coverage.chirps.len()) as f64;
     let gain_db = 10.0 * (samples(&given) / samples(&own)).log10();
     if gain_db < -1.0 {
         losses.push(format!("echoes are {:.0} dB lower over noise, by fewer samples or chirps", -gain_db));
@@ -324,18 +323,18 @@ fn losses(axes: &PhysicalAxes, waveform: &Waveform, nominal: &Waveform) -> Vec<S
 }
 
 /// Prints losses on stderr, the same ones once per run of the program.
-fn say_losses(losses: &[String]) {
-    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+fn note_once(losses: &[String]) {
+    static REPORTED: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     if losses.is_empty() {
         return;
     }
     let text = losses.join("; ");
-    if lock(&SAID).insert(text.clone()) {
+    if lock(&REPORTED).insert(text.clone()) {
         message!("note: frames of another waveform than the model's own are brought onto its axes: {text}");
     }
 }
 
-impl Judge {
+impl FrameClassifier {
     /// Newest map: the network's input, or the moving echoes that the detector sees.
     pub fn map(&self) -> &Rdm {
         match &self.0 {
@@ -345,14 +344,15 @@ impl Judge {
     }
 
     /// Returns the network, for predictions on modified maps; `None` for the detector, which uses frames.
-    pub fn classifier(&mut self) -> Option<&mut Classifier> {
+    pub fn network(&mut self) -> Option<&mut Classifier> {
         match &mut self.0 {
             Kind::Network { classifier, .. } => Some(classifier.as_mut()),
             Kind::Cfar(_) => None,
         }
     }
 
-    /// Resets state that must not persist across missing frames. What a model remembers of earlier frames fades with time.
+    /// Resets state that must not persist across missing frames. The mean of earlier evidence persists: its weight decays with
+    /// time.
     pub fn reset(&mut self) {
         match &mut self.0 {
             Kind::Network { processor, .. } => processor.reset(),
@@ -363,25 +363,25 @@ impl Judge {
     /// Classifies the next frame. Reports receivers with errors on stderr, each error once per run of the program.
     ///
     /// # Errors
-    /// The frame is of another shape than the waveform says, or the model fails.
-    pub fn frame(&mut self, frame: &Frame) -> anyhow::Result<Prediction> {
-        self.changed_frame(frame, frame)
+    /// The frame does not have the shape of the waveform, or the model fails.
+    pub fn classify(&mut self, frame: &Frame) -> anyhow::Result<Prediction> {
+        self.classify_changed(frame, frame)
     }
 
-    /// Classifies the next frame with other codes, such as with noise. Errors of receivers are those of the frame as it was
-    /// `received`: noise that fills the range of the ADC is none.
+    /// Classifies the next frame with `changed` codes, such as added noise. Receiver errors are found in the frame as it was
+    /// `received`, since noise that fills the range of the ADC is no error.
     ///
     /// # Errors
-    /// Those of [`Judge::frame`].
-    pub fn changed_frame(&mut self, received: &Frame, changed: &Frame) -> anyhow::Result<Prediction> {
+    /// Those of [`FrameClassifier::classify`].
+    pub fn classify_changed(&mut self, received: &Frame, changed: &Frame) -> anyhow::Result<Prediction> {
         let receivers = received.shape.rx;
         for rx in 0..receivers {
             if let Some(fault) = received.receiver_fault(rx) {
-                say_fault(FaultyReceiver { rx, receivers, fault });
+                warn_once(FaultyReceiver { rx, receivers, fault });
             }
         }
         // Every frame gives a map, so that displays of maps have the newest one.
-        let prediction = self.judge(received, changed)?;
+        let prediction = self.predict(received, changed)?;
         if self.has_signal(received) {
             return Ok(match (prediction, &mut self.0) {
                 (Prediction::Probabilities(frame), Kind::Network { mean, .. }) => {
@@ -403,7 +403,7 @@ impl Judge {
         }
     }
 
-    fn judge(&mut self, received: &Frame, changed: &Frame) -> anyhow::Result<Prediction> {
+    fn predict(&mut self, received: &Frame, changed: &Frame) -> anyhow::Result<Prediction> {
         match &mut self.0 {
             Kind::Network { classifier, processor, map, .. } => {
                 match processor.process_changed(received, changed, map)? {
@@ -412,8 +412,8 @@ impl Judge {
                 }
             }
             Kind::Cfar(counter) => {
-                let seen = counter.observe(changed)?;
-                Ok(Prediction::Probabilities(COUNTED_TO_SEEN[counter.people(seen)]))
+                let observation = counter.observe(changed)?;
+                Ok(Prediction::Probabilities(COUNT_TO_PROBABILITIES[counter.people(observation)]))
             }
         }
     }
@@ -448,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn what_another_waveform_loses_is_said_by_quantity() {
+    fn losses_by_another_waveform_are_reported_by_quantity() {
         let axes = PhysicalAxes { range_step_m: 0.15, range_bins: 64, velocity_step_m_per_s: 0.098, velocity_bins: 64 };
         let own = waveform(|_| ());
         let lost = |given: Waveform| losses(&axes, &given, &own).join("; ");
@@ -472,20 +472,21 @@ mod tests {
         let of = waveform(|_| ());
         let length = of.request.samples_per_chirp * of.request.chirps_per_frame;
         for name in [CFAR, BUILT_IN] {
-            let mut judge = Model::open(Path::new(name)).expect("a model").judge(&of, None).expect("its waveform");
+            let mut classifier =
+                Model::open(Path::new(name)).expect("a model").for_waveform(&of, None).expect("its waveform");
             let mut frame = Frame::zeroed(of.shape());
-            assert!(matches!(judge.frame(&frame).expect("judged"), Prediction::NoSignal), "{name}");
+            assert!(matches!(classifier.classify(&frame).expect("classified"), Prediction::NoSignal), "{name}");
             frame.sequence = 1;
             frame.codes.iter_mut().enumerate().for_each(|(index, code)| *code = 2000 + (index % 97) as u16);
-            assert!(matches!(judge.frame(&frame).expect("judged"), Prediction::Probabilities(_)), "{name}");
+            assert!(matches!(classifier.classify(&frame).expect("classified"), Prediction::Probabilities(_)), "{name}");
             frame.sequence = 2;
             frame.codes[..length].fill(2048);
-            assert!(matches!(judge.frame(&frame).expect("judged"), Prediction::Probabilities(_)), "{name}");
+            assert!(matches!(classifier.classify(&frame).expect("classified"), Prediction::Probabilities(_)), "{name}");
         }
     }
 
     #[test]
-    fn a_fault_names_the_receiver_and_what_to_do() {
+    fn a_fault_names_the_receiver_and_a_remedy() {
         for (fault, hint) in [
             (ReceiverFault::Constant, "programs"),
             (ReceiverFault::Saturated, "if_gain_db"),

@@ -1,4 +1,4 @@
-//! Buffer of the last minute, which is saved as training data when a user reports a wrong answer.
+//! Buffer of the last frames, which is saved as training data when a user reports a wrong answer.
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
@@ -17,11 +17,11 @@ use radome_dsp::{Frame, Gap, Occupancy};
 use super::latest::{Latest, count};
 use crate::exit::wrong_use;
 use crate::live::health::Health;
-use crate::live::recorder::{LAST_PATIENCE, frame_result};
-use crate::live::sink::{Moment, Sink};
+use crate::live::recorder::{FINAL_STALL_LIMIT, frame_result};
+use crate::live::sink::{ClassifiedFrame, Sink};
 use crate::panics::{Panicked, lock};
 
-/// Options of what is kept.
+/// Options of the buffer.
 #[derive(clap::Args, Default)]
 pub struct Arguments {
     /// Keep the last frames, and save them in this folder when somebody reports a wrong answer: with a button in Home
@@ -56,7 +56,7 @@ impl Arguments {
 pub struct Report {
     pub truth: Occupancy,
     /// Channel through which it came.
-    pub by: &'static str,
+    pub channel: &'static str,
 }
 
 /// Least time between two reports that are both accepted.
@@ -64,12 +64,12 @@ const LEAST_INTERVAL: Duration = Duration::from_secs(5);
 
 /// Sender of reports to the saving thread.
 #[derive(Clone)]
-pub struct Reports {
+pub struct ReportSender {
     sender: Sender<Report>,
     latest: Arc<Latest>,
 }
 
-impl Reports {
+impl ReportSender {
     /// Sends a report; `false` if earlier ones still wait. It is then counted as refused.
     pub fn send(&self, report: Report) -> bool {
         let is_sent = self.sender.try_send(report).is_ok();
@@ -81,7 +81,7 @@ impl Reports {
 }
 
 /// Frame with its codes packed as the chip packs them: two codes in three bytes.
-struct Kept {
+struct BufferedFrame {
     packed: Vec<u8>,
     /// Frame without the codes.
     head: Frame,
@@ -90,21 +90,21 @@ struct Kept {
     is_settled: bool,
 }
 
-impl Kept {
+impl BufferedFrame {
     /// Packs a frame into `packed`, which may hold an older one.
-    fn new(mut packed: Vec<u8>, moment: &Moment) -> Self {
+    fn new(mut packed: Vec<u8>, classified: &ClassifiedFrame) -> Self {
         packed.clear();
-        packed12::pack(&moment.frame.codes, &mut packed);
-        Kept {
+        packed12::pack(&classified.frame.codes, &mut packed);
+        BufferedFrame {
             packed,
-            head: frame_head(moment.frame),
-            result: frame_result(moment),
-            is_settled: moment.answer.is_settled,
+            head: frame_head(classified.frame),
+            result: frame_result(classified),
+            is_settled: classified.answer.is_settled,
         }
     }
 
     fn bytes(&self) -> usize {
-        self.packed.capacity() + size_of::<Kept>()
+        self.packed.capacity() + size_of::<BufferedFrame>()
     }
 }
 
@@ -116,7 +116,7 @@ fn frame_head(frame: &Frame) -> Frame {
 
 #[derive(Clone)]
 enum Entry {
-    Frame(Arc<Kept>),
+    Frame(Arc<BufferedFrame>),
     Gap(Gap),
 }
 
@@ -131,23 +131,23 @@ struct Ring {
 
 impl Ring {
     /// Removes entries beyond the limits; returns the memory of one frame for reuse.
-    fn forget(&mut self) -> Option<Vec<u8>> {
+    fn remove_old(&mut self) -> Option<Vec<u8>> {
         let mut spare = None;
         while let Some(first) = self.entries.front() {
             let is_old = match first {
                 Entry::Gap(_) => self.entries.len() == 1,
-                Entry::Frame(kept) => {
-                    self.newest_ns.saturating_sub(kept.head.time_ns) > self.span_ns || self.bytes > self.most_bytes
+                Entry::Frame(buffered) => {
+                    self.newest_ns.saturating_sub(buffered.head.time_ns) > self.span_ns || self.bytes > self.most_bytes
                 }
             };
             // A gap at the front precedes all kept frames.
             if !is_old && matches!(first, Entry::Frame(_)) {
                 break;
             }
-            if let Some(Entry::Frame(kept)) = self.entries.pop_front() {
-                self.bytes -= kept.bytes();
+            if let Some(Entry::Frame(buffered)) = self.entries.pop_front() {
+                self.bytes -= buffered.bytes();
                 // The memory is not reused while the frame is being saved.
-                spare = Arc::into_inner(kept).map(|kept| kept.packed).or(spare);
+                spare = Arc::into_inner(buffered).map(|buffered| buffered.packed).or(spare);
             }
         }
         spare
@@ -155,20 +155,20 @@ impl Ring {
 }
 
 /// Sink that keeps frames as they are classified.
-pub struct Keeper {
+pub struct BufferSink {
     ring: Arc<Mutex<Ring>>,
     /// Memory for the next frame.
     spare: Vec<u8>,
 }
 
 /// Saving thread. Dropping it waits for the report that is being saved, unless the disk hangs.
-pub struct Saver {
+pub struct SavingThread {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Keeper {
-    /// Creates a keeper, its sender and its thread; `None` if nothing is to be kept.
+impl BufferSink {
+    /// Creates the sink, the sender of reports and the saving thread; `None` if nothing is to be kept.
     ///
     /// # Errors
     /// The folder cannot be written, or the memory holds no frame.
@@ -176,11 +176,11 @@ impl Keeper {
         arguments: &Arguments,
         header: &RecordingHeader,
         latest: Arc<Latest>,
-    ) -> anyhow::Result<Option<(Self, Reports, Saver)>> {
+    ) -> anyhow::Result<Option<(Self, ReportSender, SavingThread)>> {
         let Some(folder) = &arguments.keep_to else { return Ok(None) };
         let span_s = arguments.keep_last_s;
         let most_bytes = usize::try_from(arguments.keep_memory_mib.saturating_mul(1 << 20)).unwrap_or(usize::MAX);
-        let frame_bytes = packed12::packed_length(header.waveform.shape().codes()) + size_of::<Kept>();
+        let frame_bytes = packed12::packed_length(header.waveform.shape().codes()) + size_of::<BufferedFrame>();
         if most_bytes < frame_bytes {
             wrong_use!(
                 "--keep-memory-mib {}: one frame takes {} MiB, and nothing would be kept\n\nhint: name the memory for all of the last \
@@ -200,7 +200,7 @@ impl Keeper {
             Ring { entries: VecDeque::new(), bytes: 0, span_ns: (span_s * 1e9) as u64, most_bytes, newest_ns: 0 };
         let ring = Arc::new(Mutex::new(ring));
         let (sender, receiver) = bounded(2);
-        let saving = Saving {
+        let saver = ReportSaver {
             ring: ring.clone(),
             folder: folder.clone(),
             most_disk_bytes: arguments.keep_disk_mib.saturating_mul(1 << 20),
@@ -208,22 +208,23 @@ impl Keeper {
             latest: latest.clone(),
         };
         let stop = Arc::new(AtomicBool::new(false));
-        let told = stop.clone();
-        let thread = std::thread::spawn(move || saving.run(&receiver, &told));
-        let (keeper, saver) = (Keeper { ring, spare: Vec::new() }, Saver { stop, thread: Some(thread) });
-        Ok(Some((keeper, Reports { sender, latest }, saver)))
+        let stop_flag = stop.clone();
+        let thread = std::thread::spawn(move || saver.run(&receiver, &stop_flag));
+        let (sink, saving_thread) =
+            (BufferSink { ring, spare: Vec::new() }, SavingThread { stop, thread: Some(thread) });
+        Ok(Some((sink, ReportSender { sender, latest }, saving_thread)))
     }
 }
 
-impl Drop for Saver {
+impl Drop for SavingThread {
     fn drop(&mut self) {
         // The flag stops the thread even if a hanging task still holds a sender.
         self.stop.store(true, Ordering::Relaxed);
         let Some(thread) = self.thread.take() else { return };
         let since = Instant::now();
         while !thread.is_finished() {
-            if since.elapsed() > LAST_PATIENCE {
-                let waited_s = LAST_PATIENCE.as_secs();
+            if since.elapsed() > FINAL_STALL_LIMIT {
+                let waited_s = FINAL_STALL_LIMIT.as_secs();
                 tracing::error!("a report may be lost: the disk has not stored it for {waited_s} s");
                 return;
             }
@@ -235,19 +236,19 @@ impl Drop for Saver {
     }
 }
 
-impl Sink for Keeper {
-    fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
-        let kept = Kept::new(std::mem::take(&mut self.spare), moment);
+impl Sink for BufferSink {
+    fn answer(&mut self, classified: &ClassifiedFrame) -> anyhow::Result<()> {
+        let buffered = BufferedFrame::new(std::mem::take(&mut self.spare), classified);
         let mut ring = lock(&self.ring);
         // A restarted clock makes earlier entries unrelated.
-        if moment.frame.time_ns < ring.newest_ns {
+        if classified.frame.time_ns < ring.newest_ns {
             ring.entries.clear();
             ring.bytes = 0;
         }
-        ring.newest_ns = moment.frame.time_ns;
-        ring.bytes += kept.bytes();
-        ring.entries.push_back(Entry::Frame(Arc::new(kept)));
-        self.spare = ring.forget().unwrap_or_default();
+        ring.newest_ns = classified.frame.time_ns;
+        ring.bytes += buffered.bytes();
+        ring.entries.push_back(Entry::Frame(Arc::new(buffered)));
+        self.spare = ring.remove_old().unwrap_or_default();
         Ok(())
     }
 
@@ -261,7 +262,7 @@ impl Sink for Keeper {
 }
 
 /// Inputs of the saving thread.
-struct Saving {
+struct ReportSaver {
     ring: Arc<Mutex<Ring>>,
     folder: PathBuf,
     most_disk_bytes: u64,
@@ -269,7 +270,7 @@ struct Saving {
     latest: Arc<Latest>,
 }
 
-impl Saving {
+impl ReportSaver {
     fn run(&self, reports: &Receiver<Report>, stop: &AtomicBool) {
         let mut last: Option<Instant> = None;
         loop {
@@ -279,7 +280,7 @@ impl Saving {
                 Err(_) => return,
             };
             if last.is_some_and(|last| last.elapsed() < LEAST_INTERVAL) {
-                tracing::warn!("a report ({}) within five seconds of another is ignored", report.by);
+                tracing::warn!("a report ({}) within five seconds of another is ignored", report.channel);
                 count(&self.latest.counters.reports_refused);
                 continue;
             }
@@ -287,7 +288,12 @@ impl Saving {
                 Ok(path) => {
                     last = Some(Instant::now());
                     count(&self.latest.counters.reports_kept);
-                    message!("report by {}: it was {}; kept as {}", report.by, report.truth.name(), path.display());
+                    message!(
+                        "report by {}: it was {}; kept as {}",
+                        report.channel,
+                        report.truth.name(),
+                        path.display()
+                    );
                 }
                 Err(error) => {
                     count(&self.latest.counters.reports_refused);
@@ -302,18 +308,18 @@ impl Saving {
         // Cloning the list of references holds the lock only briefly, so the classifier's thread hardly waits.
         let entries = lock(&self.ring).entries.clone();
         let entries: Vec<Entry> = entries.into();
-        let kept = entries.iter().filter_map(|entry| match entry {
-            Entry::Frame(kept) => Some((kept.result, kept.is_settled)),
+        let buffered = entries.iter().filter_map(|entry| match entry {
+            Entry::Frame(buffered) => Some((buffered.result, buffered.is_settled)),
             Entry::Gap(_) => None,
         });
-        let (results, is_settled): (Vec<FrameResult>, Vec<bool>) = kept.unzip();
+        let (results, is_settled): (Vec<FrameResult>, Vec<bool>) = buffered.unzip();
         ensure!(!results.is_empty(), "no frame has come yet");
-        let held = folder_bytes(&self.folder)?;
+        let used_bytes = folder_bytes(&self.folder)?;
         ensure!(
-            held < self.most_disk_bytes,
+            used_bytes < self.most_disk_bytes,
             "{} holds {} MiB already\n\nhint: look at the reports and remove them, or raise --keep-disk-mib",
             self.folder.display(),
-            held >> 20
+            used_bytes >> 20
         );
         let now_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_nanos() as u64);
         let path = free_name(&self.folder, now_ns / 1_000_000_000, report.truth);
@@ -322,18 +328,19 @@ impl Saving {
         for entry in &entries {
             match entry {
                 Entry::Gap(gap) => writer.gap(gap)?,
-                Entry::Frame(kept) => {
+                Entry::Frame(buffered) => {
                     let codes = std::mem::take(&mut frame.codes);
-                    frame = Frame { codes, ..frame_head(&kept.head) };
-                    packed12::unpack(&kept.packed, &mut frame.codes);
+                    frame = Frame { codes, ..frame_head(&buffered.head) };
+                    packed12::unpack(&buffered.packed, &mut frame.codes);
                     writer.frame(&frame)?;
                 }
             }
         }
         results.iter().try_for_each(|result| writer.result(result))?;
-        let (start_s, end_s) = disputed(&results, &is_settled, report.truth, self.header.waveform.frame_interval_s());
+        let (start_s, end_s) =
+            disputed_interval_s(&results, &is_settled, report.truth, self.header.waveform.frame_interval_s());
         writer.label(&LabelSpan {
-            who: Some(format!("report by {}", report.by)),
+            who: Some(format!("report by {}", report.channel)),
             made_ns: Some(now_ns),
             note: Some("from when the answer became another until the report; look at it before training".into()),
             ..LabelSpan::new(start_s, end_s, report.truth.name())
@@ -350,19 +357,19 @@ fn free_name(folder: &Path, now_s: u64, truth: Occupancy) -> PathBuf {
     std::iter::once(name("")).chain(numbered).find(|path| !path.exists()).unwrap_or_else(|| name(""))
 }
 
-/// Interval from the start of the last wrong answers until the end. If no answer before them was right, it starts at the last change
-/// among them. Without a wrong answer or a change, it is the whole buffer. Answers up to the last one that was not settled
-/// do not count: an outage may lie between.
-fn disputed(results: &[FrameResult], is_settled: &[bool], truth: Occupancy, interval_s: f64) -> (f64, f64) {
-    let unsettled = is_settled.iter().rposition(|is_settled| !is_settled).map_or(0, |last| last + 1);
-    let results = results.get(unsettled..).filter(|settled| !settled.is_empty()).unwrap_or(results);
+/// Interval from the first of the last wrong answers until the end, s. If no answer before them was right, it starts at the last
+/// change among them. Without a wrong answer or a change, it is the whole buffer. Answers up to the last one that was not
+/// settled are ignored, since an outage may lie between.
+fn disputed_interval_s(results: &[FrameResult], is_settled: &[bool], truth: Occupancy, interval_s: f64) -> (f64, f64) {
+    let first_settled = is_settled.iter().rposition(|is_settled| !is_settled).map_or(0, |last| last + 1);
+    let results = results.get(first_settled..).filter(|settled| !settled.is_empty()).unwrap_or(results);
     let is_wrong = |result: &&FrameResult| usize::from(result.people) != truth.index();
-    let wrong_until = results.iter().rposition(|result| is_wrong(&result));
-    let start = wrong_until.map_or(0, |last| {
-        let before = results.iter().take(last).rposition(|result| !is_wrong(&result));
+    let last_wrong = results.iter().rposition(|result| is_wrong(&result));
+    let start = last_wrong.map_or(0, |last| {
+        let last_right = results.iter().take(last).rposition(|result| !is_wrong(&result));
         let until_then = results.get(..=last).unwrap_or(results);
-        let changed = || until_then.windows(2).rposition(|pair| pair[0].people != pair[1].people);
-        before.or_else(changed).map_or(0, |before| before + 1)
+        let last_change = || until_then.windows(2).rposition(|pair| pair[0].people != pair[1].people);
+        last_right.or_else(last_change).map_or(0, |before| before + 1)
     });
     let time_s = |result: Option<&FrameResult>| result.map_or(0.0, FrameResult::time_s);
     (time_s(results.get(start)), time_s(results.last()) + interval_s)
@@ -387,21 +394,21 @@ mod tests {
         let keep_to = Some(folder.path().join("reports"));
         let arguments = Arguments { keep_to, keep_last_s: 60.0, keep_memory_mib: 0, ..Arguments::default() };
         let latest = Latest::new(Instant::now(), Duration::from_secs(1));
-        let opened = Keeper::open(&arguments, &RecordingHeader::new(waveform), latest);
+        let opened = BufferSink::open(&arguments, &RecordingHeader::new(waveform), latest);
         assert!(opened.is_err_and(|error| error.is::<WrongUse>()));
         assert!(!folder.path().join("reports").exists(), "refused before anything is made");
     }
 
     #[test]
-    fn a_report_that_finds_no_room_is_counted() {
+    fn a_report_that_the_queue_cannot_take_is_counted() {
         let latest = Latest::new(Instant::now(), Duration::from_secs(1));
         let (sender, _receiver) = bounded(1);
-        let reports = Reports { sender, latest: latest.clone() };
-        let sent = [(); 2].map(|()| reports.send(Report { truth: Occupancy::Empty, by: "signal" }));
+        let reports = ReportSender { sender, latest: latest.clone() };
+        let sent = [(); 2].map(|()| reports.send(Report { truth: Occupancy::Empty, channel: "signal" }));
         assert_eq!((sent, latest.counters.reports_refused.load(Ordering::Relaxed)), ([true, false], 1));
     }
 
-    /// The seconds in the name were those of a later time where the name was taken.
+    /// Regression test: where a name was taken, the seconds in the next name were those of a later time.
     #[test]
     fn a_name_that_is_taken_gets_a_number_and_keeps_its_time() {
         let folder = tempfile::tempdir().expect("a folder");
@@ -424,8 +431,8 @@ mod tests {
     }
 
     #[test]
-    fn what_is_disputed_starts_where_the_answer_became_wrong() {
-        let span = |people: &[u8], truth| disputed(&results(people), &vec![true; people.len()], truth, 0.1);
+    fn the_disputed_interval_starts_where_the_answer_became_wrong() {
+        let span = |people: &[u8], truth| disputed_interval_s(&results(people), &vec![true; people.len()], truth, 0.1);
         let close = |(a, b): (f64, f64), (c, d): (f64, f64)| (a - c).abs() < 1e-9 && (b - d).abs() < 1e-9;
         assert!(close(span(&[0, 0, 1, 1, 2], Occupancy::Empty), (0.2, 0.5)));
         // The answer became right again before the user reported.
@@ -434,7 +441,7 @@ mod tests {
         assert!(close(span(&[1, 0, 1, 1], Occupancy::Empty), (0.2, 0.4)));
         assert!(close(span(&[1, 1, 0, 0], Occupancy::One), (0.2, 0.4)));
         assert!(close(span(&[0, 0], Occupancy::Empty), (0.0, 0.2)));
-        // Two people came into an empty room, and one was told of.
+        // Two people came into an empty room, and one was reported.
         assert!(close(span(&[0, 0, 1, 1], Occupancy::Two), (0.2, 0.4)));
         assert!(close(span(&[1, 1], Occupancy::Two), (0.0, 0.2)));
         // The answer became right in the end: what was wrong before is labelled, too.
@@ -444,7 +451,8 @@ mod tests {
     /// Regression test: the label of a report covered an outage and the time before the first answer.
     #[test]
     fn answers_that_were_not_settled_are_not_disputed() {
-        let span = |people: &[u8], is_settled: &[bool]| disputed(&results(people), is_settled, Occupancy::Two, 0.1);
+        let span =
+            |people: &[u8], is_settled: &[bool]| disputed_interval_s(&results(people), is_settled, Occupancy::Two, 0.1);
         let (start_s, end_s) = span(&[1, 1, 0, 0, 1, 1], &[true, true, false, false, true, true]);
         assert!((start_s - 0.4).abs() < 1e-9 && (end_s - 0.6).abs() < 1e-9, "{start_s} {end_s}");
         let (start_s, end_s) = span(&[0, 0], &[false, false]);

@@ -29,8 +29,8 @@ const CONFIDENCE: f64 = 0.95;
 /// Figures of a comparison by name; figures that these maps cannot give are left out.
 pub type Figures = BTreeMap<&'static str, f64>;
 
-/// Parts of the recordings that simulations are compared with.
-pub struct Real {
+/// Maps of the parts of the recordings that simulations are compared with.
+pub struct HeldOutMaps {
     waveform: Waveform,
     pub regions: Regions,
     channels: Vec<ChannelFit>,
@@ -60,7 +60,7 @@ pub struct Channel {
     pub interval: BTreeMap<&'static str, [f64; 2]>,
 }
 
-impl Real {
+impl HeldOutMaps {
     /// Reads the recordings' maps. `target` is the range bin of the person.
     ///
     /// # Errors
@@ -73,20 +73,20 @@ impl Real {
         for recording in &recordings.all {
             let mut first = Sample::default();
             let mut blocks = vec![Sample::default(); if is_single { BLOCKS } else { 1 }];
-            recording.each_frame("making maps", |place, frame| {
-                let block = ((place.in_part * blocks.len() as f64) as usize).min(blocks.len() - 1);
-                sampler.add(frame, if place.is_fitted { &mut first } else { &mut blocks[block] })
+            recording.for_each_frame("making maps", |position, frame| {
+                let block = ((position.in_part * blocks.len() as f64) as usize).min(blocks.len() - 1);
+                sampler.add(frame, if position.is_fitted { &mut first } else { &mut blocks[block] })
             })?;
             units.extend(blocks);
             fitted.push(first);
         }
         let resampled = if is_single { "contiguous blocks of the one recording" } else { "recordings" };
-        Ok(Real { waveform: recordings.waveform.clone(), regions, channels, units, fitted, resampled })
+        Ok(HeldOutMaps { waveform: recordings.waveform.clone(), regions, channels, units, fitted, resampled })
     }
 
-    /// Figures between real recordings by channel: the mean over all pairs, or those between the two parts of a single
+    /// Returns the differences between real recordings by channel: the mean over all pairs, or those between the two parts of a single
     /// recording.
-    pub fn between(&self) -> Vec<Figures> {
+    pub fn differences_between_recordings(&self) -> Vec<Figures> {
         let pairs: Vec<(&Sample, Sample)> = match self.fitted.as_slice() {
             [fitted] => vec![(fitted, merged(&self.units))],
             _ => {
@@ -97,7 +97,8 @@ impl Real {
         let channel = |rx: usize| {
             let mut sums: BTreeMap<&'static str, (f64, f64)> = BTreeMap::new();
             for (a, b) in &pairs {
-                for (name, value) in self.figures(rx, &of_channel([*a], rx), &of_channel([b], rx), &self.channels) {
+                for (name, value) in self.figures(rx, &merge_channel([*a], rx), &merge_channel([b], rx), &self.channels)
+                {
                     let (sum, count) = sums.entry(name).or_default();
                     // The order within a pair is arbitrary, so a difference counts by its absolute value.
                     *sum += if name.ends_with("difference_db") { value.abs() } else { value };
@@ -110,7 +111,7 @@ impl Real {
     }
 
     /// Compares the recordings with simulated copies, by channel.
-    pub fn beside(&self, simulated: &Simulated) -> Vec<Channel> {
+    pub fn compare(&self, simulated: &Simulated) -> Vec<Channel> {
         let antennas = self.waveform.request.rx_antennas.antennas();
         let both = self.channels.iter().zip(&simulated.channels);
         antennas.iter().zip(both).enumerate().map(|(i, (&rx, both))| self.channel(i, rx, both, simulated)).collect()
@@ -121,12 +122,12 @@ impl Real {
         let densities = real.density_lsb2.iter().zip(&fit.density_lsb2);
         let differences: Vec<f64> =
             densities.map(|(real, fit)| 10.0 * (fit / real).log10()).take(bins.saturating_sub(1)).skip(1).collect();
-        let samples = [of_channel(&self.units, i), of_channel(&simulated.samples, i)];
+        let samples = [merge_channel(&self.units, i), merge_channel(&simulated.samples, i)];
         let figures = self.figures(i, &samples[0], &samples[1], &simulated.channels);
         let mut rng = StdRng::seed_from_u64(i as u64);
         let mut drawn: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
         for _ in 0..DRAWS {
-            let (real, copies) = (draw(&self.units, i, &mut rng), draw(&simulated.samples, i, &mut rng));
+            let (real, copies) = (resample(&self.units, i, &mut rng), resample(&simulated.samples, i, &mut rng));
             for (name, value) in self.figures(i, &real, &copies, &simulated.channels) {
                 drawn.entry(name).or_default().push(value);
             }
@@ -195,15 +196,15 @@ fn merged(samples: &[Sample]) -> Sample {
 }
 
 /// Merges one channel of all samples.
-fn of_channel<'a>(samples: impl IntoIterator<Item = &'a Sample>, rx: usize) -> MapStatistics {
+fn merge_channel<'a>(samples: impl IntoIterator<Item = &'a Sample>, rx: usize) -> MapStatistics {
     let mut all = MapStatistics::default();
     samples.into_iter().filter_map(|sample| sample.maps.get(rx)).for_each(|maps| all.merge(maps));
     all
 }
 
 /// Draws as many samples as there are, with replacement, and merges one channel of them.
-fn draw(samples: &[Sample], rx: usize, rng: &mut StdRng) -> MapStatistics {
-    of_channel((0..samples.len()).filter_map(|_| samples.get(rng.random_range(0..samples.len()))), rx)
+fn resample(samples: &[Sample], rx: usize, rng: &mut StdRng) -> MapStatistics {
+    merge_channel((0..samples.len()).filter_map(|_| samples.get(rng.random_range(0..samples.len()))), rx)
 }
 
 /// Relative difference between two mean chirps in the range bins that hold leakage: complex difference over the content
@@ -221,6 +222,6 @@ fn leakage_error(real: &[f64], simulated: &[f64]) -> f64 {
         (0..LEAKAGE_BINS).map(bin).collect::<Vec<_>>()
     };
     let (real, simulated) = (bins(real), bins(simulated));
-    let miss: f64 = real.iter().zip(&simulated).map(|(a, b)| (a - b).norm_sqr()).sum();
-    (miss / real.iter().map(|z| z.norm_sqr()).sum::<f64>()).sqrt()
+    let difference: f64 = real.iter().zip(&simulated).map(|(a, b)| (a - b).norm_sqr()).sum();
+    (difference / real.iter().map(|z| z.norm_sqr()).sum::<f64>()).sqrt()
 }

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use radome_tests::running::{Running, ask, emulated_board, free_port, wait_for};
+use radome_tests::running::{Running, emulated_board, free_port, send_request, wait_for};
 use radome_tests::{
     command, emulated_corridor, fixture, installed, json_lines, labels_of, live_command, outcome, skip,
 };
@@ -67,7 +67,7 @@ impl Broker {
 }
 
 /// Command that watches the corridor through an emulated board in real time, until stopped.
-fn watch() -> Command {
+fn watch_command() -> Command {
     live_command(emulated_corridor(), "--speed 1 --json")
 }
 
@@ -95,7 +95,7 @@ fn stop_and_count(mut live: Running) -> Value {
     summary["summary"].clone()
 }
 
-fn message(line: &str, topic: &str) -> Option<String> {
+fn message_of_topic(line: &str, topic: &str) -> Option<String> {
     line.strip_prefix(topic)?.strip_prefix(' ').map(str::to_owned)
 }
 
@@ -103,21 +103,21 @@ fn discovery_topic() -> String {
     format!("homeassistant/device/bgt60_{ID}/config")
 }
 
-fn count_of(lines: &[String], topic: &str) -> usize {
-    lines.iter().filter(|line| message(line, topic).is_some()).count()
+fn count_messages(lines: &[String], topic: &str) -> usize {
+    lines.iter().filter(|line| message_of_topic(line, topic).is_some()).count()
 }
 
 #[test]
-fn the_hub_finds_the_radar_sees_people_come_and_learns_of_its_death() {
+fn the_hub_discovers_the_radar_and_receives_its_answers_and_its_end() {
     let Some(mut broker) = Broker::prepare() else { return };
     broker.start();
-    let live = Running::start(watch().args(["--mqtt", &broker.url(), "--mqtt-name", "Corridor radar"]));
+    let live = Running::start(watch_command().args(["--mqtt", &broker.url(), "--mqtt-name", "Corridor radar"]));
     let hub = broker.listen();
     let availability = format!("radome/{ID}/availability");
     let state = format!("radome/{ID}/state");
     live.stderr.find(0, "the topic", |line| line.ends_with(&format!("connected; answers go to {state}")).then_some(()));
 
-    let found = hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
+    let found = hub.stdout.find(0, "discovery", |line| message_of_topic(line, &discovery_topic()));
     let found: Value = serde_json::from_str(&found).expect("JSON");
     assert_eq!((&found["dev"]["name"], &found["dev"]["mdl"]), (&"Corridor radar".into(), &"BGT60TR13C".into()));
     assert_eq!(found["dev"]["ids"], serde_json::json!([format!("bgt60_{ID}")]));
@@ -135,9 +135,9 @@ fn the_hub_finds_the_radar_sees_people_come_and_learns_of_its_death() {
     ids.dedup();
     assert_eq!(ids.len(), 4);
 
-    hub.stdout.find(0, "online", |line| message(line, &availability).filter(|m| m == "online"));
+    hub.stdout.find(0, "online", |line| message_of_topic(line, &availability).filter(|m| m == "online"));
     let is_occupied = |line: &str| {
-        let state: Value = serde_json::from_str(&message(line, &state)?).ok()?;
+        let state: Value = serde_json::from_str(&message_of_topic(line, &state)?).ok()?;
         (state["occupancy"] == "ON").then_some(state)
     };
     let said = hub.stdout.find(0, "somebody", is_occupied);
@@ -147,25 +147,27 @@ fn the_hub_finds_the_radar_sees_people_come_and_learns_of_its_death() {
     // A later subscriber receives all of it as retained messages.
     let late = broker.listen();
     for topic in [&discovery_topic(), &availability, &state] {
-        late.stdout.find(0, topic, |line| message(line, topic));
+        late.stdout.find(0, topic, |line| message_of_topic(line, topic));
     }
 
     // The hub restarts.
     let before = hub.stdout.all().len();
     broker.publish("homeassistant/status", &["-m", "online"]);
-    hub.stdout.find(before, "a second announcement", |line| message(line, &discovery_topic()));
-    hub.stdout.find(before, "its state", |line| message(line, &state));
+    hub.stdout.find(before, "a second announcement", |line| message_of_topic(line, &discovery_topic()));
+    hub.stdout.find(before, "its state", |line| message_of_topic(line, &state));
 
     let before = hub.stdout.all().len();
     live.signal("KILL");
-    let last = hub.stdout.find(before, "the last will", |line| message(line, &availability).filter(|m| m == "offline"));
+    let last = hub
+        .stdout
+        .find(before, "the last will", |line| message_of_topic(line, &availability).filter(|m| m == "offline"));
     assert_eq!(last, "offline");
 }
 
 #[test]
-fn frames_are_judged_while_the_broker_is_away_and_it_is_told_when_it_comes() {
+fn frames_are_classified_while_the_broker_is_away_and_answers_published_when_it_comes() {
     let Some(mut broker) = Broker::prepare() else { return };
-    let live = Running::start(watch().args(["--mqtt", &broker.url()]));
+    let live = Running::start(watch_command().args(["--mqtt", &broker.url()]));
     live.stderr.find(0, "a word about the broker", |line| line.contains("MQTT broker").then_some(()));
     let answers = || live.stdout.all().len();
     let wait_for_more = || {
@@ -176,9 +178,9 @@ fn frames_are_judged_while_the_broker_is_away_and_it_is_told_when_it_comes() {
     for _ in 0..2 {
         broker.start();
         let hub = broker.listen();
-        hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
+        hub.stdout.find(0, "discovery", |line| message_of_topic(line, &discovery_topic()));
         let availability = format!("radome/{ID}/availability");
-        hub.stdout.find(0, "online", |line| message(line, &availability).filter(|m| m == "online"));
+        hub.stdout.find(0, "online", |line| message_of_topic(line, &availability).filter(|m| m == "online"));
         broker.process = None;
         wait_for_more();
     }
@@ -190,23 +192,24 @@ fn frames_are_judged_while_the_broker_is_away_and_it_is_told_when_it_comes() {
 }
 
 #[test]
-fn an_orderly_end_says_offline_itself() {
+fn an_orderly_end_publishes_offline() {
     let Some(mut broker) = Broker::prepare() else { return };
     broker.start();
-    let live = Running::start(watch().args(["--mqtt", &broker.url()]));
+    let live = Running::start(watch_command().args(["--mqtt", &broker.url()]));
     let hub = broker.listen();
     let availability = format!("radome/{ID}/availability");
-    hub.stdout.find(0, "online", |line| message(line, &availability).filter(|m| m == "online"));
+    hub.stdout.find(0, "online", |line| message_of_topic(line, &availability).filter(|m| m == "online"));
     stop_and_count(live);
     wait_for("offline", || {
-        let messages: Vec<String> = hub.stdout.all().iter().filter_map(|line| message(line, &availability)).collect();
+        let messages: Vec<String> =
+            hub.stdout.all().iter().filter_map(|line| message_of_topic(line, &availability)).collect();
         messages.last().filter(|last| *last == "offline").map(drop)
     });
 }
 
 /// Regression test: nothing was said of messages that the broker's access rules reject.
 #[test]
-fn a_broker_that_rejects_what_is_published_is_told_of() {
+fn a_broker_that_rejects_messages_is_reported() {
     let Some(mut broker) = Broker::prepare() else { return };
     let folder = broker.folder.path().to_owned();
     let (rules, settings) = (folder.join("rules"), folder.join("mosquitto.conf"));
@@ -218,12 +221,12 @@ fn a_broker_that_rejects_what_is_published_is_told_of() {
     let others = std::fs::read_to_string(&settings).expect("written");
     std::fs::write(&settings, format!("{others}acl_file {}\n", rules.display())).expect("writable");
     broker.start();
-    let live = Running::start(watch().args(["--mqtt", &broker.url(), "--metrics", "127.0.0.1:0"]));
+    let live = Running::start(watch_command().args(["--mqtt", &broker.url(), "--metrics", "127.0.0.1:0"]));
     let is_rejection =
         |line: &str| line.contains("it rejects what is published: NotAuthorized").then(|| line.to_owned());
     let said = live.stderr.find(0, "the rejection", is_rejection);
     assert!(said.contains(&format!("needs to write {}, ", discovery_topic())), "{said}");
-    scrape(live.metrics_port(), |page| metric(page, "radome_mqtt_rejected_total") >= 1.0);
+    scrape_until(live.metrics_port(), |page| metric_value(page, "radome_mqtt_rejected_total") >= 1.0);
     stop_and_count(live);
 }
 
@@ -234,7 +237,7 @@ fn openssl(folder: &Path, arguments: &str) -> bool {
 }
 
 #[test]
-fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_right() {
+fn an_encrypted_broker_gets_messages_if_its_authority_is_trusted_and_the_login_is_right() {
     let Some(mut broker) = Broker::prepare() else { return };
     let folder = broker.folder.path().to_owned();
     std::fs::write(folder.join("names"), "subjectAltName=DNS:localhost\n").expect("writable");
@@ -275,7 +278,7 @@ fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_righ
         }
         command
     };
-    let told = |password: &str, authority: bool| Running::start(with_login(watch(), password, authority));
+    let told = |password: &str, authority: bool| Running::start(with_login(watch_command(), password, authority));
     let examined = |password: &str, authority: bool| {
         let (_, told, said) = outcome(with_login(command!("doctor --json --record-to", &folder), password, authority));
         let mut checks = told.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
@@ -292,39 +295,39 @@ fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_righ
     assert_eq!(examined("secret", true)["verdict"], "ok");
     let live = told("secret", true);
     broker.port = plain;
-    broker.listen().stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
+    broker.listen().stdout.find(0, "discovery", |line| message_of_topic(line, &discovery_topic()));
     stop_and_count(live);
 }
 
 fn get(port: u16, path: &str) -> String {
-    get_as(port, path, &format!("127.0.0.1:{port}"), "")
+    get_with_headers(port, path, &format!("127.0.0.1:{port}"), "")
 }
 
 /// Requests a path under this host name, with additional headers.
-fn get_as(port: u16, path: &str, host: &str, headers: &str) -> String {
-    ask(("127.0.0.1", port), format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}\r\n"))
+fn get_with_headers(port: u16, path: &str, host: &str, headers: &str) -> String {
+    send_request(("127.0.0.1", port), format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}\r\n"))
 }
 
 /// Reports the true class.
-fn report(port: u16, truth: &str) -> String {
-    ask(("127.0.0.1", port), format!("POST /report/{truth} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n"))
+fn report_truth(port: u16, truth: &str) -> String {
+    send_request(("127.0.0.1", port), format!("POST /report/{truth} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n"))
 }
 
-fn metric(page: &str, name: &str) -> f64 {
+fn metric_value(page: &str, name: &str) -> f64 {
     let value = page.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
     value.and_then(|value| value.parse().ok()).unwrap_or_else(|| panic!("no {name} in {page}"))
 }
 
 /// Requests the metrics until they satisfy `until`; the server may answer otherwise while it is busy.
-fn scrape(port: u16, until: impl Fn(&str) -> bool) -> String {
+fn scrape_until(port: u16, until: impl Fn(&str) -> bool) -> String {
     wait_for("metrics", || Some(get(port, "/metrics")).filter(|page| page.starts_with("HTTP/1.1 200") && until(page)))
 }
 
 #[test]
 fn prometheus_reads_counters_gauges_and_a_histogram() {
-    let live = Running::start(watch().args(["--metrics", "127.0.0.1:0"]));
+    let live = Running::start(watch_command().args(["--metrics", "127.0.0.1:0"]));
     let port = live.metrics_port();
-    let page = scrape(port, |page| page.contains("\nradome_up 1\n"));
+    let page = scrape_until(port, |page| page.contains("\nradome_up 1\n"));
     assert!(page.contains("text/plain; version=0.0.4"), "{page}");
     let body = page.split("\r\n\r\n").nth(1).expect("a body");
     let mut types = std::collections::BTreeMap::new();
@@ -347,9 +350,9 @@ fn prometheus_reads_counters_gauges_and_a_histogram() {
         .map(|line| line.rsplit_once(' ').and_then(|(_, n)| n.parse().ok()).expect("a number"))
         .collect();
     assert!(buckets.is_sorted() && buckets.len() == 11, "{buckets:?}");
-    assert_eq!(buckets.last(), Some(&metric(body, "radome_latency_seconds_count")));
+    assert_eq!(buckets.last(), Some(&metric_value(body, "radome_latency_seconds_count")));
     assert!(get(port, "/health").starts_with("HTTP/1.1 200"));
-    let frames = metric(&scrape(port, |_| true), "radome_frames_total");
+    let frames = metric_value(&scrape_until(port, |_| true), "radome_frames_total");
     let summary = stop_and_count(live);
     assert!(summary["frames"].as_f64().is_some_and(|all| all >= frames));
 }
@@ -391,7 +394,7 @@ impl Ear {
 }
 
 #[test]
-fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_come() {
+fn systemd_is_notified_after_the_first_label_and_the_watchdog_only_while_frames_come() {
     let ear = Ear::new();
     // The board is another process, so that a signal can stop it.
     let (board, port) = emulated_board(&fixture("scenes/corridor.toml"), &["--speed", "1"]);
@@ -409,8 +412,8 @@ fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_
     let heard = ear.hear(Duration::from_secs(4));
     assert!(!heard.iter().any(|line| line == "WATCHDOG=1"), "content with a dead board: {heard:?}");
     // Regression test: the frame rate stayed at that of the last frames.
-    let page = scrape(live.metrics_port(), |page| page.contains("\nradome_up 0\n"));
-    assert_eq!(metric(&page, "radome_frame_rate_hertz"), 0.0, "{page}");
+    let page = scrape_until(live.metrics_port(), |page| page.contains("\nradome_up 0\n"));
+    assert_eq!(metric_value(&page, "radome_frame_rate_hertz"), 0.0, "{page}");
     board.signal("CONT");
     ear.wait_for("WATCHDOG=1");
     live.signal("TERM");
@@ -423,12 +426,12 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
     let Some(mut broker) = Broker::prepare() else { return };
     broker.start();
     let folder = tempfile::tempdir().expect("a folder");
-    let mut command = watch();
+    let mut command = watch_command();
     command.args(["--mqtt", &broker.url(), "--metrics", "127.0.0.1:0", "--keep-last-s", "3", "--keep-to"]);
     let live = Running::start(command.arg(folder.path().join("reports")));
     let port = live.metrics_port();
     let hub = broker.listen();
-    let found = hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
+    let found = hub.stdout.find(0, "discovery", |line| message_of_topic(line, &discovery_topic()));
     let found: Value = serde_json::from_str(&found).expect("JSON");
     let button = &found["cmps"]["report_empty"];
     assert_eq!((&button["p"], &button["pl_prs"]), (&"button".into(), &"empty".into()));
@@ -450,17 +453,20 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
     broker.publish(topic, &["-m", button["pl_prs"].as_str().expect("a payload")]);
     let first = kept(1);
     // A report within five seconds of another is refused.
-    assert!(report(port, "one").starts_with("HTTP/1.1 202"));
-    scrape(port, |page| metric(page, "radome_reports_refused_total") >= 1.0);
+    assert!(report_truth(port, "one").starts_with("HTTP/1.1 202"));
+    scrape_until(port, |page| metric_value(page, "radome_reports_refused_total") >= 1.0);
     std::thread::sleep(Duration::from_secs(5));
-    assert!(report(port, "one").starts_with("HTTP/1.1 202"));
+    assert!(report_truth(port, "one").starts_with("HTTP/1.1 202"));
     let second = kept(2);
     std::thread::sleep(Duration::from_secs(5));
     live.signal("USR1");
     let third = kept(3);
     // A report is counted once its file is complete.
-    let page = scrape(port, |page| metric(page, "radome_reports_kept_total") >= 3.0);
-    assert_eq!((metric(&page, "radome_reports_kept_total"), metric(&page, "radome_mqtt_refused_total")), (3.0, 1.0));
+    let page = scrape_until(port, |page| metric_value(page, "radome_reports_kept_total") >= 3.0);
+    assert_eq!(
+        (metric_value(&page, "radome_reports_kept_total"), metric_value(&page, "radome_mqtt_refused_total")),
+        (3.0, 1.0)
+    );
     stop_and_count(live);
 
     let (first, rest): (Vec<_>, Vec<_>) = third.iter().partition(|path| first.contains(path));
@@ -487,7 +493,7 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn a_broker_full_of_malice_is_refused_and_counted() {
+    fn malicious_messages_of_a_broker_are_refused_and_counted() {
         let Some(mut broker) = Broker::prepare() else { return };
         broker.start();
         let folder = tempfile::tempdir().expect("a folder");
@@ -497,13 +503,15 @@ mod hard_cases {
         // Retained messages that precede the radar: it receives them as soon as it subscribes.
         broker.publish("homeassistant/status", &["-r", "-f", large]);
         broker.publish(&topic, &["-r", "-m", "empty"]);
-        let mut command = watch();
+        let mut command = watch_command();
         command.args(["--mqtt", &broker.url(), "--metrics", "127.0.0.1:0", "--keep-to"]);
         let live = Running::start(command.arg(folder.path().join("reports")));
         let port = live.metrics_port();
         let hub = broker.listen();
-        hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
-        scrape(port, |page| metric(page, "radome_mqtt_refused_total") >= 1.0 && page.contains("\nradome_up 1\n"));
+        hub.stdout.find(0, "discovery", |line| message_of_topic(line, &discovery_topic()));
+        scrape_until(port, |page| {
+            metric_value(page, "radome_mqtt_refused_total") >= 1.0 && page.contains("\nradome_up 1\n")
+        });
         // Messages that arrive while it is subscribed.
         broker.publish(&topic, &["-f", large]);
         broker.publish("homeassistant/status", &["-m", "offline"]);
@@ -515,20 +523,20 @@ mod hard_cases {
         let mut child = command.stdin(Stdio::piped()).spawn().expect("runs");
         child.stdin.take().expect("piped").write_all(flood.as_bytes()).expect("takes it");
         assert!(child.wait().expect("ends").success());
-        let page = scrape(port, |page| metric(page, "radome_mqtt_refused_total") >= 3.0);
-        assert_eq!(metric(&page, "radome_mqtt_connected"), 1.0, "{page}");
-        assert_eq!(metric(&page, "radome_mqtt_connections_total"), 1.0, "it was never thrown out");
+        let page = scrape_until(port, |page| metric_value(page, "radome_mqtt_refused_total") >= 3.0);
+        assert_eq!(metric_value(&page, "radome_mqtt_connected"), 1.0, "{page}");
+        assert_eq!(metric_value(&page, "radome_mqtt_connections_total"), 1.0, "it was never thrown out");
         // Three thousand birth messages of hubs cause at most one announcement a second.
-        assert!(count_of(&hub.stdout.all(), &discovery_topic()) < 60);
-        assert_eq!(metric(&page, "radome_reports_kept_total"), 0.0);
+        assert!(count_messages(&hub.stdout.all(), &discovery_topic()) < 60);
+        assert_eq!(metric_value(&page, "radome_reports_kept_total"), 0.0);
         stop_and_count(live);
     }
 
     #[test]
-    fn a_crowd_before_the_metrics_is_turned_away_and_frames_go_on() {
-        let live = Running::start(watch().args(["--metrics", "127.0.0.1:0"]));
+    fn too_many_connections_to_the_metrics_are_refused_and_frames_go_on() {
+        let live = Running::start(watch_command().args(["--metrics", "127.0.0.1:0"]));
         let port = live.metrics_port();
-        scrape(port, |page| page.contains("\nradome_up 1\n"));
+        scrape_until(port, |page| page.contains("\nradome_up 1\n"));
         // Ten times two hundred connections that send nothing.
         for _ in 0..10 {
             let crowd: Vec<_> = (0..200).map(|_| TcpStream::connect(("127.0.0.1", port))).collect();
@@ -536,17 +544,18 @@ mod hard_cases {
         }
         let idle: Vec<_> = (0..200).filter_map(|_| TcpStream::connect(("127.0.0.1", port)).ok()).collect();
         // Accepted connections that send nothing time out, so that other clients are served again.
-        let page = scrape(port, |page| metric(page, "radome_http_turned_away_total") >= 100.0);
-        assert!(metric(&page, "radome_frames_total") > 0.0);
+        let page = scrape_until(port, |page| metric_value(page, "radome_http_turned_away_total") >= 100.0);
+        assert!(metric_value(&page, "radome_frames_total") > 0.0);
         drop(idle);
         stop_and_count(live);
     }
 
     #[test]
     fn malformed_requests_and_strange_paths_are_refused_and_counted() {
-        let live = Running::start(watch().args(["--metrics", "127.0.0.1:0"]));
+        let live = Running::start(watch_command().args(["--metrics", "127.0.0.1:0"]));
         let port = live.metrics_port();
-        let before = metric(&scrape(port, |page| page.contains("\nradome_up 1\n")), "radome_http_refused_total");
+        let before =
+            metric_value(&scrape_until(port, |page| page.contains("\nradome_up 1\n")), "radome_http_refused_total");
         let mut refused = 0.0;
         let of_files = "/ /metrics/ /../../etc/passwd /metrics/../../etc/passwd /%2e%2e/%2e%2e/etc/passwd //etc/passwd";
         for path in of_files.split(' ').chain(["/metrics%00", "/report/empty", "/report/../metrics"]) {
@@ -563,7 +572,7 @@ mod hard_cases {
         for request in
             [long.as_bytes(), many.as_bytes(), slow, b"\x16\x03\x01\x02\x00\x01\x00", b"BREW /pot\r\n\r\n", &[0; 5000]]
         {
-            let answer = ask(("127.0.0.1", port), request);
+            let answer = send_request(("127.0.0.1", port), request);
             assert!(!answer.starts_with("HTTP/1.1 200"), "{answer}");
             refused += 1.0;
         }
@@ -573,11 +582,11 @@ mod hard_cases {
             (format!("POST /report/empty HTTP/1.1\r\n{host}Origin: http://evil\r\n\r\n"), "403"),
             (format!("POST /report/empty HTTP/1.1\r\n{host}Origin: http://127.0.0.1:{port}\r\n\r\n"), "403"),
         ] {
-            let answer = ask(("127.0.0.1", port), request);
+            let answer = send_request(("127.0.0.1", port), request);
             assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{answer}");
             refused += 1.0;
         }
-        let after = metric(&scrape(port, |_| true), "radome_http_refused_total");
+        let after = metric_value(&scrape_until(port, |_| true), "radome_http_refused_total");
         assert!(after - before >= refused, "{after} - {before} counted of {refused}");
         stop_and_count(live);
     }
@@ -586,11 +595,12 @@ mod hard_cases {
     /// browser.
     #[test]
     fn metrics_are_not_served_under_names_that_are_not_theirs() {
-        let live = Running::start(watch().args(["--metrics", "127.0.0.1:0", "--allow-host", "Radar.example:9100"]));
+        let live =
+            Running::start(watch_command().args(["--metrics", "127.0.0.1:0", "--allow-host", "Radar.example:9100"]));
         let port = live.metrics_port();
-        scrape(port, |page| page.contains("\nradome_up 1\n"));
+        scrape_until(port, |page| page.contains("\nradome_up 1\n"));
         for host in ["radar.example:9100", &format!("localhost:{port}"), &format!("[::1]:{port}")] {
-            assert!(get_as(port, "/metrics", host, "").starts_with("HTTP/1.1 200"), "{host}");
+            assert!(get_with_headers(port, "/metrics", host, "").starts_with("HTTP/1.1 200"), "{host}");
         }
         for path in ["/metrics", "/health", "/nothing"] {
             for host in [
@@ -601,47 +611,47 @@ mod hard_cases {
                 "radar.example",
                 &format!("192.168.0.4:{port}"),
             ] {
-                let answer = get_as(port, path, host, "");
+                let answer = get_with_headers(port, path, host, "");
                 assert!(answer.starts_with("HTTP/1.1 403"), "{path} at {host}: {answer}");
                 assert!(!answer.contains("radome_") && !answer.contains("labelled"), "{path} at {host}: {answer}");
             }
-            let nameless = ask(("127.0.0.1", port), format!("GET {path} HTTP/1.1\r\n\r\n"));
+            let nameless = send_request(("127.0.0.1", port), format!("GET {path} HTTP/1.1\r\n\r\n"));
             assert!(nameless.starts_with("HTTP/1.1 403"), "{path}: {nameless}");
             let host = format!("127.0.0.1:{port}");
-            let answer = get_as(port, path, &host, "Origin: http://evil.example\r\n");
+            let answer = get_with_headers(port, path, &host, "Origin: http://evil.example\r\n");
             assert!(answer.starts_with("HTTP/1.1 403"), "{path}: {answer}");
         }
         let request = format!("POST /report/one HTTP/1.1\r\nHost: evil.example:{port}\r\n\r\n");
-        let answer = ask(("127.0.0.1", port), request);
+        let answer = send_request(("127.0.0.1", port), request);
         assert!(answer.starts_with("HTTP/1.1 403"), "{answer}");
         stop_and_count(live);
     }
 
     #[test]
-    fn metrics_off_loopback_need_a_token_and_tell_nothing_without() {
-        let said = radome_tests::wrong_use(watch().args(["--metrics", "0.0.0.0:0"]));
+    fn metrics_off_loopback_need_a_token_and_show_nothing_without() {
+        let said = radome_tests::wrong_use(watch_command().args(["--metrics", "0.0.0.0:0"]));
         assert!(said.contains("--token-file") && said.contains("hint:"), "{said}");
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("token");
         for listen in ["0.0.0.0:0", "127.0.0.1:0"] {
-            let live = Running::start(watch().args(["--metrics", listen, "--token-file"]).arg(&file));
+            let live = Running::start(watch_command().args(["--metrics", listen, "--token-file"]).arg(&file));
             let port = live.metrics_port();
             let said = live.stderr.all();
             assert!(!said.iter().any(|line| line.contains("http://0.0.0.0")), "nobody reaches that: {said:?}");
             let token = std::fs::read_to_string(&file).expect("made").trim().to_owned();
             let (host, bearer) = (format!("127.0.0.1:{port}"), format!("Authorization: Bearer {token}\r\n"));
             wait_for("metrics", || {
-                Some(get_as(port, "/metrics", &host, &bearer)).filter(|page| page.contains("\nradome_up 1\n"))
+                Some(get_with_headers(port, "/metrics", &host, &bearer)).filter(|page| page.contains("\nradome_up 1\n"))
             });
-            assert!(get_as(port, "/health", &host, &bearer).starts_with("HTTP/1.1 200"));
+            assert!(get_with_headers(port, "/health", &host, &bearer).starts_with("HTTP/1.1 200"));
             for path in ["/metrics", "/health", "/report/one", "/nothing", &format!("/?token={token}")] {
                 for headers in ["", "Authorization: Bearer wrong-wrong-wrong\r\n", "Cookie: radome=1\r\n"] {
-                    let answer = get_as(port, path, &host, headers);
+                    let answer = get_with_headers(port, path, &host, headers);
                     assert!(answer.starts_with("HTTP/1.1 401"), "{path}, {headers}: {answer}");
                     assert!(!answer.contains("radome_") && !answer.contains("labelled"), "{path}: {answer}");
                 }
             }
-            let unproven = report(port, "one");
+            let unproven = report_truth(port, "one");
             assert!(unproven.starts_with("HTTP/1.1 401"), "{unproven}");
             assert!(live.stderr.all().iter().all(|line| !line.contains(&token)));
             stop_and_count(live);
@@ -650,9 +660,9 @@ mod hard_cases {
 
     #[test]
     fn addresses_that_are_none_and_ports_that_are_taken_are_named() {
-        let said = |options: &[&str]| radome_tests::failure(watch().args(options));
+        let said = |options: &[&str]| radome_tests::failure(watch_command().args(options));
         let wrong = |options: &[&str]| {
-            let (status, _, text) = radome_tests::outcome(watch().args(options));
+            let (status, _, text) = radome_tests::outcome(watch_command().args(options));
             assert_eq!(status, Some(2), "{options:?}: {text}");
             text
         };
