@@ -71,8 +71,8 @@ fn the_echo_null_of_a_lossy_wall_agrees_with_the_closed_form() {
     let quadrature = |rotation: Complex<f32>| {
         let mut grid = synthesiser.grid();
         for path in &prepared.static_paths {
-            let (phase_cycles, cycles_per_sample, a) = path.tones[0];
-            let amplitude = Complex::new(a.re as f32, a.im as f32) * rotation;
+            let StaticTone { phase_cycles, cycles_per_sample, amplitude } = path.tones[0];
+            let amplitude = Complex::new(amplitude.re as f32, amplitude.im as f32) * rotation;
             synthesiser.add(&Tone { phase_cycles, cycles_per_sample, amplitude }, &mut grid);
         }
         let mut samples = vec![0f32; 256];

@@ -22,8 +22,8 @@ fn compare(paths: &Paths, people: &[Snapshot], threshold_lsb: f64, context: &str
         samples.clear();
         let specular_point = paths.trace(path, people, None, &mut samples, &mut report_of_single);
         assert_eq!(traced.samples().len(), samples.len(), "{context}, path {path}");
-        assert_eq!(traced.place.is_some(), specular_point.is_some(), "{context}, path {path}");
-        if let Some((traced, single)) = traced.place.zip(specular_point) {
+        assert_eq!(traced.unit.is_some(), specular_point.is_some(), "{context}, path {path}");
+        if let Some((traced, single)) = traced.unit.zip(specular_point) {
             assert!((traced - single).length() < 1e-6, "{context}, path {path}: {traced} {single}");
         }
         for ((traced, without_people), single) in traced.samples().iter().zip(without_people.samples()).zip(&samples) {
@@ -106,7 +106,7 @@ fn opposite_directions_share_specular_point_and_amplitude() {
                     let specular_point = opposite.trace(path, &people, None, &mut samples, &mut EchoReport::default());
                     let is_audible =
                         samples.first().is_some_and(|sample| sample.amplitude.norm() > prepared.threshold_lsb);
-                    if specular_point.is_none() || traced.place.is_none() || !is_audible {
+                    if specular_point.is_none() || traced.unit.is_none() || !is_audible {
                         continue;
                     }
                     let context = format!("{name}, person {person_index} at {time_s} s, path {path}");
