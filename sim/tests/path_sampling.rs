@@ -76,7 +76,7 @@ fn frames_differ_from_finer_ones_by_less_than_the_tolerance() {
             map_db(&simulator.frame(index), 0).iter().map(|db| 10f64.powf(0.1 * db)).collect()
         };
         let (mut squares, mut cells, mut powers) = (0.0, 0, [0.0; 2]);
-        for index in (10..40).step_by(3) {
+        for index in (10..40).step_by(2) {
             let (default, exact) = (map(&default, index), map(&exact, index));
             let mut sorted = exact.clone();
             sorted.sort_by(f64::total_cmp);

@@ -4,10 +4,10 @@
 //! origin, and both must be this server's. Otherwise a site could read through its visitors' browsers (cross-site
 //! requests, DNS rebinding). A token distinguishes other clients on the network and other users of this machine.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
-use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -56,6 +56,11 @@ impl Arguments {
     /// Returns whether `--token-file` is given.
     pub fn has_token(&self) -> bool {
         self.token_file.is_some()
+    }
+
+    /// Returns whether other hosts are named and no token protects from those who reach them.
+    pub fn is_open_to_others(&self) -> bool {
+        self.token_file.is_none() && !self.allow_host.is_empty()
     }
 
     /// Returns the token of `--token-file`, if one is used.
@@ -110,14 +115,15 @@ fn random_text() -> anyhow::Result<String> {
 fn make_token_file(path: &Path) -> anyhow::Result<String> {
     let text = random_text()?;
     let cannot = || format!("cannot make the token file {}", path.display());
-    // Never opens a file or a link that another process has created meanwhile.
-    let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
-    let mut file = file.with_context(cannot)?;
-    let written = file.write_all(format!("{text}\n").as_bytes()).and_then(|()| file.sync_all());
-    if let Err(error) = written {
-        // A partial token would be refused at the next start.
-        let _ = std::fs::remove_file(path);
-        return Err(error).with_context(cannot);
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    // Only its owner may read a temporary file. It gets its name when it is whole, and replaces no file or link.
+    let mut file = tempfile::NamedTempFile::new_in(folder).with_context(cannot)?;
+    file.write_all(format!("{text}\n").as_bytes()).and_then(|()| file.as_file().sync_all()).with_context(cannot)?;
+    match file.persist_noclobber(path) {
+        Ok(_) => {}
+        // Another process has made it meanwhile.
+        Err(error) if error.error.kind() == ErrorKind::AlreadyExists => return read_token_file(path),
+        Err(error) => return Err(error.error).with_context(cannot),
     }
     message!("a new token is in {}", path.display());
     Ok(text)

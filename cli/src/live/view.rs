@@ -112,6 +112,12 @@ impl Page {
         })?;
         let address = listener.local_addr()?;
         show_link(address, token.as_ref(), arguments.read_only_labels);
+        if token.is_none() && arguments.access.is_open_to_others() {
+            tracing::warn!(
+                "whoever reaches a host of --allow-host can use the page: --token-file FILE requires a token, unless the proxy asks for \
+                 a password"
+            );
+        }
         let shared = Arc::new(Shared {
             labels: LabelStore::open(playback.as_ref(), recording, model, max_range_m, waveform.frame_interval_s())?,
             feed: Feed::new(&waveform, playback.is_some()),

@@ -145,7 +145,8 @@ impl PatchSolver {
                 clamped += self.evaluate_image(inputs, patch, key, self.images[number]);
             }
         }
-        self.area_m2 = self.poses.get(inputs.posed.len() / 2).map_or(0.0, |pose| pose.patch.triangles.area_m2());
+        // The even key time that is next to the middle: the others are posed where they are needed.
+        self.area_m2 = self.poses.get(inputs.posed.len() / 4 * 2).map_or(0.0, |pose| pose.patch.triangles.area_m2());
         clamped
     }
 

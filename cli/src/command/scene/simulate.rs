@@ -136,12 +136,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Share of clipped codes above which a warning is given.
+const CLIPPED_SHARE: f64 = 0.01;
+
 struct Simulated {
     frames: u64,
     /// Largest error estimate of any frame.
     estimate_db: Option<f64>,
     clamped: usize,
     clipped: usize,
+    /// Number of codes of all frames.
+    codes: usize,
     seconds: f64,
 }
 
@@ -151,7 +156,7 @@ impl Simulated {
         let started = Instant::now();
         let bar = output::progress(frames, "simulating");
         let mut frame = Frame::zeroed(simulator.waveform().shape());
-        let mut all = Simulated { frames: 0, estimate_db: None, clamped: 0, clipped: 0, seconds: 0.0 };
+        let mut all = Simulated { frames: 0, estimate_db: None, clamped: 0, clipped: 0, codes: 0, seconds: 0.0 };
         while !output::interrupted() {
             match simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
                 SourceEvent::Frame => {
@@ -169,6 +174,7 @@ impl Simulated {
                 all.clamped += report.clamped;
                 all.clipped += report.clipped;
             }
+            all.codes += frame.codes.len();
             all.frames += 1;
             bar.inc(1);
         }
@@ -181,7 +187,14 @@ impl Simulated {
     }
 
     fn print_report(&self, arguments: &Arguments, file: Option<&Path>, tolerance_db: f64) -> anyhow::Result<()> {
-        let Simulated { frames, estimate_db, clamped, clipped, seconds } = *self;
+        let Simulated { frames, estimate_db, clamped, clipped, codes, seconds } = *self;
+        if clipped as f64 > CLIPPED_SHARE * codes as f64 {
+            tracing::warn!(
+                "{:.0} % of the codes are at the ends of the ADC's range: people and walls are too near for this gain\n\nhint: a lower \
+                 if_gain_db in [waveform]",
+                100.0 * clipped as f64 / codes as f64
+            );
+        }
         let rate = frames as f64 / seconds;
         if arguments.json {
             return output::json_line(&json!({

@@ -30,8 +30,10 @@ const MOST_PASSWORD_BYTES: u64 = 4096;
 const PASSWORD_WAIT: Duration = Duration::from_secs(10);
 /// Longest packet that is accepted from a broker, bytes. Messages of the subscribed topics have a few bytes.
 const MOST_PACKET_BYTES: u32 = 4096;
+/// Largest file of certificates, bytes.
+const MOST_PEM_BYTES: u64 = 16 << 20;
 /// Keep-alive interval of a connection. After one and a half times this, the broker reports the radar as offline.
-const KEEP_ALIVE: Duration = Duration::from_secs(15);
+pub(super) const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
 /// Options that name a broker.
 #[derive(clap::Args, Default)]
@@ -231,7 +233,8 @@ fn tls(authorities: Option<&Path>) -> anyhow::Result<rustls::ClientConfig> {
     match authorities {
         Some(path) => {
             let context = || format!("cannot read the certificates in {}", path.display());
-            for certificate in CertificateDer::pem_file_iter(path).with_context(context)? {
+            let pem = radome_files::read(path, MOST_PEM_BYTES).with_context(context)?;
+            for certificate in CertificateDer::pem_slice_iter(&pem) {
                 roots.add(certificate.with_context(context)?).with_context(context)?;
             }
             ensure!(

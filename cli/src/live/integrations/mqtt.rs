@@ -13,7 +13,7 @@ use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, S
 use rumqttc::{Outgoing, Transport};
 use tokio::sync::{mpsc, watch};
 
-use super::broker::Broker;
+use super::broker::{Broker, KEEP_ALIVE};
 use super::discovery::{Device, state};
 use super::latest::{Latest, count};
 use super::report_buffer::{Report, ReportSender};
@@ -154,6 +154,10 @@ impl Listener {
         loop {
             match event_loop.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(_))) => {
+                    // A broker may ask for no keep-alive. The library would then send pings without a pause.
+                    if event_loop.options.keep_alive().is_zero() {
+                        event_loop.options.set_keep_alive(KEEP_ALIVE);
+                    }
                     since = Some(Instant::now());
                     last_description.clear();
                     reported_rejections.clear();

@@ -189,9 +189,12 @@ impl BufferSink {
                 frame_bytes.div_ceil(1 << 20)
             );
         }
-        std::fs::create_dir_all(folder).with_context(|| {
-            format!("cannot make the folder {}\n\nhint: --keep-to a folder that this user may write", folder.display())
-        })?;
+        let hint = "hint: --keep-to a folder that this user may write";
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make the folder {}\n\n{hint}", folder.display()))?;
+        // Reports may come after days. A folder that cannot be written is told of now.
+        tempfile::tempfile_in(folder)
+            .with_context(|| format!("cannot write in the folder {}\n\n{hint}", folder.display()))?;
         let fits_s = (most_bytes / frame_bytes) as f64 * header.waveform.frame_interval_s();
         if fits_s < span_s {
             message!("of the last {span_s:.0} s only {fits_s:.0} s are kept: --keep-memory-mib allows no more");

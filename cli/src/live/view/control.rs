@@ -12,6 +12,8 @@ use super::shared::Shared;
 
 /// Longest name of the person who labels, characters.
 const MOST_WHO: usize = 60;
+/// Largest lag of a page that may label, s.
+const MOST_LAG_S: f64 = 3.0;
 /// Fastest replay, as a multiple of real time.
 const MOST_SPEED: f64 = 1000.0;
 
@@ -35,10 +37,10 @@ pub enum Command {
     SeekFrame { sequence: u64 },
     /// Steps forwards, or backwards if negative.
     Step { frames: i64 },
-    /// Starts a label at the newest frame.
-    Label { occupancy: Occupancy, who: Option<String> },
-    /// Ends the label at the newest frame.
-    Stop,
+    /// Starts a label at the frame that the page shows; at the newest frame if the page does not say.
+    Label { occupancy: Occupancy, who: Option<String>, shown_s: Option<f64> },
+    /// Ends the label at the frame that the page shows; at the newest frame if the page does not say.
+    Stop { shown_s: Option<f64> },
     /// Changes the start and end of a label.
     Move { id: u64, start_s: f64, end_s: f64 },
     /// Changes the class of a label.
@@ -100,15 +102,15 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
             }
             transport.step(frames);
         }
-        Command::Label { occupancy, who } => {
+        Command::Label { occupancy, who, shown_s } => {
             let who = labeller(who)?;
             check_no_seek(shared)?;
-            edit(shared, |labels, now_s| labels.toggle(occupancy, now_s, who))?;
+            edit(shared, |labels, newest_s| labels.toggle(occupancy, label_time(shared, shown_s, newest_s)?, who))?;
         }
-        Command::Stop => {
+        Command::Stop { shown_s } => {
             check_no_seek(shared)?;
-            edit(shared, |labels, now_s| {
-                labels.stop(now_s);
+            edit(shared, |labels, newest_s| {
+                labels.stop(label_time(shared, shown_s, newest_s)?);
                 Ok(())
             })?;
         }
@@ -141,6 +143,20 @@ fn check_no_seek(shared: &Shared) -> anyhow::Result<()> {
         "the recording is still being sought: press again when its frame is shown"
     );
     Ok(())
+}
+
+/// Time at which a label begins or ends: that of the frame that the page shows. A page whose connection stalled shows an old
+/// frame, and its request may come seconds after the key was pressed.
+fn label_time(shared: &Shared, shown_s: Option<f64>, newest_s: f64) -> anyhow::Result<f64> {
+    let Some(shown_s) = shown_s else { return Ok(newest_s) };
+    let speed = shared.about.playback.as_ref().map_or(1.0, |playback| playback.transport.playback().speed);
+    // At full speed, any number of frames comes between two pictures.
+    let most_lag_s = if speed > 0.0 { MOST_LAG_S * speed.max(1.0) } else { f64::INFINITY };
+    ensure!(
+        (newest_s - shown_s).abs() <= most_lag_s,
+        "the page shows the frame at {shown_s:.1} s, and the newest one is at {newest_s:.1} s: press again when the page is up to date"
+    );
+    Ok(shown_s.min(newest_s))
 }
 
 /// Changes the labels, unless they are read-only.

@@ -33,8 +33,8 @@ const MOST_MESSAGES: u32 = 200;
 const MOST_MALFORMED: u32 = 20;
 /// Time without a complete message after which a page is dropped. Pages answer pings.
 const SILENCE: Duration = Duration::from_secs(30);
-/// Interval between pings of pages.
-const PING: Duration = Duration::from_secs(10);
+/// Interval between signs of life to pages, which give a connection up after a silence (SILENCE in link.js).
+const PING: Duration = Duration::from_secs(2);
 /// Time of sending a message after which a page is dropped.
 const SLOWEST_SEND: Duration = Duration::from_secs(10);
 /// Interval at which changes besides pictures are sent to a page.
@@ -205,7 +205,8 @@ async fn stream(upgrade: WebSocketUpgrade, State(shared): State<Arc<Shared>>) ->
 struct SentState {
     labels: Option<u64>,
     playback: Option<radome_driver::player::Playback>,
-    refused: Option<serde_json::Value>,
+    /// Numbers of refused requests and of pages.
+    access: Option<(serde_json::Value, usize)>,
 }
 
 /// Exchanges messages until the page disconnects, is dropped, or the run is over.
@@ -257,7 +258,7 @@ impl Connection<'_> {
             }
             Some(Ok(message)) => {
                 self.last_message = Instant::now();
-                matches!(message, Message::Ping(_) | Message::Pong(_)) || self.handle_request(&message).await
+                self.handle_request(&message).await
             }
         }
     }
@@ -273,6 +274,7 @@ impl Connection<'_> {
             return close(&mut self.socket, "too many messages").await;
         }
         let result = match message {
+            Message::Ping(_) | Message::Pong(_) => return true,
             Message::Text(text) => control::handle(self.shared, self.page, text.as_str()),
             _ => Err(anyhow::anyhow!("this is no message of the page")),
         };
@@ -304,7 +306,9 @@ impl Connection<'_> {
             return true;
         }
         self.last_ping = Instant::now();
+        // Scripts see no pings, and notice by the text that the network is gone.
         send(&mut self.socket, Message::Ping(Bytes::new())).await
+            && send_json(&mut self.socket, json!({ "alive": true })).await
     }
 }
 
@@ -331,13 +335,13 @@ async fn send_changes(socket: &mut WebSocket, shared: &Shared, sent: &mut SentSt
             }
         }
     }
-    let refused = shared.policy.refused();
-    if sent.refused.as_ref() != Some(&refused) {
-        let pages = shared.feed.pages();
+    let access = (shared.policy.refused(), shared.feed.pages());
+    if sent.access.as_ref() != Some(&access) {
+        let (refused, pages) = &access;
         if !send_json(socket, json!({ "access": { "refused": refused, "pages": pages } })).await {
             return false;
         }
-        sent.refused = Some(refused);
+        sent.access = Some(access);
     }
     true
 }

@@ -145,7 +145,8 @@ impl Setting {
         for _ in 0..PAIR_ATTEMPTS {
             let (a, b) = (self.draw_goal(rng)?, self.draw_goal(rng)?);
             let length_m = distance_m(a, b);
-            if self.route_ground.route(a, b).len() == 1 && longest.is_none_or(|(best_m, _)| length_m > best_m) {
+            let is_straight = self.route_ground.find_route(a, b).is_some_and(|route| route.len() == 1);
+            if is_straight && longest.is_none_or(|(best_m, _)| length_m > best_m) {
                 longest = Some((length_m, [a, b]));
             }
         }

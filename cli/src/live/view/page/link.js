@@ -17,12 +17,16 @@ export function decode(buffer) {
 export const floats = bytes => new Float32Array(bytes.slice().buffer);
 export const words = bytes => new Uint16Array(bytes.slice().buffer);
 
+/** Longest silence of a connection, ms. The program sends something every two seconds. */
+const SILENCE = 10000;
+
 export class Link {
   constructor({ picture, news, state }) {
     this.handlers = { picture, news, state };
     this.waits = 500;
     this.over = false;
     this.connect();
+    setInterval(() => this.leaveSilence(), 1000);
   }
 
   connect() {
@@ -30,13 +34,16 @@ export class Link {
     address.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
     const socket = new WebSocket(address);
     this.socket = socket;
+    this.heard = performance.now();
     socket.binaryType = 'arraybuffer';
     let opened = false;
     socket.onopen = () => { opened = true; this.waits = 500; this.handlers.state('open'); };
     socket.onmessage = ({ data }) => {
+      this.heard = performance.now();
       if (typeof data === 'string') {
         const news = JSON.parse(data);
         if (news.over) this.over = true;
+        if (news.hello) this.over = false;
         this.handlers.news(news);
         return;
       }
@@ -49,11 +56,20 @@ export class Link {
     socket.onclose = () => {
       this.handlers.state(this.over ? 'over' : 'lost');
       // A socket does not report why it was refused. Another run may have another token.
-      if (!opened && !this.over) fetch('health.json').then(({ status }) => { if (status === 401) this.handlers.state('locked'); }, () => {});
+      if (!opened) fetch('health.json').then(({ status }) => { if (status === 401) this.handlers.state('locked'); }, () => {});
       // The program may be restarted at the same address.
       setTimeout(() => this.connect(), this.over ? 5000 : this.waits);
       this.waits = Math.min(this.waits * 2, 8000);
     };
+  }
+
+  /** Replaces a connection that sends nothing: a network that is gone closes no socket. */
+  leaveSilence() {
+    if (this.socket.readyState > WebSocket.OPEN || performance.now() - this.heard < SILENCE) return;
+    this.socket.onopen = this.socket.onmessage = this.socket.onclose = null;
+    this.socket.close();
+    this.handlers.state('lost');
+    this.connect();
   }
 
   /** Returns whether the request was sent. */

@@ -77,13 +77,15 @@ const link = new Link({
       $('undo').disabled = !labels.can_undo;
       $('redo').disabled = !labels.can_redo;
       offer(labels.adaptation);
-      if (labels.fault) notice(`Labels are not saved: ${labels.fault}`);
+      if (labels.fault && labels.fault !== page.labelFault) notice(`Labels are not saved: ${labels.fault}`);
+      page.labelFault = labels.fault;
     }
     if (playback) {
       page.playback = playback;
       $('play').textContent = playback.playing ? 'Pause' : playback.at_end ? 'Play again' : 'Play';
       const options = [...$('speed').options], known = options.find(option => Number(option.value) === playback.speed);
-      if (!known) $('speed').add(new Option(`${playback.speed}×`, playback.speed));
+      // "fastest", whose value is 0, is the last one.
+      if (!known) $('speed').add(new Option(`${playback.speed}×`, playback.speed), options.find(({ value }) => !Number(value) || value > playback.speed));
       $('speed').value = playback.speed;
       place();
     }
@@ -91,6 +93,7 @@ const link = new Link({
     if (refused) notice(refused);
     if (over) {
       notice(`The run is over: ${over.over?.frames ?? over.frames ?? ''} frames.`);
+      page.isOver = true;
       list.end();
     }
   },
@@ -98,6 +101,7 @@ const link = new Link({
     page.state = state;
     $('status').textContent = { open: '', lost: 'no connection', locked: 'a token is needed: open the link that the program shows', over: 'the run is over' }[state];
     $('status').classList.toggle('bad', state !== 'open');
+    if (state !== 'open') $('frame').textContent = '';
     if (state === 'open') look();
     else say(null);
   },
@@ -106,6 +110,8 @@ const link = new Link({
 const send = request => { if (!link.send(request) && request.do !== 'look') notice('No connection: nothing was changed.'); };
 
 function greet(hello) {
+  if (page.state === 'open' && page.isOver) $('notice').hidden = true;
+  page.isOver = false;
   page.hello = hello;
   // The program sends the history again; it may be another run.
   timeline.history = new History();
@@ -176,7 +182,9 @@ function say(answer) {
   $('truth').textContent = truth ? `truth: ${truth}${transition ? ', coming or going' : ''}` : '';
   if (!answer) health.put('frames/s', '–');
   else if (page.state === 'open') {
-    $('status').textContent = `frame ${answer.sequence} · ${clock(answer.time_s, 2)}`;
+    // The number stands outside of the live region: screen readers would read each frame.
+    $('frame').textContent = `frame ${answer.sequence} · ${clock(answer.time_s, 2)}`;
+    $('status').textContent = '';
     $('status').classList.remove('bad');
   }
 }
@@ -191,6 +199,7 @@ setInterval(() => {
   const seconds = silent_s();
   if (!seconds || page.state !== 'open') return;
   say(null);
+  $('frame').textContent = '';
   $('status').textContent = `no frames for ${Math.floor(seconds)} s`;
   $('status').classList.add('bad');
 }, 500);
@@ -251,7 +260,10 @@ function seekNow() {
 
 function select(id) { timeline.selected = id; list.mark(id); timeline.draw(); }
 function who() { return $('who').value.trim() || null; }
-function label(occupancy) { send({ do: 'label', occupancy, who: who() }); }
+/** Time of the frame that the user sees: a label begins and ends there, also where the newest frame is still on its way. */
+const shown_s = () => page.header?.answer?.time_s;
+function label(occupancy) { send({ do: 'label', occupancy, who: who(), shown_s: shown_s() }); }
+const stopLabel = () => send({ do: 'stop', shown_s: shown_s() });
 // The recording plays from the frame that was sought, and steps are counted from it.
 function play() { seekNow(); send({ do: page.playback?.playing ? 'pause' : 'play' }); }
 function step(frames) { seekNow(); send({ do: 'step', frames }); }
@@ -283,9 +295,9 @@ $('step-back').addEventListener('click', () => step(-1));
 $('speed').addEventListener('change', () => send({ do: 'speed', times: Number($('speed').value) }));
 $('seek').addEventListener('input', () => { seeking = true; seek(Number($('seek').value)); });
 $('seek').addEventListener('change', () => { seeking = false; });
-$('at').addEventListener('change', () => seek(Number($('at').value)));
+$('at').addEventListener('change', () => { if ($('at').value === '') place(); else seek(Number($('at').value)); });
 for (const button of document.querySelectorAll('#keys [data-label]')) button.addEventListener('click', () => label(button.dataset.label));
-$('stop').addEventListener('click', () => send({ do: 'stop' }));
+$('stop').addEventListener('click', stopLabel);
 $('undo').addEventListener('click', () => send({ do: 'undo' }));
 $('redo').addEventListener('click', () => send({ do: 'redo' }));
 $('adapt-copy').addEventListener('click', copyCommand);
@@ -306,7 +318,7 @@ const jump = seconds => {
 };
 const KEYS = {
   '0': () => label('empty'), '1': () => label('one'), '2': () => label('two'),
-  e: () => send({ do: 'stop' }), u: () => send({ do: 'undo' }), U: () => send({ do: 'redo' }),
+  e: stopLabel, u: () => send({ do: 'undo' }), U: () => send({ do: 'redo' }),
   c: () => turn($('channel'), 1, true), s: () => turn($('removal'), 1, true),
   h: () => toggle('hold'), x: () => $('hold-reset').click(), f: () => toggle('over-floor'),
   r: () => { $('chirps-card').open = !$('chirps-card').open; }, l: () => { $('labels-card').open = !$('labels-card').open; },
@@ -325,7 +337,9 @@ addEventListener('keydown', event => {
   // Keys that controls use themselves are not shortcuts.
   if (event.key === ' ' && ['BUTTON', 'SUMMARY', 'INPUT', 'A'].includes(tag)) return;
   if (tag === 'INPUT' && target.type === 'range' && /^(Arrow|Home|End|Page)/.test(event.key)) return;
-  let act = KEYS[event.key] ?? KEYS[event.shiftKey ? event.key : event.key.toLowerCase()];
+  // Caps Lock changes no shortcut.
+  const key = event.key.length > 1 ? event.key : event.shiftKey ? event.key.toUpperCase() : event.key.toLowerCase();
+  let act = KEYS[key];
   if (page.hello?.tape) {
     act ??= TAPE[event.key];
     if (event.shiftKey && event.key === 'ArrowLeft') act = () => jump(-5);
@@ -336,5 +350,8 @@ addEventListener('keydown', event => {
   if (event.repeat && !/Arrow/.test(event.key)) return;
   act();
 });
-addEventListener('resize', () => { for (const view of [map, partner, profile, doppler, chirps, timeline]) view.draw(); });
-document.addEventListener('visibilitychange', () => { if (!document.hidden) for (const view of [map, partner, profile, doppler, chirps, timeline]) view.draw(); });
+const drawAll = () => { for (const view of [map, partner, profile, doppler, chirps, timeline]) view.draw(); };
+addEventListener('resize', drawAll);
+document.addEventListener('visibilitychange', () => { if (!document.hidden) drawAll(); });
+// After plot.js has read the new colours.
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', drawAll);

@@ -65,11 +65,16 @@ export function ticks(from, to, most = 7) {
   return out;
 }
 
-/** Formats minutes and seconds. */
+/** Formats days, hours, minutes and seconds. */
 export function clock(time, digits = 1) {
-  const sign = time < 0 ? '-' : '', t = Math.abs(time), minutes = Math.floor(t / 60);
-  const seconds = (t - 60 * minutes).toFixed(digits);
-  return minutes ? `${sign}${minutes}:${seconds.padStart(digits ? digits + 3 : 2, '0')}` : `${sign}${seconds} s`;
+  // Rounded first, so that no second is 60.0.
+  const unit = 10 ** digits, units = Math.round(Math.abs(time) * unit), sign = time < 0 && units ? '-' : '';
+  const minutes = Math.floor(units / unit / 60), hours = Math.floor(minutes / 60), days = Math.floor(hours / 24);
+  const seconds = ((units - 60 * unit * minutes) / unit).toFixed(digits);
+  if (!minutes) return `${sign}${seconds} s`;
+  const two = number => String(number).padStart(2, '0'), end = seconds.padStart(digits ? digits + 3 : 2, '0');
+  if (!hours) return `${sign}${minutes}:${end}`;
+  return `${sign}${days ? `${days} d ${two(hours % 24)}` : hours}:${two(minutes % 60)}:${end}`;
 }
 
 /** Limits drawing to the screen's refresh rate; draws nothing while the page is hidden. */

@@ -24,9 +24,8 @@ export class History {
       let at = this.length;
       if (at && time <= this.time[at - 1]) {
         at = this.first(time);
-        if (Math.abs(this.time[at] - time) > 1e-6) this.shift(at, 1);
-      } else this.shift(at, 1);
-      if (at >= MOST) at = this.length - 1;
+        if (Math.abs(this.time[at] - time) > 1e-6) at = this.shift(at, 1);
+      } else at = this.shift(at, 1);
       this.time[at] = time;
       NAMES.forEach((name, i) => this[name][at] = p ? Math.round(p[i] * 250) : NONE);
       this.label[at] = label ?? NONE;
@@ -37,15 +36,21 @@ export class History {
     }
   }
 
-  /** Shifts entries to insert others; drops the oldest ones when the history is full. */
+  /**
+   * Shifts entries to insert others, and returns where these belong. A full history drops its oldest entries; the newest ones
+   * if others are inserted among the oldest.
+   */
   shift(at, by) {
     if (this.length + by > MOST) {
-      for (const column of [this.time, ...this.columns]) column.copyWithin(0, SPLIT, this.length);
+      if (at >= SPLIT) {
+        for (const column of [this.time, ...this.columns]) column.copyWithin(0, SPLIT, this.length);
+        at -= SPLIT;
+      }
       this.length -= SPLIT;
-      at -= SPLIT;
     }
-    if (at >= 0 && at < this.length) for (const column of [this.time, ...this.columns]) column.copyWithin(at + by, at, this.length);
+    if (at < this.length) for (const column of [this.time, ...this.columns]) column.copyWithin(at + by, at, this.length);
     this.length += by;
+    return at;
   }
 
   /** Index of the first answer at or after a time. */
