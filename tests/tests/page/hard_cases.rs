@@ -551,7 +551,7 @@ fn a_step_soon_after_seeks_starts_at_the_target_of_the_last_seek() {
     let folder = tempfile::tempdir().expect("a folder");
     let served = replay(&simulate_walk(folder.path(), 2.0, 4.0, 20), SLOW);
     let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
-    pause(&mut browser);
+    pause_playback(&mut browser);
     browser.evaluate(
         "['Home', 'End', 'ArrowLeft'].forEach(key => \
          document.body.dispatchEvent(new KeyboardEvent('keydown', { key, bubbles: true })))",

@@ -16,7 +16,7 @@ use radome_models::study::{
 };
 use radome_tests::root;
 
-use super::{figure, file, report};
+use super::{figure, report, report_file};
 
 /// Pairs of networks with one recipe: with a circuit (or its effect on the inputs), and with a linear layer in its
 /// place.
@@ -267,14 +267,14 @@ fn studies(way: &str) -> String {
         let spec = fs::read_to_string(root().join(format!("fixtures/studies/{name}.toml"))).expect("a study");
         let title =
             spec.lines().find_map(|line| line.strip_prefix("title = \"")).expect("a title").trim_end_matches('"');
-        let [done, failed, state] = if file(name, "report.md").exists() {
-            let older = if file(name, "report.json").exists() { "" } else { ", by an older simulator" };
+        let [done, failed, state] = if report_file(name, "report.md").exists() {
+            let older = if report_file(name, "report.json").exists() { "" } else { ", by an older simulator" };
             let [done, planned, failed] = ["done", "planned", "failed"].map(|what| figure(name, "all", what));
             [format!("{done} of {planned}"), failed, format!("[{name}]({way}{name}/report.md){older}")]
         } else {
             ["-", "-", "not run yet"].map(str::to_owned)
         };
-        let times = fs::read_to_string(file(name, "times.json")).ok();
+        let times = fs::read_to_string(report_file(name, "times.json")).ok();
         let times: Option<Times> = times.map(|text| serde_json::from_str(&text).expect("times"));
         let [hours, cpu_hours] = times
             .map_or([0.0; 2], |of| [of.seconds, of.cpu_seconds])
@@ -286,7 +286,7 @@ fn studies(way: &str) -> String {
 
 /// Table of the results of `radome bench trainability`, by qubits and depth.
 fn gradients(study: &str) -> String {
-    let Ok(text) = fs::read_to_string(file(study, "gradients.json")) else { return not_run(study) };
+    let Ok(text) = fs::read_to_string(report_file(study, "gradients.json")) else { return not_run(study) };
     let rows: Vec<serde_json::Value> = serde_json::from_str(&text).expect("a list");
     let row = |row: &serde_json::Value| -> Vec<String> {
         let square = |key: &str| format!("{:.2e}", row[key].as_f64().expect("a number"));
@@ -298,7 +298,7 @@ fn gradients(study: &str) -> String {
 
 /// Table of mean and sigma of maps by source, scene and class, with the paper's beside those of simulated maps.
 fn domains(study: &str) -> String {
-    let Ok(text) = fs::read_to_string(file(study, "domains.json")) else { return not_run(study) };
+    let Ok(text) = fs::read_to_string(report_file(study, "domains.json")) else { return not_run(study) };
     let sources: Vec<serde_json::Value> = serde_json::from_str(&text).expect("a list");
     let mut rows = Vec::new();
     for source in &sources {
