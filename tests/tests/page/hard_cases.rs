@@ -529,6 +529,30 @@ fn a_step_back_ends_the_open_label_as_a_seek_does() {
     assert!(kept.len() == 1 && kept[0].2 == "one", "{kept:?}");
 }
 
+/// A page whose network stalled shows an old frame. Its request used to begin a label at the newest frame, up to 10 s later than
+/// the user saw.
+#[test]
+fn labels_begin_at_the_frame_that_the_page_shows_and_not_long_before_the_newest() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = simulate_walk(folder.path(), 2.0, 9.0, 80);
+    let served = replay(&recording, "1");
+    let mut socket = page(&served.address);
+    assert!(read_until(&mut socket, |said| said.contains("\"at_end\":true")), "it plays to its end");
+    let newest_s = 7.9;
+    let press = |socket: &mut Socket, text: String| socket.send(Message::text(text)).expect("sent");
+    for shown_s in [newest_s - 4.0, newest_s + 4.0] {
+        press(&mut socket, format!("{{\"do\":\"label\",\"occupancy\":\"one\",\"shown_s\":{shown_s}}}"));
+        assert!(read_until(&mut socket, |said| said.contains("up to date")), "{shown_s} s");
+    }
+    press(&mut socket, "{\"do\":\"label\",\"occupancy\":\"one\",\"shown_s\":6.0}".to_owned());
+    assert!(read_until(&mut socket, |said| said.contains("\"open\":{")));
+    press(&mut socket, "{\"do\":\"stop\",\"shown_s\":7.5}".to_owned());
+    assert!(read_until(&mut socket, |said| said.contains("\"open\":null")));
+    drop(socket);
+    assert!(served.stop(), "an orderly end");
+    assert_eq!(read_labels(&recording), [(6.0, 7.5, "one".to_owned())]);
+}
+
 #[test]
 fn labels_that_another_program_has_changed_are_not_overwritten() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -244,7 +244,8 @@ fn an_old_answer_is_not_shown_as_the_present_one() {
     served.program.signal("STOP");
     browser.wait_until(&format!("{is_blank} && {}", says("no frames for")));
     served.program.signal("CONT");
-    browser.wait_until(&format!("!({is_blank}) && !document.body.classList.contains('stale') && {}", says("frame ")));
+    let has_frame = "document.getElementById('frame').textContent.startsWith('frame ')";
+    browser.wait_until(&format!("!({is_blank}) && !document.body.classList.contains('stale') && {has_frame}"));
     assert!(browser.faults.is_empty(), "{:?}", browser.faults);
     assert!(served.stop(), "an orderly end");
     browser.wait_until(&format!("{is_blank} && {}", says("the run is over")));
