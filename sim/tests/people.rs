@@ -182,8 +182,8 @@ fn trunk_feet_and_arms_of_a_walker_have_their_spread_of_radial_velocity() {
     assert!((cycles(1.25) * 1.25 / cycles(1.0) - 1.0).abs() < 1e-9);
 }
 
-/// The front of the chest of a lying person moves up and down with the breath by millimetres, seen from above, and the abdomen
-/// by about half of that. The hips and the rest of the body are still.
+/// The front of the chest of a lying person moves up and down with the breath by millimetres, seen from above; the rest
+/// of the body is still.
 #[test]
 fn a_lying_person_moves_only_by_breathing() {
     let motion = builder().lying(&BED, 60.0).stay();
@@ -193,11 +193,7 @@ fn a_lying_person_moves_only_by_breathing() {
         v.iter().copied().fold(f64::NEG_INFINITY, f64::max) - v.iter().copied().fold(f64::INFINITY, f64::min)
     };
     assert!((0.0035..0.014).contains(&span(&heights)), "{} m", span(&heights));
-    let abdomen: Vec<f64> = (0..2000).map(|i| motion.body(f64::from(i) * 0.02)[PELVIS].surface(DVec3::X).z).collect();
-    assert!((0.4..0.8).contains(&(span(&abdomen) / span(&heights))), "{} m", span(&abdomen));
-    let hips = |t: f64| motion.body(t)[PELVIS].surface(DVec3::NEG_X);
-    assert!((0..400).all(|i| rate(hips, f64::from(i) * 0.1).length() < 1e-6), "the hips move");
-    for part in [HEAD, THIGH, SHANK, FOOT] {
+    for part in [HEAD, PELVIS, THIGH, SHANK, FOOT] {
         let centre = |t: f64| motion.body(t)[part].centre;
         for i in 0..400 {
             assert!(rate(centre, f64::from(i) * 0.1).length() < 1e-6, "part {part} moves");

@@ -22,14 +22,6 @@ pub const THIGH: usize = 7;
 pub const SHANK: usize = 9;
 /// Index of the left foot; the right one follows.
 pub const FOOT: usize = 11;
-/// Part of the motion of the chest's front by which the middle of the chest moves. The back moves outward by the rest of the
-/// growth, a fifth of the motion of the front.
-const CHEST_SHIFT: f64 = 0.4;
-/// Part of the motion of the chest's front by which each flank moves outward.
-const FLANK_SHARE: f64 = 0.15;
-/// Part of the motion of the chest's front by which the front of the abdomen moves.
-const ABDOMEN_SHARE: f64 = 0.6;
-
 /// Names of the segments, by index. The left and right segments of a limb have consecutive indices.
 pub const SEGMENT_NAMES: [&str; SEGMENTS] = [
     "head",
@@ -74,7 +66,7 @@ pub struct Posture {
     pub ankle_rad: [f64; 2],
     /// Tilt of both legs to the left of the hips, rad. Only lateral sway makes it differ from 0.
     pub legs_left_rad: f64,
-    /// Displacement of the front of the chest outward of its mean, by breath and heart, m.
+    /// Displacement of the chest surface outward of its mean, by breath and heart, m.
     pub chest_m: f64,
 }
 
@@ -102,7 +94,7 @@ pub struct Orientations {
     pub shank: [DMat3; 2],
     /// Orientations of the feet: x points towards the toes.
     pub foot: [DMat3; 2],
-    /// Displacement of the front of the chest outward of its mean, by breath and heart, m.
+    /// Displacement of the chest surface outward of its mean, by breath and heart, m.
     pub chest_m: f64,
 }
 
@@ -175,22 +167,14 @@ impl Build {
             0.078,
             0.068 * h,
         );
-        let breath_m = orientations.chest_m;
         ellipsoids[CHEST] = ellipsoid(
-            hips + trunk * DVec3::Z * (0.190 * h) + chest * DVec3::X * (CHEST_SHIFT * breath_m),
+            hips + trunk * DVec3::Z * (0.190 * h),
             chest,
-            0.115 * g + (1.0 - CHEST_SHIFT) * breath_m,
-            0.165 * g + FLANK_SHARE * breath_m,
+            0.115 * g + orientations.chest_m,
+            0.165 * g,
             0.125 * h,
         );
-        // The front of the abdomen moves, the back and the hips do not.
-        ellipsoids[PELVIS] = ellipsoid(
-            hips + trunk * DVec3::Z * (0.035 * h) + pelvis * DVec3::X * (0.5 * ABDOMEN_SHARE * breath_m),
-            pelvis,
-            0.110 * g + 0.5 * ABDOMEN_SHARE * breath_m,
-            0.165 * g,
-            0.085 * h,
-        );
+        ellipsoids[PELVIS] = ellipsoid(hips + trunk * DVec3::Z * (0.035 * h), pelvis, 0.110 * g, 0.165 * g, 0.085 * h);
         for side in 0..2 {
             let to_left = if side == 0 { 1.0 } else { -1.0 };
             // A limb hangs along -z of its frame.

@@ -15,9 +15,6 @@ use crate::em::specular::Ellipsoid;
 use crate::math::smooth_step;
 pub use builder::{Bed, MotionBuilder};
 
-/// Hip flexion of a person that sits, rad.
-const SEATED_HIP_RAD: f64 = 1.5;
-
 /// A person's motion over time.
 #[derive(Debug, Clone)]
 pub struct Motion {
@@ -108,7 +105,6 @@ impl Motion {
         let y = state.position_m[1] + forward * sine + left * cosine + sway_y;
         let standing_m = build.standing_hip_height_m();
         let seated_m = value_at(&self.seats, time_s).unwrap_or(0.45) + HIPS_OVER_SEAT_M;
-        let seated_knee_rad = self.seated_knee_rad(seated_m);
         let mut posture = Posture {
             position_m: [x, y],
             heading_rad,
@@ -117,13 +113,12 @@ impl Motion {
             lean_rad: 0.02 + sit * -0.06 + 0.5 * smooth_step(4.0 * sit * (1.0 - sit) * 2.0 - 1.0),
             shoulder_rad: [0.05 + 0.35 * sit; 2],
             elbow_rad: [0.15 + 1.0 * sit; 2],
-            hip_rad: [SEATED_HIP_RAD * sit; 2],
-            knee_rad: [seated_knee_rad * sit; 2],
-            ankle_rad: [(seated_knee_rad - SEATED_HIP_RAD) * sit; 2],
+            hip_rad: [1.5 * sit; 2],
+            knee_rad: [1.5 * sit; 2],
             chest_m: self.person.chest_m(time_s),
             ..build.standing()
         };
-        gait::walk(&mut posture, phase, walk_intensity * (1.0 - sit), build, &self.person.style);
+        gait::walk(&mut posture, phase, walk_intensity * (1.0 - sit), build.height_m, &self.person.style);
         if march_intensity > 0.0 {
             gait::march(&mut posture, phase, march_intensity);
         }
@@ -153,15 +148,6 @@ impl Motion {
         posture.lean_rad += fidget.lean_rad;
         posture.twist_rad += fidget.twist_rad;
         posture
-    }
-
-    /// Knee flexion of a person that sits with the hips at this height, rad. The feet stand before a low seat, and hang
-    /// over the floor before a high one.
-    fn seated_knee_rad(&self, hip_height_m: f64) -> f64 {
-        let build = &self.person.build;
-        let knee_height_m = hip_height_m - build.thigh_m() * SEATED_HIP_RAD.cos();
-        let shank_up = (knee_height_m - build.ankle_height_m()) / build.shank_m();
-        SEATED_HIP_RAD - shank_up.clamp(0.0, 1.0).acos()
     }
 
     /// Position and phase of the steps at a time.

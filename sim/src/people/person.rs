@@ -128,7 +128,7 @@ impl Person {
         self.sway_m *= rng.random_range(0.2..0.7);
     }
 
-    /// Front of the chest outward of its mean, m: breath 4..12 mm peak to peak, heart 0.2..0.5 mm.
+    /// Chest surface outward of its mean, m: breath 4..12 mm peak to peak, heart 0.2..0.5 mm.
     pub(super) fn chest_m(&self, time_s: f64) -> f64 {
         let breath = TAU * self.breath_hz * time_s + self.phases[0];
         let heart = TAU * self.heart_hz * time_s + self.phases[1];
