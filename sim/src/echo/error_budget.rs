@@ -71,11 +71,11 @@ impl ErrorBudget {
 
     /// Returns the key times, up to index `last`, at which occlusion by limbs is computed for an image of this
     /// loudness, LSB. The shadow of a limb moves a few centimetres in a frame, and affects a small part of the echo, unless
-    /// a limb moves `limb_motion_m` against the trunk, as when the person turns quickly.
-    pub(super) fn occlusion_keys(&self, loudness_lsb: f64, limb_motion_m: f64, last: usize) -> Vec<usize> {
-        /// Motion of a limb in a frame up to which its shadow is computed at few key times, m.
-        const SLOW_LIMB_M: f64 = 0.09;
-        if self.tolerance_db < 0.4 || limb_motion_m > SLOW_LIMB_M {
+    /// an arm moves `arm_motion_m` against the trunk, as when the person turns quickly.
+    pub(super) fn occlusion_keys(&self, loudness_lsb: f64, arm_motion_m: f64, last: usize) -> Vec<usize> {
+        /// Motion of an arm in a frame up to which its shadow is computed at few key times, m.
+        const SLOW_ARM_M: f64 = 0.09;
+        if self.tolerance_db < 0.4 || arm_motion_m > SLOW_ARM_M {
             (0..=last).collect()
         } else if loudness_lsb > 2.0 * LOUD_RATIO * self.noise_lsb {
             vec![0, last]

@@ -27,7 +27,7 @@ use crate::em::curved_triangle::Integrator;
 use crate::em::image::ImageIndex;
 use crate::em::specular::Ellipsoid;
 use crate::lanes::Row;
-use crate::people::body::{CHEST, SEGMENTS};
+use crate::people::body::{CHEST, SEGMENTS, THIGH, UPPER_ARM};
 use crate::people::skin::PosedSkin;
 use crate::people::walking_mesh::WalkingMesh;
 use crate::prepared_scene::PreparedScene;
@@ -203,12 +203,12 @@ impl SkinnedPerson {
             }
         }
         let last = people.len().saturating_sub(1);
-        let limb_motion_m = limb_motion_m(people, target);
+        let arm_motion_m = arm_motion_m(people, target);
         let of_image = |image: usize| {
             let (index, antenna) = (inputs.images[image], inputs.positions[image].middle);
             let pairs = inputs.pairs.iter().filter(|pair| pair.images.contains(&image));
             let keys =
-                budget.occlusion_keys(pairs.map(|pair| pair.loudness_lsb).fold(0.0, f64::max), limb_motion_m, last);
+                budget.occlusion_keys(pairs.map(|pair| pair.loudness_lsb).fold(0.0, f64::max), arm_motion_m, last);
             let at = |key: usize| {
                 // There is an additional pose between any two key times of people.
                 let posed = inputs.posed.get(2 * key)?;
@@ -223,15 +223,17 @@ impl SkinnedPerson {
     }
 }
 
-/// Returns the longest way of a limb against the chest from the first key time to the last one, m.
-fn limb_motion_m(people: &[Vec<Snapshot>], target: usize) -> f64 {
+/// Returns the longest way of an arm against the chest from the first key time to the last one, m. Legs shadow little of the
+/// trunk.
+fn arm_motion_m(people: &[Vec<Snapshot>], target: usize) -> f64 {
     let body = |people: &[Snapshot]| people.get(target).map(|snapshot| snapshot.body);
     let Some((first, last)) = people.first().and_then(|p| body(p)).zip(people.last().and_then(|p| body(p))) else {
         return 0.0;
     };
     let trunk = last[CHEST].centre - first[CHEST].centre;
     let motion = |(first, last): (&Ellipsoid, &Ellipsoid)| (last.centre - first.centre - trunk).length();
-    first.iter().zip(&last).map(motion).fold(0.0, f64::max)
+    let arms = UPPER_ARM..THIGH;
+    first[arms.clone()].iter().zip(&last[arms]).map(motion).fold(0.0, f64::max)
 }
 
 /// Returns the pairs that are loud enough to count, each once for a path and its reverse, with the loudness, LSB, of
