@@ -117,9 +117,9 @@ pub struct Calibration {
     fft: Arc<dyn RealToComplex<f64>>,
     /// Number of frames that were added.
     frame_count: usize,
-    /// Of this many periodograms, one is kept.
+    /// Number of periodograms of which one is kept.
     periodogram_stride: usize,
-    /// Of this many mean chirps, one is kept.
+    /// Number of mean chirps of which one is kept.
     chirp_stride: usize,
 }
 

@@ -19,6 +19,8 @@ export const words = bytes => new Uint16Array(bytes.slice().buffer);
 
 /** Longest silence of a connection, ms. The program sends something every two seconds. */
 const SILENCE = 10000;
+/** Silence after which no requests are sent, ms. */
+const DOUBT = 4000;
 
 export class Link {
   constructor({ picture, news, state }) {
@@ -72,9 +74,9 @@ export class Link {
     this.connect();
   }
 
-  /** Returns whether the request was sent. */
+  /** Returns whether the request was sent. It is not sent into a silence: nobody would tell the user that it was lost. */
   send(request) {
-    if (this.socket.readyState !== WebSocket.OPEN) return false;
+    if (this.socket.readyState !== WebSocket.OPEN || performance.now() - this.heard > DOUBT) return false;
     this.socket.send(JSON.stringify(request));
     return true;
   }
