@@ -5,7 +5,7 @@ use std::time::Duration;
 use radome_driver::{Address, BoardError, EmulatedSource, Fault, Kind, Mcu7Board, UsbAddress};
 use radome_dsp::{Frame, Gap, GapReason, Waveform};
 
-use crate::common::{POLICY, Pattern, board, options, read, read_frames, waveform};
+use crate::common::{POLICY, Pattern, board, options, read, read_frames, reasons, waveform};
 use crate::emulated_board::start_and_stop;
 
 /// Sequence numbers of frames with the source's codes, those of other frames, and the gaps, up to the end of the
@@ -62,7 +62,7 @@ mod hard_cases {
         ] {
             let (good, bad, gaps) = stream(&waveform, 20, &[fault]);
             assert!(bad.is_empty(), "{fault:?}: {bad:?}");
-            assert_eq!(gaps.iter().map(|g| g.reason).collect::<Vec<_>>(), Vec::from_iter(reason), "{fault:?}");
+            assert_eq!(reasons(&gaps), Vec::from_iter(reason), "{fault:?}");
             let lost: u64 = gaps.iter().map(|g| g.frames).sum();
             assert_eq!(good.len() as u64 + lost, 20, "{fault:?}: {gaps:?}");
             assert!(lost <= 2, "{fault:?}: {gaps:?}");
@@ -102,7 +102,7 @@ mod hard_cases {
         let client = Mcu7Board::open(board.address()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let gaps = read_frames(&mut stream, 420, |_| {});
-        assert_eq!(gaps.iter().map(|g| g.reason).collect::<Vec<_>>(), [GapReason::Disconnected; 3]);
+        assert_eq!(reasons(&gaps), [GapReason::Disconnected; 3]);
     }
 
     #[test]

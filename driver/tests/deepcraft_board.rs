@@ -13,7 +13,7 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
 
-use crate::common::{self, POLICY, Pattern, linked, options, read_frames, spawn, waveform};
+use crate::common::{self, POLICY, Pattern, linked, options, read_frames, reasons, spawn, waveform};
 
 fn board(waveform: &Waveform, faults: &[Fault]) -> EmulatedBoard {
     common::board(waveform, u64::MAX, Kind::Deepcraft, faults)
@@ -21,6 +21,11 @@ fn board(waveform: &Waveform, faults: &[Fault]) -> EmulatedBoard {
 
 fn start(board: &EmulatedBoard, waveform: &Waveform) -> DeepcraftStream {
     DeepcraftBoard::open(board.path()).expect("opens").start(waveform).expect("starts")
+}
+
+/// Opens the port of a board without a client; reads wait this long.
+fn raw_port(board: &EmulatedBoard, timeout: Duration) -> Box<dyn serialport::SerialPort> {
+    serialport::new(board.path().to_string_lossy(), 115_200).timeout(timeout).open().expect("opens")
 }
 
 /// Reads this number of frames; asserts that each has the time of its number. Returns the gaps.
@@ -104,8 +109,7 @@ fn a_source_whose_frames_the_firmware_cannot_hold_is_refused_or_measured_in_a_pr
 #[test]
 fn the_emulated_board_answers_as_written_by_hand() {
     let board = board(&Preset::Gesture.waveform().expect("valid"), &[]);
-    let path = board.path().display().to_string();
-    let mut port = serialport::new(path, 115_200).timeout(Duration::from_secs(60)).open().expect("opens");
+    let mut port = raw_port(&board, Duration::from_secs(60));
     // Request for the capabilities of all devices (-1, zig-zag) with tag 2^24 + 1.
     port.write_all(&[9, 0x0A, 7, 0x08, 1, 0x10, 0x81, 0x80, 0x80, 0x08]).expect("asks");
     let expected: [&[u8]; 31] = [
@@ -154,8 +158,7 @@ fn the_emulated_board_answers_as_written_by_hand() {
 fn chunks_hold_all_frames_of_a_read_whatever_the_stream_announces() {
     let w = small();
     let board = board(&w, &[]);
-    let path = board.path().display().to_string();
-    let mut port = serialport::new(path, 115_200).timeout(Duration::from_secs(60)).open().expect("opens");
+    let mut port = raw_port(&board, Duration::from_secs(60));
     let mut requests = Vec::new();
     Request::from(Command::Capabilities(CapabilitiesRequest { device: 0, tag: 1 })).encode_to(&mut requests);
     // Starts device 0.
@@ -296,12 +299,6 @@ mod hard_cases {
         DeepcraftBoard::open(board.path()).err().expect("an error")
     }
 
-    /// Opens the port of a board without a client.
-    fn raw_port(board: &EmulatedBoard) -> Box<dyn serialport::SerialPort> {
-        let path = board.path().display().to_string();
-        serialport::new(path, 115_200).timeout(Duration::from_millis(200)).open().expect("opens")
-    }
-
     #[test]
     fn the_stream_survives_all_faults_together() {
         let folder = tempfile::tempdir().expect("folder");
@@ -323,9 +320,8 @@ mod hard_cases {
         let mut stream = start(&board, &w).with_reconnect(POLICY);
         let gaps = read(&mut stream, 230);
         use GapReason::{Crc, Disconnected, FifoOverflow, PacketLost};
-        let reasons: Vec<GapReason> = gaps.iter().map(|g| g.reason).collect();
         assert_eq!(
-            reasons,
+            reasons(&gaps),
             [PacketLost, Crc, Crc, FifoOverflow, PacketLost, PacketLost, Disconnected, Crc, PacketLost]
         );
     }
@@ -383,7 +379,7 @@ mod hard_cases {
     fn a_board_in_any_state_is_opened() {
         let w = small();
         let board = board(&w, &[]);
-        let mut port = raw_port(&board);
+        let mut port = raw_port(&board, Duration::from_millis(200));
         port.write_all(b"AT+GCAP\r").expect("writes");
         drop(port);
         DeepcraftBoard::open(board.path()).expect("opens after a modem manager");
@@ -424,7 +420,7 @@ mod hard_cases {
         let w = small();
         let options = EmulatorOptions { pace: Pace::RealTime(1.0), ..options(Kind::Deepcraft, &[]) };
         let board = spawn(&w, u64::MAX, options);
-        let mut port = raw_port(&board);
+        let mut port = raw_port(&board, Duration::from_millis(200));
         port.write_all(&[2, 0x1A, 0]).expect("starts");
         // The status between chunks is first active and later ready again.
         let mut parser = MessageParser::new(MAX_RESPONSE);

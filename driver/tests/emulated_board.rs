@@ -10,7 +10,7 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform};
 
-use crate::common::{self, Pattern, board, in_folder, read_frames, realised, spawn, waveform};
+use crate::common::{self, Pattern, board, in_folder, read_frames, realised, reasons, spawn, waveform};
 
 /// Starts and stops a board three times; asserts that no frame of an earlier run appears in a later one.
 pub(crate) fn start_and_stop(mut client: Mcu7Board, waveform: &Waveform) -> Mcu7Board {
@@ -102,7 +102,7 @@ fn boards_of_protocol_3_measure() {
     let identity = source.identity().clone();
     assert_eq!((identity.protocol_version.as_str(), identity.firmware_version.as_str()), ("3.0", "2.5.0"));
     let (sequences, gaps) = read_all(&mut source, &pattern());
-    assert_eq!(gaps.iter().map(|g| g.reason).collect::<Vec<_>>(), [GapReason::PacketLost, GapReason::FifoOverflow]);
+    assert_eq!(reasons(&gaps), [GapReason::PacketLost, GapReason::FifoOverflow]);
     assert_eq!(sequences.len() as u64 + gaps.iter().map(|g| g.frames).sum::<u64>(), 20);
 }
 
@@ -351,7 +351,7 @@ mod hard_cases {
             assert!(frame.codes == expected.codes, "frame {} has the codes of another", frame.sequence);
             assert!(frame.time_ns.abs_diff(expected.time_ns) < 3_000, "frame {}", frame.sequence);
         });
-        assert_eq!(gaps.iter().map(|gap| gap.reason).collect::<Vec<_>>(), [GapReason::FifoOverflow]);
+        assert_eq!(reasons(&gaps), [GapReason::FifoOverflow]);
     }
 
     /// Regression test: a board whose FIFO overflows at every start was started hundreds of times, with a warning each

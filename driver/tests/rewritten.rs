@@ -1,17 +1,14 @@
 //! Recordings that another program has written again: valid MCAP files whose layout is not the recorder's.
 
-use std::collections::BTreeMap;
-use std::io::Cursor;
 use std::path::Path;
 
 use mcap::WriteOptions;
-use mcap::records::MessageHeader;
 use radome_driver::recording::Existing;
 use radome_driver::recording::mcap::{repair, set_labels};
 use radome_driver::{LabelSpan, McapReader, RecordingError};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 
-use crate::common::{Pattern, chunks, in_folder, read, record, waveform};
+use crate::common::{Pattern, chunks, in_folder, read, record, rewritten, waveform};
 
 const FRAMES: u64 = 25;
 
@@ -30,27 +27,6 @@ fn recorded() -> Vec<u8> {
     let (_folder, path) = in_folder("a.mcap");
     record(pattern(), &label(), &path);
     std::fs::read(&path).expect("reads")
-}
-
-/// The same messages, each in a chunk of its own if there are chunks. A channel is named where it is first used, as by
-/// MCAP's library for Python.
-fn rewritten(options: WriteOptions) -> Vec<u8> {
-    let bytes = recorded();
-    let summary = mcap::Summary::read(&bytes).expect("reads").expect("a summary");
-    let mut writer = options.create(Cursor::new(Vec::new())).expect("starts");
-    let metadata = mcap::read::metadata(&bytes, &summary.metadata_indexes[0]).expect("metadata");
-    writer.write_metadata(&metadata).expect("writes");
-    for message in mcap::MessageStream::new(&bytes).expect("opens") {
-        let message = message.expect("reads");
-        let (topic, encoding) = (&message.channel.topic, &message.channel.message_encoding);
-        let channel_id = writer.add_channel(0, topic, encoding, &BTreeMap::new()).expect("writes");
-        let (log_time, publish_time) = (message.log_time, message.publish_time);
-        let header = MessageHeader { channel_id, sequence: message.sequence, log_time, publish_time };
-        writer.write_to_known_channel(&header, &message.data).expect("writes");
-        writer.flush().expect("writes");
-    }
-    writer.finish().expect("finishes");
-    writer.into_inner().into_inner()
 }
 
 /// Asserts that a file holds all frames and the label, for the reader, for a seek and for the repair.
@@ -79,7 +55,7 @@ fn files_of_another_layout_have_the_same_content() {
         ("no chunks and no summary", WriteOptions::new().use_chunks(false).emit_summary_records(false)),
     ];
     for (name, options) in layouts {
-        let bytes = rewritten(options);
+        let bytes = rewritten(&recorded(), options);
         assert_is_whole(&bytes, name);
         assert_is_whole(&bytes[..bytes.len() - 37], &format!("{name}, unfinished"));
     }
@@ -89,7 +65,7 @@ fn files_of_another_layout_have_the_same_content() {
 #[test]
 fn a_recording_without_chunks_refuses_labels_until_it_is_repaired() {
     let (folder, path) = in_folder("a.mcap");
-    let bytes = rewritten(WriteOptions::new().use_chunks(false));
+    let bytes = rewritten(&recorded(), WriteOptions::new().use_chunks(false));
     std::fs::write(&path, &bytes).expect("writes");
     let error = set_labels(&path, &[label()]).expect_err("refused").to_string();
     assert!(error.contains("a.mcap") && error.contains("radome recording repair"), "{error}");
@@ -103,7 +79,7 @@ fn a_recording_without_chunks_refuses_labels_until_it_is_repaired() {
 /// Regression test: damage among messages without chunks lost all later frames without a gap.
 #[test]
 fn damage_among_messages_without_chunks_is_a_gap() {
-    let mut bytes = rewritten(WriteOptions::new().use_chunks(false));
+    let mut bytes = rewritten(&recorded(), WriteOptions::new().use_chunks(false));
     let mut at = mcap::MAGIC.len();
     let mut messages = Vec::new();
     while at < bytes.len() - mcap::MAGIC.len() {

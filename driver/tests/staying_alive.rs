@@ -5,11 +5,7 @@ use std::time::Duration;
 use radome_driver::{Fault, Kind, Mcu7Board};
 use radome_dsp::{Gap, GapReason};
 
-use crate::common::{POLICY, board, linked, open, read, read_frames, spawn, waveform};
-
-fn reasons(gaps: &[Gap]) -> Vec<GapReason> {
-    gaps.iter().map(|g| g.reason).collect()
-}
+use crate::common::{POLICY, board, linked, open, read, read_frames, reasons, spawn, waveform};
 
 #[test]
 fn the_stream_continues_after_replugging() {

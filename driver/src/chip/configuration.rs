@@ -451,59 +451,31 @@ impl ChipConfiguration {
         let not_a_waveform = |reason: String| ChipError::NotAWaveform { reason };
         let divider = registers.field(ADC0::ADC_DIV);
         let samples = registers.field(PLL1_3::APU) as usize;
-        let chirps = registers.field(CCR2::FRAME_LEN) as usize + 1;
         let rsu = registers.field(PLL1_1::RSU);
         if divider < 20 || samples == 0 || rsu == 0 || rsu >= 1 << 23 {
             return Err(not_a_waveform(format!(
                 "ADC_DIV {divider}, APU {samples}, RSU {rsu}; is the chip configured?"
             )));
         }
-        // FSU is a signed 24-bit number.
-        let fsu = ((registers.field(PLL1_0::FSU) << 8) as i32) >> 8;
-        let start = fsu + (rsu * (TX_ON_CYCLES - RAMP_START_CYCLES) as u32) as i32;
-        let start_frequency_hz = FREQUENCY_ORIGIN_HZ + f64::from(start) * FREQUENCY_STEP_HZ;
-        let slope = f64::from(rsu) * SLOPE_STEP_HZ_PER_S;
         let sample_rate_hz = REFERENCE_CLOCK_HZ / f64::from(divider);
-
-        let mode = registers.field(PLL1_7::PD_MODE);
-        let fixed_cycles =
-            active_cycles(u64::from(registers.field(PLL1_2::RTU))) + if mode == 0 { 0 } else { INIT_CYCLES };
-        let end_delay = u64::from(registers.field(PLL1_7::T_SED)) << registers.field(PLL1_7::T_SED_MUL) << 3;
-        let chirp_cycles = fixed_cycles + end_delay;
-        let wake_up_cycles = if registers.field(CCR1::PD_MODE) >= 2 { WAKE_UP_CYCLES } else { 0 };
-        let frame_delay = u64::from(registers.field(CCR1::TFED)) << registers.field(CCR1::TFED_MUL) << 3;
-        let frame_cycles = chirp_cycles * chirps as u64 - end_delay + wake_up_cycles + frame_delay;
+        let [start_frequency_hz, end_frequency_hz] =
+            decode_band(registers, rsu, samples as f64 / sample_rate_hz + ADC_START_DELAY_S);
+        let chirps = registers.field(CCR2::FRAME_LEN) as usize + 1;
+        let [chirp_interval_s, frame_interval_s] = decode_intervals(registers, chirps);
 
         let mask = registers.field(CS1_U_1::BBCH_SEL) & 7;
         let antennas: Vec<u8> = (1..=3).filter(|a| mask >> (a - 1) & 1 == 1).collect();
         let first = antennas.first().copied().unwrap_or(1) - 1;
         let [_, _, vga, high_pass] = RECEIVERS[usize::from(first)].map(|field| registers.field(field));
         let high_pass_db = if registers.field(CS1_U_2::HP_GAIN) >> u32::from(first) & 1 == 1 { 18.0 } else { 30.0 };
-        let seconds = |cycles: u64| cycles as f64 / REFERENCE_CLOCK_HZ;
-        let ramp_s = samples as f64 / sample_rate_hz + ADC_START_DELAY_S;
-        // Rounding to the grids may exceed the limits of a request, at most by half a step of slope and a step of frequency.
-        let clamp_within = |value: f64, [low, high]: [f64; 2], tolerance: f64| {
-            let clamped = value.max(low).min(high);
-            if (clamped - value).abs() <= tolerance { clamped } else { value }
-        };
-        let end_frequency_hz = start_frequency_hz + slope * ramp_s;
-        let start_frequency_hz =
-            clamp_within(start_frequency_hz, [RF_BAND_HZ.0, RF_BAND_HZ.1 - LEAST_BAND_HZ], FREQUENCY_STEP_HZ);
-        let tolerance_hz = 0.5 * SLOPE_STEP_HZ_PER_S * ramp_s + FREQUENCY_STEP_HZ;
-        let end_frequency_hz =
-            clamp_within(end_frequency_hz, [start_frequency_hz + LEAST_BAND_HZ, RF_BAND_HZ.1], tolerance_hz);
-        // The longest intervals may be rounded up by half a step of their delay, and by 8 cycles for their overheads.
-        let interval_s = |cycles: u64, exponent: Field, longest_s: f64| {
-            clamp_within(seconds(cycles), [0.0, longest_s], seconds((4u64 << registers.field(exponent)) + 8))
-        };
         let request = WaveformRequest {
             start_frequency_hz,
             end_frequency_hz,
             samples_per_chirp: samples,
             chirps_per_frame: chirps,
             sample_rate_hz,
-            chirp_interval_s: interval_s(chirp_cycles, PLL1_7::T_SED_MUL, Waveform::LONGEST_CHIRP_INTERVAL_S),
-            frame_interval_s: interval_s(frame_cycles, CCR1::TFED_MUL, Waveform::LONGEST_FRAME_INTERVAL_S),
+            chirp_interval_s,
+            frame_interval_s,
             rx_antennas: RxMask::from_antennas(&antennas).map_err(|e| not_a_waveform(e.to_string()))?,
             tx_power_level: registers.field(CS1_U_1::TX1_DAC) as u8,
             if_gain_db: high_pass_db + 5.0 * f64::from(vga).min(6.0),
@@ -513,6 +485,46 @@ impl ChipConfiguration {
         let waveform = Waveform::realise(request).map_err(|e| not_a_waveform(e.to_string()))?;
         Ok(ChipConfiguration { waveform, slice_samples: 2 * (registers.field(SFCTL::FIFO_CREF) as usize + 1) })
     }
+}
+
+/// Limits a value to the range of a request if it lies outside by no more than `tolerance`, which rounding to the grids of
+/// the registers can cause.
+fn clamp_within(value: f64, [low, high]: [f64; 2], tolerance: f64) -> f64 {
+    let clamped = value.max(low).min(high);
+    if (clamped - value).abs() <= tolerance { clamped } else { value }
+}
+
+/// Decodes the frequencies at which the transmitter goes on and at which sampling ends, `ramp_s` later, Hz. `rsu` is the
+/// register RSU, below 2^23.
+fn decode_band(registers: &RegisterFile, rsu: u32, ramp_s: f64) -> [f64; 2] {
+    // FSU is a signed 24-bit number.
+    let fsu = ((registers.field(PLL1_0::FSU) << 8) as i32) >> 8;
+    let start = fsu + (rsu * (TX_ON_CYCLES - RAMP_START_CYCLES) as u32) as i32;
+    let start_hz = FREQUENCY_ORIGIN_HZ + f64::from(start) * FREQUENCY_STEP_HZ;
+    let end_hz = start_hz + f64::from(rsu) * SLOPE_STEP_HZ_PER_S * ramp_s;
+    let start_hz = clamp_within(start_hz, [RF_BAND_HZ.0, RF_BAND_HZ.1 - LEAST_BAND_HZ], FREQUENCY_STEP_HZ);
+    // Rounding changes the end by half a step of slope and a step of frequency.
+    let tolerance_hz = 0.5 * SLOPE_STEP_HZ_PER_S * ramp_s + FREQUENCY_STEP_HZ;
+    [start_hz, clamp_within(end_hz, [start_hz + LEAST_BAND_HZ, RF_BAND_HZ.1], tolerance_hz)]
+}
+
+/// Decodes the intervals of chirps and frames, s.
+fn decode_intervals(registers: &RegisterFile, chirps: usize) -> [f64; 2] {
+    let init_cycles = if registers.field(PLL1_7::PD_MODE) == 0 { 0 } else { INIT_CYCLES };
+    let end_delay = u64::from(registers.field(PLL1_7::T_SED)) << registers.field(PLL1_7::T_SED_MUL) << 3;
+    let chirp_cycles = active_cycles(u64::from(registers.field(PLL1_2::RTU))) + init_cycles + end_delay;
+    let wake_up_cycles = if registers.field(CCR1::PD_MODE) >= 2 { WAKE_UP_CYCLES } else { 0 };
+    let frame_delay = u64::from(registers.field(CCR1::TFED)) << registers.field(CCR1::TFED_MUL) << 3;
+    let frame_cycles = chirp_cycles * chirps as u64 - end_delay + wake_up_cycles + frame_delay;
+    let seconds = |cycles: u64| cycles as f64 / REFERENCE_CLOCK_HZ;
+    // The longest intervals may be rounded up by half a step of their delay, and by 8 cycles for their overheads.
+    let interval_s = |cycles: u64, exponent: Field, longest_s: f64| {
+        clamp_within(seconds(cycles), [0.0, longest_s], seconds((4u64 << registers.field(exponent)) + 8))
+    };
+    [
+        interval_s(chirp_cycles, PLL1_7::T_SED_MUL, Waveform::LONGEST_CHIRP_INTERVAL_S),
+        interval_s(frame_cycles, CCR1::TFED_MUL, Waveform::LONGEST_FRAME_INTERVAL_S),
+    ]
 }
 
 #[cfg(test)]

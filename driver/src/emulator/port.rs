@@ -230,11 +230,11 @@ impl Terminal {
 
     fn wait(&self, write: bool, timeout: Duration) -> io::Result<()> {
         let interest = if write { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
-        let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: i64::from(timeout.subsec_nanos()) };
+        let timeout = Timespec::try_from(timeout).ok();
         let line = PollFd::new(&self.line, interest);
         let result = match &self.watch {
-            Some(watch) => poll(&mut [line, PollFd::new(&watch.events, PollFlags::IN)], Some(&timeout)),
-            None => poll(&mut [line], Some(&timeout)),
+            Some(watch) => poll(&mut [line, PollFd::new(&watch.events, PollFlags::IN)], timeout.as_ref()),
+            None => poll(&mut [line], timeout.as_ref()),
         };
         match result {
             Ok(_) | Err(Errno::INTR) => Ok(()),

@@ -181,29 +181,40 @@ impl Wire {
                 self.unplug(Duration::ZERO, firmware)?;
             }
             self.check_departure(firmware)?;
-            if !self.has_reader(firmware)? {
+            if self.has_reader(firmware)? {
+                self.exchange(firmware)?;
+            } else {
                 thread::sleep(Duration::from_millis(1));
                 firmware.advance();
-                continue;
             }
-            let is_sending = self.written < self.out.len();
-            if is_sending {
-                self.port.wait(true, Duration::from_millis(20))?;
-                firmware.advance();
-            } else {
-                self.out.clear();
-                self.written = 0;
-            }
-            let has_answered = self.receive(firmware, is_sending)?;
-            if !is_sending {
-                self.deliver(firmware);
-                if self.out.is_empty() && !has_answered && !firmware.next_message(self) {
-                    self.port.wait(false, self.until_delivery().min(Duration::from_millis(1)))?;
-                }
-            }
-            self.written += self.port.write(self.out.get(self.written..).unwrap_or(&[]))?;
         }
         self.finish(firmware)
+    }
+
+    /// Takes bytes of the host, and sends a part of the current message or begins the next one.
+    fn exchange(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
+        let is_sending = self.written < self.out.len();
+        if is_sending {
+            self.port.wait(true, Duration::from_millis(20))?;
+            firmware.advance();
+        } else {
+            self.out.clear();
+            self.written = 0;
+        }
+        let has_answered = self.receive(firmware, is_sending)?;
+        if !is_sending {
+            self.deliver(firmware);
+            if self.out.is_empty() && !has_answered && !firmware.next_message(self) {
+                self.port.wait(false, self.until_delivery().min(Duration::from_millis(1)))?;
+            }
+        }
+        self.write_out()
+    }
+
+    /// Writes as much of the current message as the port takes.
+    fn write_out(&mut self) -> std::io::Result<()> {
+        self.written += self.port.write(self.out.get(self.written..).unwrap_or(&[]))?;
+        Ok(())
     }
 
     /// Returns whether a host reads: a client has the port open, and no fault makes it slow. Firmware that restarts
@@ -282,7 +293,7 @@ impl Wire {
                 }
             }
             self.port.wait(true, Duration::from_millis(10))?;
-            self.written += self.port.write(self.out.get(self.written..).unwrap_or(&[]))?;
+            self.write_out()?;
         }
         // The host loses data that it has not read when the line closes. The system may still hold more than it has
         // handed over.

@@ -100,6 +100,10 @@ impl RecordingError {
         }
     }
 
+    pub(super) fn cannot_read(path: &Path) -> impl FnOnce(std::io::Error) -> RecordingError {
+        Self::io(path, "cannot be read")
+    }
+
     pub(super) fn cannot_write(path: &Path) -> impl FnOnce(std::io::Error) -> RecordingError {
         let path = path.to_owned();
         move |source| RecordingError::Io { path, what: "cannot be written", source }

@@ -33,7 +33,7 @@ impl Format {
         }
         let mut head = Vec::new();
         let read = open_file(path)?.take(HEAD_BYTES).read_to_end(&mut head);
-        read.map_err(RecordingError::io(path, "cannot be read"))?;
+        read.map_err(RecordingError::cannot_read(path))?;
         if head.starts_with(::mcap::MAGIC) {
             return Ok(Some(Format::Mcap));
         }

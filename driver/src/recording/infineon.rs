@@ -55,11 +55,7 @@ pub struct InfineonReader {
     /// Number of bytes behind the header.
     available: u64,
     bytes: Vec<u8>,
-    /// Time of each frame, ns: since 1970, or by the board's clock.
-    timestamps_ns: Option<Vec<u64>>,
-    /// Time on the same clock, ns, and temperature, degrees Celsius.
-    temperatures: Vec<(u64, f64)>,
-    left_out: Vec<String>,
+    series: Series,
 }
 
 impl InfineonReader {
@@ -70,32 +66,13 @@ impl InfineonReader {
     /// [`RecordingError`] if a file is absent or cannot be read, if the configuration does not state a waveform, or if
     /// it contradicts the data.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
-        let mut radars = radar_folders(path)?.into_iter();
-        let folder = radars.next().ok_or_else(|| RecordingError::Unknown { path: path.to_owned() })?;
-        if radars.len() > 0 {
-            let (path, count) = (path.display(), radars.len() + 1);
-            let first = folder.file_name().unwrap_or_default().to_string_lossy();
-            warn_once(format!(
-                "{path}: {count} radars; only {first} is read; name the folder of another one to read that"
-            ));
-        }
+        let folder = first_radar(path)?;
         check_version(&folder.join(VERSION))?;
-        let config = folder.join(CONFIG);
-        let data = folder.join(DATA);
+        let (config, data) = (folder.join(CONFIG), folder.join(DATA));
         let mut file = BufReader::new(open_file(&data)?);
-        let length = file.get_ref().metadata().map_err(RecordingError::io(&data, "cannot be read"))?.len();
+        let length = file.get_ref().metadata().map_err(RecordingError::cannot_read(&data))?.len();
         let header = NpyHeader::read(&mut file, &data)?;
-        if header.type_string != "<u2" {
-            let reason = format!("samples are of type '{}', expected '<u2'", header.type_string);
-            return Err(RecordingError::Corrupt { path: data, offset: 10, reason });
-        }
-        let &[frames, rx, chirps, samples] = header.shape.as_slice() else {
-            let reason = format!("the array has shape {:?}, expected (frames, rx, chirps, samples)", header.shape);
-            return Err(RecordingError::Corrupt { path: data, offset: 10, reason });
-        };
-        // A count beyond any waveform's cannot match the configuration.
-        let count = |n: u64| usize::try_from(n).unwrap_or(usize::MAX);
-        let data_shape = FrameShape { rx: count(rx), chirps: count(chirps), samples: count(samples) };
+        let (frames, data_shape) = header.frames_and_shape(&data)?;
         let waveform = read_waveform(&config, Some(data_shape))?;
         let shape = waveform.shape();
         if data_shape != shape {
@@ -114,24 +91,9 @@ impl InfineonReader {
                 "{data}: {surplus} bytes behind the {frames} frames that its header states; they are left out"
             ));
         }
-        let mut left_out = Vec::new();
-        let timestamps_ns = read_timestamps(&folder.join(TIMES), Some(frames), &mut left_out)?;
-        for reason in &left_out {
-            warn_once(format!("{reason}; the times of all frames are made of the frame interval"));
-        }
-        let time_reasons = left_out.len();
-        let temperatures = read_temperatures(&folder, &mut left_out)?;
-        if timestamps_ns.is_none() && !temperatures.is_empty() {
-            let path = folder.join(TEMPERATURES);
-            left_out.push(format!("{}: the frames have no times by the clock of the temperatures", path.display()));
-        }
-        for reason in left_out.iter().skip(time_reasons) {
-            warn_once(format!("{reason}; the temperatures are left out"));
-        }
+        let series = Series::read(&folder, frames)?;
         Ok(InfineonReader {
-            timestamps_ns,
-            temperatures,
-            left_out,
+            series,
             bytes: vec![0; shape.codes() * 2],
             available,
             data_offset: header.data_offset,
@@ -152,7 +114,7 @@ impl InfineonReader {
     /// Reasons why times or temperatures of the folder are left out, with file and line. Without times, they follow from the frame
     /// interval.
     pub fn left_out(&self) -> &[String] {
-        &self.left_out
+        &self.series.left_out
     }
 
     /// Number of whole frames in the file; less than [`FrameSource::frame_count`] if the file was cut short.
@@ -167,7 +129,7 @@ impl InfineonReader {
 
     /// Time of a frame from the start of the acquisition, ns.
     fn time_ns(&self, index: u64) -> u64 {
-        frame_time_ns(self.timestamps_ns.as_deref(), &self.waveform, index)
+        frame_time_ns(self.series.timestamps_ns.as_deref(), &self.waveform, index)
     }
 
     /// Seeks a frame by its number; the end for a number behind the last one.
@@ -177,7 +139,7 @@ impl InfineonReader {
     pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
         self.next = sequence.min(self.frames);
         let offset = self.data_offset + self.next.min(self.whole_frames()) * self.bytes.len() as u64;
-        self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::io(&self.data, "cannot be read"))?;
+        self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::cannot_read(&self.data))?;
         Ok(())
     }
 
@@ -212,7 +174,7 @@ impl InfineonReader {
                 expected_frames: self.frames,
             });
         }
-        self.file.read_exact(&mut self.bytes).map_err(RecordingError::io(&self.data, "cannot be read"))?;
+        self.file.read_exact(&mut self.bytes).map_err(RecordingError::cannot_read(&self.data))?;
         let shape: FrameShape = self.waveform.shape();
         frame.shape = shape;
         frame.codes.clear();
@@ -228,12 +190,12 @@ impl InfineonReader {
         frame.sequence = self.next;
         frame.truth = None;
         frame.time_ns = self.time_ns(self.next);
-        let stamp = usize::try_from(self.next).ok().and_then(|i| self.timestamps_ns.as_ref()?.get(i).copied());
+        let stamp = usize::try_from(self.next).ok().and_then(|i| self.series.timestamps_ns.as_ref()?.get(i).copied());
         frame.host_time_ns = stamp.filter(|at| *at >= FIRST_UNIX_NS).unwrap_or(0);
         // The last temperature known at the time of the frame.
         let temperature = stamp.and_then(|now| {
-            let after = self.temperatures.partition_point(|(at, _)| *at <= now);
-            self.temperatures.get(after.checked_sub(1)?)
+            let after = self.series.temperatures.partition_point(|(at, _)| *at <= now);
+            self.series.temperatures.get(after.checked_sub(1)?)
         });
         frame.temperature_millicelsius = temperature.map(|(_, celsius)| (celsius * 1e3).round() as i32);
         self.next += 1;
@@ -303,6 +265,18 @@ fn is_radar(folder: &Path) -> bool {
     folder.file_name().is_some_and(|name| name.to_string_lossy().starts_with(RADAR))
 }
 
+/// Finds the folder of the first radar, and warns if there are others.
+fn first_radar(path: &Path) -> Result<PathBuf, RecordingError> {
+    let mut radars = radar_folders(path)?.into_iter();
+    let folder = radars.next().ok_or_else(|| RecordingError::Unknown { path: path.to_owned() })?;
+    if radars.len() > 0 {
+        let (path, count) = (path.display(), radars.len() + 1);
+        let first = folder.file_name().unwrap_or_default().to_string_lossy();
+        warn_once(format!("{path}: {count} radars; only {first} is read; name the folder of another one to read that"));
+    }
+    Ok(folder)
+}
+
 fn check_version(path: &Path) -> Result<(), RecordingError> {
     let text = read_text(path, TEXT_LIMIT_BYTES)?;
     let text = text.trim();
@@ -364,6 +338,53 @@ impl NpyHeader {
         }
         let data_offset = file.stream_position().map_err(io)?;
         Ok(NpyHeader { type_string: type_string.to_string(), shape: header.shape().to_vec(), data_offset })
+    }
+
+    /// Number and shape of the frames of an array of samples, which is the content of `data`.
+    fn frames_and_shape(&self, data: &Path) -> Result<(u64, FrameShape), RecordingError> {
+        let corrupt = |reason: String| RecordingError::Corrupt { path: data.to_owned(), offset: 10, reason };
+        if self.type_string != "<u2" {
+            return Err(corrupt(format!("samples are of type '{}', expected '<u2'", self.type_string)));
+        }
+        let &[frames, rx, chirps, samples] = self.shape.as_slice() else {
+            let shape = &self.shape;
+            return Err(corrupt(format!("the array has shape {shape:?}, expected (frames, rx, chirps, samples)")));
+        };
+        // A count beyond any waveform's cannot match the configuration.
+        let count = |n: u64| usize::try_from(n).unwrap_or(usize::MAX);
+        Ok((frames, FrameShape { rx: count(rx), chirps: count(chirps), samples: count(samples) }))
+    }
+}
+
+/// Times and temperatures of the frames of a folder.
+#[derive(Debug)]
+struct Series {
+    /// Time of each frame, ns: since 1970, or by the board's clock.
+    timestamps_ns: Option<Vec<u64>>,
+    /// Time on the same clock, ns, and temperature, degrees Celsius.
+    temperatures: Vec<(u64, f64)>,
+    /// Reasons why times or temperatures are left out.
+    left_out: Vec<String>,
+}
+
+impl Series {
+    /// Reads times and temperatures of `frames` frames, and warns of those that cannot be used.
+    fn read(folder: &Path, frames: u64) -> Result<Self, RecordingError> {
+        let mut left_out = Vec::new();
+        let timestamps_ns = read_timestamps(&folder.join(TIMES), Some(frames), &mut left_out)?;
+        for reason in &left_out {
+            warn_once(format!("{reason}; the times of all frames are made of the frame interval"));
+        }
+        let time_reasons = left_out.len();
+        let temperatures = read_temperatures(folder, &mut left_out)?;
+        if timestamps_ns.is_none() && !temperatures.is_empty() {
+            let path = folder.join(TEMPERATURES);
+            left_out.push(format!("{}: the frames have no times by the clock of the temperatures", path.display()));
+        }
+        for reason in left_out.iter().skip(time_reasons) {
+            warn_once(format!("{reason}; the temperatures are left out"));
+        }
+        Ok(Series { timestamps_ns, temperatures, left_out })
     }
 }
 

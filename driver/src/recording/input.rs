@@ -16,7 +16,7 @@ pub(super) fn open_file(path: &Path) -> Result<File, RecordingError> {
 
 /// Reads a regular file of at most `limit_bytes`.
 pub(super) fn read(path: &Path, limit_bytes: u64) -> Result<Vec<u8>, RecordingError> {
-    radome_files::read(path, limit_bytes).map_err(RecordingError::io(path, "cannot be read"))
+    radome_files::read(path, limit_bytes).map_err(RecordingError::cannot_read(path))
 }
 
 /// Reads a text file of at most `limit_bytes`.

@@ -76,11 +76,11 @@ impl TextReader {
         let config = config_path(path).ok_or_else(|| RecordingError::Missing { path: config_name(path) })?;
         let waveform = read_waveform(&config, None)?;
         let mut file = BufReader::new(open_file(path)?);
-        let length = file.get_ref().metadata().map_err(RecordingError::io(path, "cannot be read"))?.len();
+        let length = file.get_ref().metadata().map_err(RecordingError::cannot_read(path))?.len();
         let mut line = Vec::new();
         let prelude = VALUE_BYTES as u64 + 2;
-        file.by_ref().take(prelude).read_to_end(&mut line).map_err(RecordingError::io(path, "cannot be read"))?;
-        file.seek(SeekFrom::Start(0)).map_err(RecordingError::io(path, "cannot be read"))?;
+        file.by_ref().take(prelude).read_to_end(&mut line).map_err(RecordingError::cannot_read(path))?;
+        file.seek(SeekFrom::Start(0)).map_err(RecordingError::cannot_read(path))?;
         let line_end = match line_end(&line) {
             Some(characters) => characters,
             None if length == 0 => 1,
@@ -98,12 +98,12 @@ impl TextReader {
     /// Ignores line ends behind the last whole frame, which editors add. They cannot begin a frame, which begins with a value.
     fn ignore_trailing_line_ends(&mut self) -> Result<(), RecordingError> {
         let whole_bytes = self.whole_frames() * self.frame_bytes() as u64;
-        self.file.seek(SeekFrom::Start(whole_bytes)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+        self.file.seek(SeekFrom::Start(whole_bytes)).map_err(RecordingError::cannot_read(&self.path))?;
         let other = self.file.by_ref().bytes().find(|byte| !matches!(byte, Ok(b'\r' | b'\n'))).transpose();
-        if other.map_err(RecordingError::io(&self.path, "cannot be read"))?.is_none() {
+        if other.map_err(RecordingError::cannot_read(&self.path))?.is_none() {
             self.length = whole_bytes;
         }
-        self.file.seek(SeekFrom::Start(0)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+        self.file.seek(SeekFrom::Start(0)).map_err(RecordingError::cannot_read(&self.path))?;
         Ok(())
     }
 
@@ -129,7 +129,7 @@ impl TextReader {
     pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
         self.next = sequence.min(self.whole_frames());
         let offset = self.next * self.frame_bytes() as u64;
-        self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+        self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::cannot_read(&self.path))?;
         Ok(())
     }
 
@@ -167,11 +167,23 @@ impl TextReader {
         }
         // Allocated only after the file has confirmed the shape.
         self.bytes.resize(self.frame_bytes(), 0);
-        self.file.read_exact(&mut self.bytes).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+        self.file.read_exact(&mut self.bytes).map_err(RecordingError::cannot_read(&self.path))?;
         frame.shape = self.waveform.shape();
-        frame.codes.clear();
+        self.parse_codes(start, &mut frame.codes)?;
+        frame.sequence = self.next;
+        frame.time_ns = self.waveform.frame_time_ns(self.next);
+        frame.host_time_ns = 0;
+        frame.truth = None;
+        frame.temperature_millicelsius = None;
+        self.next += 1;
+        Ok(SourceEvent::Frame)
+    }
+
+    /// Parses the codes of the frame in `bytes`, which starts at this offset in the file.
+    fn parse_codes(&self, start: u64, codes: &mut Vec<u16>) -> Result<(), RecordingError> {
+        codes.clear();
         let expected_end: &[u8] = if self.line_end == 2 { b"\r\n" } else { b"\n" };
-        let chirp_bytes = frame.shape.samples * (VALUE_BYTES + self.line_end) + self.line_end;
+        let chirp_bytes = self.waveform.shape().samples * (VALUE_BYTES + self.line_end) + self.line_end;
         let corrupt = |offset: usize, reason: &str| RecordingError::Corrupt {
             path: self.path.clone(),
             offset: start + offset as u64,
@@ -185,19 +197,13 @@ impl TextReader {
                     let offset = index * chirp_bytes + line * value.len();
                     corrupt(offset, "expected a line such as 0.512332: a code of 0 to 4095, divided by 4095")
                 })?;
-                frame.codes.push(code);
+                codes.push(code);
             }
             if blank != expected_end {
                 return Err(corrupt(index * chirp_bytes + values.len(), "expected an empty line after each chirp"));
             }
         }
-        frame.sequence = self.next;
-        frame.time_ns = self.waveform.frame_time_ns(self.next);
-        frame.host_time_ns = 0;
-        frame.truth = None;
-        frame.temperature_millicelsius = None;
-        self.next += 1;
-        Ok(SourceEvent::Frame)
+        Ok(())
     }
 }
 

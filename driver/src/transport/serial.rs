@@ -86,9 +86,8 @@ fn is_no_port(path: &Path) -> bool {
 /// Reads bytes, waiting at most `timeout` and at least a millisecond; returns 0 if none came. A plain read of the port waits
 /// too, but allocates an error each time that nothing comes.
 pub(crate) fn read_within(port: &mut TTYPort, timeout: Duration, buffer: &mut [u8]) -> std::io::Result<usize> {
-    let timeout = timeout.max(Duration::from_millis(1));
-    let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: i64::from(timeout.subsec_nanos()) };
-    let result = poll(&mut [PollFd::from_borrowed_fd(descriptor(port), PollFlags::IN)], Some(&timeout));
+    let timeout = Timespec::try_from(timeout.max(Duration::from_millis(1))).ok();
+    let result = poll(&mut [PollFd::from_borrowed_fd(descriptor(port), PollFlags::IN)], timeout.as_ref());
     match result {
         Ok(0) | Err(rustix::io::Errno::INTR) => Ok(0),
         Ok(_) => read(port, buffer),

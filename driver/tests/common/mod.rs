@@ -14,7 +14,7 @@ use radome_driver::{
     BoardError, DeepcraftBoard, EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Kind, LabelSpan, Mcu7Board, Pace,
     Reconnect, Recorder, RecordingHeader,
 };
-use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, Waveform};
 
 pub use self::pattern::*;
 
@@ -105,6 +105,11 @@ pub fn read(source: &mut dyn FrameSource) -> (Vec<Frame>, Vec<Gap>, Option<Sourc
             Err(error) => return (frames, gaps, Some(error)),
         }
     }
+}
+
+/// Reasons of gaps, in their order.
+pub fn reasons(gaps: &[Gap]) -> Vec<GapReason> {
+    gaps.iter().map(|gap| gap.reason).collect()
 }
 
 /// Creates a folder, which is removed when it is dropped, and returns the path of a file in it.

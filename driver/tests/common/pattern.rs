@@ -1,7 +1,13 @@
-//! Source of known frames, and random numbers. Each test binary uses a part of this module.
+//! Source of known frames, random numbers, and recordings as another program writes them. Each test binary uses a part of this
+//! module.
 
 #![allow(dead_code)]
 
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+use mcap::WriteOptions;
+use mcap::records::MessageHeader;
 use radome_dsp::{
     Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest, split_mix_64,
 };
@@ -144,4 +150,24 @@ pub fn read_frames(stream: &mut dyn FrameSource, frames: usize, check: impl Fn(&
         }
     }
     gaps
+}
+
+/// Writes the messages of a recording again, each in a chunk of its own if there are chunks. A channel is named where it is
+/// first used, as by MCAP's library for Python.
+pub fn rewritten(recording: &[u8], options: WriteOptions) -> Vec<u8> {
+    let summary = mcap::Summary::read(recording).expect("reads").expect("a summary");
+    let mut writer = options.create(Cursor::new(Vec::new())).expect("starts");
+    let metadata = mcap::read::metadata(recording, &summary.metadata_indexes[0]).expect("metadata");
+    writer.write_metadata(&metadata).expect("writes");
+    for message in mcap::MessageStream::new(recording).expect("opens") {
+        let message = message.expect("reads");
+        let (topic, encoding) = (&message.channel.topic, &message.channel.message_encoding);
+        let channel_id = writer.add_channel(0, topic, encoding, &BTreeMap::new()).expect("writes");
+        let (log_time, publish_time) = (message.log_time, message.publish_time);
+        let header = MessageHeader { channel_id, sequence: message.sequence, log_time, publish_time };
+        writer.write_to_known_channel(&header, &message.data).expect("writes");
+        writer.flush().expect("writes");
+    }
+    writer.finish().expect("finishes");
+    writer.into_inner().into_inner()
 }

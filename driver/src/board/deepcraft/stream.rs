@@ -169,35 +169,38 @@ impl DeepcraftStream {
                     deadline.restart();
                 }
             }
-            // Queued frames are handed out before the next chunk is parsed.
-            let event = if self.dropped_count_deadline.is_none() { self.parser.next_event() } else { None };
-            match event {
-                Some(ChunkEvent::Frames { frame_number, frame_count, codes }) => {
-                    self.resequencer.push_chunk(frame_number, frame_count, codes, self.last_chunk.elapsed());
-                    self.last_chunk = Instant::now();
-                    if self.resequencer.needs_reason() {
-                        self.request_dropped_count()?;
-                    }
-                    continue;
-                }
-                Some(ChunkEvent::Misnumbered) => {
-                    self.resequencer.note_damage();
-                    continue;
-                }
-                Some(ChunkEvent::Damaged) => {
-                    self.restart = Some(GapReason::Crc);
-                    continue;
-                }
-                Some(ChunkEvent::Error(error)) => {
-                    let (code, message) = (ErrorCode(error.code), error.message);
-                    let source = DeepcraftError::Refused { command: "start", code, message };
-                    return Err(BoardError::Deepcraft { path: self.path.clone(), source });
-                }
-                None => {}
+            if self.take_message()? {
+                continue;
             }
             let Some(wait) = deadline.next_read() else { return Ok(None) };
             deadline.note_read(self.receive(wait)?);
         }
+    }
+
+    /// Takes the next message among the received bytes; returns whether there was one.
+    fn take_message(&mut self) -> Result<bool, BoardError> {
+        // Queued frames are handed out before the next chunk is parsed.
+        if self.dropped_count_deadline.is_some() {
+            return Ok(false);
+        }
+        match self.parser.next_event() {
+            Some(ChunkEvent::Frames { frame_number, frame_count, codes }) => {
+                self.resequencer.push_chunk(frame_number, frame_count, codes, self.last_chunk.elapsed());
+                self.last_chunk = Instant::now();
+                if self.resequencer.needs_reason() {
+                    self.request_dropped_count()?;
+                }
+            }
+            Some(ChunkEvent::Misnumbered) => self.resequencer.note_damage(),
+            Some(ChunkEvent::Damaged) => self.restart = Some(GapReason::Crc),
+            Some(ChunkEvent::Error(error)) => {
+                let (code, message) = (ErrorCode(error.code), error.message);
+                let source = DeepcraftError::Refused { command: "start", code, message };
+                return Err(BoardError::Deepcraft { path: self.path.clone(), source });
+            }
+            None => return Ok(false),
+        }
+        Ok(true)
     }
 
     fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {

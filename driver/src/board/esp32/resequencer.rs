@@ -69,54 +69,61 @@ impl Resequencer {
             self.note_restart(number, arrival);
         }
         let next = *self.next_number.get_or_insert(number);
-        let follows = |number: u64, previous: u64| number == previous.wrapping_add(1);
         if number == next {
-            match self.unconfirmed.take() {
-                // A line with the last number and other codes, then its successor: the firmware has restarted at its
-                // first number.
-                Some(line) if follows(next, line.number) => {
-                    self.note_restart(line.number, line.arrival);
-                    self.accept(&line.codes, line.arrival);
-                    self.accept(codes, arrival);
-                }
-                // The previous line arrived before this one, out of order.
-                Some(line) if follows(line.number, number) => {
-                    self.accept(codes, arrival);
-                    self.accept(&line.codes, arrival);
-                }
-                _ => self.accept(codes, arrival),
-            }
+            self.push_next(number, codes, arrival);
         } else if follows(next, number) && self.last_digest == digest(codes) {
             tracing::debug!(number, "a line came twice");
         } else {
-            match self.unconfirmed.take() {
-                // Two lines have one number: one of them is wrong, and it is unknown which.
-                Some(line) if line.number == number => {
-                    if line.codes == codes {
-                        self.unconfirmed = Some(line);
-                    } else {
-                        self.damaged = true;
-                    }
+            self.push_unexpected(next, number, codes, arrival);
+        }
+    }
+
+    /// Takes a line with the expected number.
+    fn push_next(&mut self, number: u64, codes: &[u16], arrival: Instant) {
+        match self.unconfirmed.take() {
+            // A line with the last number and other codes, then its successor: the firmware has restarted at its first
+            // number.
+            Some(line) if follows(number, line.number) => {
+                self.note_restart(line.number, line.arrival);
+                self.accept(&line.codes, line.arrival);
+                self.accept(codes, arrival);
+            }
+            // The previous line arrived before this one, out of order.
+            Some(line) if follows(line.number, number) => {
+                self.accept(codes, arrival);
+                self.accept(&line.codes, arrival);
+            }
+            _ => self.accept(codes, arrival),
+        }
+    }
+
+    /// Takes a line with another number than `next`, the expected one. It counts when the next line confirms it.
+    fn push_unexpected(&mut self, next: u64, number: u64, codes: &[u16], arrival: Instant) {
+        match self.unconfirmed.take() {
+            // Two lines have one number: one of them is wrong, and it is unknown which.
+            Some(line) if line.number == number => {
+                if line.codes == codes {
+                    self.unconfirmed = Some(line);
+                } else {
+                    self.damaged = true;
                 }
-                // Either both lines are ahead, perhaps with losses between them, or the firmware has restarted its
-                // count.
-                Some(line)
-                    if follows(number, line.number)
-                        || (is_ahead(line.number, next) && is_ahead(number, line.number)) =>
-                {
-                    if is_ahead(line.number, next) {
-                        self.push_gap(line.number.wrapping_sub(next));
-                    } else {
-                        self.note_restart(line.number, line.arrival);
-                    }
-                    self.next_number = Some(line.number);
-                    self.accept(&line.codes, line.arrival);
-                    self.push_line(number, codes, arrival);
+            }
+            // Either both lines are ahead, perhaps with losses between them, or the firmware has restarted its count.
+            Some(line)
+                if follows(number, line.number) || (is_ahead(line.number, next) && is_ahead(number, line.number)) =>
+            {
+                if is_ahead(line.number, next) {
+                    self.push_gap(line.number.wrapping_sub(next));
+                } else {
+                    self.note_restart(line.number, line.arrival);
                 }
-                line => {
-                    self.damaged |= line.is_some();
-                    self.unconfirmed = Some(NumberedLine { number, codes: self.copy_codes(codes), arrival });
-                }
+                self.next_number = Some(line.number);
+                self.accept(&line.codes, line.arrival);
+                self.push_line(number, codes, arrival);
+            }
+            line => {
+                self.damaged |= line.is_some();
+                self.unconfirmed = Some(NumberedLine { number, codes: self.copy_codes(codes), arrival });
             }
         }
     }
@@ -179,6 +186,11 @@ impl Resequencer {
 /// Computes a digest of codes (FNV-1a over words).
 fn digest(codes: &[u16]) -> u64 {
     codes.iter().fold(0xCBF2_9CE4_8422_2325, |hash, code| (hash ^ u64::from(*code)).wrapping_mul(0x100_0000_01B3))
+}
+
+/// Returns whether `number` comes right after `previous`.
+fn follows(number: u64, previous: u64) -> bool {
+    number == previous.wrapping_add(1)
 }
 
 /// Returns whether `number` comes after `previous`, by at most as many frames as a board can lose.

@@ -199,15 +199,7 @@ impl Assembler {
             return Outcome::Accepted;
         }
         if ahead >= 0x8000 {
-            // The counter has been set back if the packet would be earlier than the first one.
-            if u64::from(ahead.wrapping_neg()) > self.next_packet {
-                return Outcome::Misaligned;
-            }
-            tracing::debug!(counter = packet.counter, "a packet came twice");
-            self.duplicates += 1;
-            // The packet may also be a new one, sent after the counter was set back.
-            self.check_until = self.end_slice(self.next_frame) + 1;
-            return if self.duplicates > MOST_DUPLICATES { Outcome::Misaligned } else { Outcome::Accepted };
+            return self.take_earlier(packet.counter, ahead);
         }
         self.duplicates = 0;
         let number = self.next_packet + u64::from(ahead);
@@ -225,21 +217,10 @@ impl Assembler {
         let bytes = self.slice.data_bytes();
         let offset = self.slice.offset(index);
         let position = slice * bytes as u64 + offset as u64;
-        if position != self.received {
-            // Without an earlier time stamp, only the count of slices from the start tells where frames begin.
-            if self.last_stamp.is_none() && !self.slice.samples.is_multiple_of(self.shape.codes().max(1)) {
-                return Outcome::Misaligned;
-            }
-            self.skip_to(position);
-            // The slice that ends the next whole frame is the last to be checked.
-            self.check_until = self.end_slice(self.next_frame) + 1;
+        if position != self.received && !self.jump_to(position) {
+            return Outcome::Misaligned;
         }
-        self.damaged = false;
-        let data = packet.payload.get(..bytes - offset).unwrap_or(packet.payload);
-        // After a loss everything up to the next whole frame is discarded.
-        let skip = self.buffer_start.saturating_sub(position).min(data.len() as u64) as usize;
-        self.buffer.extend_from_slice(data.get(skip..).unwrap_or(&[]));
-        self.received = position + data.len() as u64;
+        self.append(position, packet.payload.get(..bytes - offset).unwrap_or(packet.payload));
         if is_last {
             if let (_, Some(time_us)) = packet.split_timestamp() {
                 if slice < self.check_until && !self.is_on_time(slice, time_us) {
@@ -251,6 +232,39 @@ impl Assembler {
             self.complete_frames();
         }
         Outcome::Accepted
+    }
+
+    /// Takes a packet with an earlier counter than the next one's: a duplicate, unless the counter has been set back.
+    fn take_earlier(&mut self, counter: u16, ahead: u16) -> Outcome {
+        // The counter has been set back if the packet would be earlier than the first one.
+        if u64::from(ahead.wrapping_neg()) > self.next_packet {
+            return Outcome::Misaligned;
+        }
+        tracing::debug!(counter, "a packet came twice");
+        self.duplicates += 1;
+        // The packet may also be a new one, sent after the counter was set back.
+        self.check_until = self.end_slice(self.next_frame) + 1;
+        if self.duplicates > MOST_DUPLICATES { Outcome::Misaligned } else { Outcome::Accepted }
+    }
+
+    /// Continues the stream at this byte after a jump of the counter; returns `false` if it is unknown where frames begin.
+    fn jump_to(&mut self, position: u64) -> bool {
+        // Without an earlier time stamp, only the count of slices from the start tells where frames begin.
+        if self.last_stamp.is_none() && !self.slice.samples.is_multiple_of(self.shape.codes().max(1)) {
+            return false;
+        }
+        self.skip_to(position);
+        // The slice that ends the next whole frame is the last to be checked.
+        self.check_until = self.end_slice(self.next_frame) + 1;
+        true
+    }
+
+    /// Appends data of the stream that begin at this byte. After a loss everything up to the next whole frame is discarded.
+    fn append(&mut self, position: u64, data: &[u8]) {
+        self.damaged = false;
+        let skip = self.buffer_start.saturating_sub(position).min(data.len() as u64) as usize;
+        self.buffer.extend_from_slice(data.get(skip..).unwrap_or(&[]));
+        self.received = position + data.len() as u64;
     }
 
     /// Takes a packet with a text, which counts among the packets but carries no byte of the stream. On a transport

@@ -121,7 +121,7 @@ impl Mcu7Stream {
     /// after many restarts, or the stream was stopped.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
         let mut deadline = ReadDeadline::new(timeout);
-        'next: loop {
+        loop {
             if let Some(event) = self.assembler.pop(frame) {
                 if event == SourceEvent::Frame {
                     frame.host_time_ns = now_ns();
@@ -131,45 +131,54 @@ impl Mcu7Stream {
                 return Ok(Some(event));
             }
             if let Some(reason) = self.restart.take() {
-                self.restarts += 1;
-                let (restarts, reason_name) = (self.restarts, reason.name());
-                match restarts {
-                    1 => tracing::warn!(reason = reason_name, "the board is started anew"),
-                    2..=MOST_RESTARTS => tracing::debug!(reason = reason_name, restarts, "the board is started anew"),
-                    _ => return Err(BoardError::NoFrame { path: self.path.clone(), restarts, reason: reason_name }),
-                }
-                self.assembler.restart(reason);
-                self.program()?;
+                self.start_anew(reason)?;
                 deadline.restart();
             }
-            let link = &mut self.board.as_mut().ok_or(BoardError::Stopped)?.link;
-            while let Some(incoming) = link.next_incoming() {
-                let outcome = match incoming {
-                    Incoming::Damaged => {
-                        self.assembler.note_damage();
-                        continue;
-                    }
-                    Incoming::Packet(packet) => {
-                        self.assembler.set_host_elapsed(self.last_frame.elapsed());
-                        self.assembler.push_packet(&packet)
-                    }
-                };
-                match outcome {
-                    Outcome::Accepted => {}
-                    Outcome::Stopped(DataError::FifoOverflow) => self.restart = Some(GapReason::FifoOverflow),
-                    Outcome::Stopped(DataError::Other(code)) => {
-                        return Err(BoardError::Acquisition { path: link.path.clone(), code });
-                    }
-                    Outcome::Misaligned => self.restart = Some(GapReason::PacketLost),
-                }
-                // Completed frames are handed out before later packets are parsed.
-                if self.restart.is_some() || self.assembler.is_ready() {
-                    continue 'next;
-                }
+            self.take_packets()?;
+            // Completed frames are handed out before later packets are parsed.
+            if self.restart.is_some() || self.assembler.is_ready() {
+                continue;
             }
             let Some(wait) = deadline.next_read() else { return Ok(None) };
-            deadline.note_read(link.receive(wait.min(Duration::from_millis(50)))?);
+            deadline.note_read(self.board()?.link.receive(wait.min(Duration::from_millis(50)))?);
         }
+    }
+
+    /// Starts the board again, unless that has often been in vain.
+    fn start_anew(&mut self, reason: GapReason) -> Result<(), BoardError> {
+        self.restarts += 1;
+        let (restarts, reason_name) = (self.restarts, reason.name());
+        match restarts {
+            1 => tracing::warn!(reason = reason_name, "the board is started anew"),
+            2..=MOST_RESTARTS => tracing::debug!(reason = reason_name, restarts, "the board is started anew"),
+            _ => return Err(BoardError::NoFrame { path: self.path.clone(), restarts, reason: reason_name }),
+        }
+        self.assembler.restart(reason);
+        self.program()
+    }
+
+    /// Takes received packets until a frame is complete, the board has to be started anew, or no packet is left.
+    fn take_packets(&mut self) -> Result<(), BoardError> {
+        let link = &mut self.board.as_mut().ok_or(BoardError::Stopped)?.link;
+        while self.restart.is_none()
+            && !self.assembler.is_ready()
+            && let Some(incoming) = link.next_incoming()
+        {
+            let Incoming::Packet(packet) = incoming else {
+                self.assembler.note_damage();
+                continue;
+            };
+            self.assembler.set_host_elapsed(self.last_frame.elapsed());
+            match self.assembler.push_packet(&packet) {
+                Outcome::Accepted => {}
+                Outcome::Stopped(DataError::FifoOverflow) => self.restart = Some(GapReason::FifoOverflow),
+                Outcome::Stopped(DataError::Other(code)) => {
+                    return Err(BoardError::Acquisition { path: link.path.clone(), code });
+                }
+                Outcome::Misaligned => self.restart = Some(GapReason::PacketLost),
+            }
+        }
+        Ok(())
     }
 
     /// Stops the acquisition and returns the board.

@@ -41,10 +41,7 @@ impl ControlEndpoint {
         if request == LastError::request() {
             return Some(self.last.encode().to_vec());
         }
-        let (status, payload) = match requests.answer(&request) {
-            Ok(payload) => (Status::Ok, payload),
-            Err(status) => (status, Vec::new()),
-        };
+        let (status, payload) = requests.answer(&request);
         self.last = LastError { kind_code: request.kind_code(), status };
         match request.kind {
             RequestKind::Read => (status == Status::Ok).then(|| truncated(payload, request.length)),

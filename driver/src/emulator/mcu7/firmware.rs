@@ -85,10 +85,7 @@ impl Requests {
                 Response { kind_code: *kind_code, status: *status, payload: &[] }.encode(out);
             }
             HostEvent::Request(request) => {
-                let (status, payload) = match self.answer(request) {
-                    Ok(payload) => (Status::Ok, payload),
-                    Err(status) => (status, Vec::new()),
-                };
+                let (status, payload) = self.answer(request);
                 Response { kind_code: request.kind_code(), status, payload: &payload }.encode(out);
             }
         }
@@ -106,14 +103,17 @@ impl Requests {
         }
     }
 
-    /// Computes the payload of the answer, or the error status.
-    pub fn answer(&mut self, request: &Request) -> Result<Vec<u8>, Status> {
+    /// Computes the status of a request, and the payload of the answer.
+    pub fn answer(&mut self, request: &Request) -> (Status, Vec<u8>) {
         let command = Command::from_request(request);
         // A configuration that is refused stops the data, too.
         if command == Err(Status::InvalidParameter) {
             self.data_started = false;
         }
-        command.and_then(|command| self.execute(&command))
+        match command.and_then(|command| self.execute(&command)) {
+            Ok(payload) => (Status::Ok, payload),
+            Err(status) => (status, Vec::new()),
+        }
     }
 
     fn execute(&mut self, command: &Command) -> Result<Vec<u8>, Status> {

@@ -2,6 +2,7 @@
 
 use prost::Message;
 use prost::encoding::{encode_varint, encoded_len_varint};
+use radome_dsp::MAX_CODE;
 
 use super::delimited::{Cursor, ReadError};
 use super::response::{Answer, CapabilitiesResponse, ErrorResponse, Response};
@@ -28,8 +29,6 @@ const MAX_HEADER_DIFFERENCE: usize = 6;
 const INTERLEAVED_LENGTH: std::ops::RangeInclusive<u64> = 16..=16_384;
 /// Largest distance between frame numbers of one stream.
 const MOST_MISSING: u32 = 1 << 20;
-/// Largest code of the ADC.
-const MAX_CODE: u16 = radome_dsp::MAX_CODE;
 
 /// Properties that all chunks of a stream share.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -325,22 +324,10 @@ impl ChunkParser {
                 Err(ReadError::Malformed) => return self.report_damage(),
             }
         };
-        let message = self.rest().get(..header.end)?;
-        let after = self.rest().get(header.end..).unwrap_or(&[]);
-        let is_next = header.frame_number == self.next_number;
-        let is_confirmed = match self.layout.beginning(after) {
-            _ if after.is_empty() => match self.silent && is_next && !self.may_end_with_length(&header, message) {
-                true => true,
-                false => return None,
-            },
-            Beginning::Incomplete => return None,
-            // A jump of the number is accepted if the successor continues from there.
-            Beginning::Chunk(next) => is_next || next.frame_number == header.next_number(),
-            Beginning::No => match parse_interleaved(after, self.awaited_tag) {
-                Ok(_) => is_next,
-                Err(ReadError::Incomplete) => return None,
-                Err(ReadError::Malformed) => return self.report_damage(),
-            },
+        let is_confirmed = match self.is_confirmed(&header) {
+            Ok(is_confirmed) => is_confirmed,
+            Err(ReadError::Incomplete) => return None,
+            Err(ReadError::Malformed) => return self.report_damage(),
         };
         let start = self.used;
         self.used += header.end;
@@ -359,6 +346,25 @@ impl ChunkParser {
             return Some(ChunkEvent::Damaged);
         }
         Some(ChunkEvent::Frames { frame_number: header.frame_number, frame_count: header.frame_count, codes })
+    }
+
+    /// Returns whether the number of a chunk agrees with the chunk before or with the one after. Fails with
+    /// [`ReadError::Malformed`] if no message begins right behind it, and with [`ReadError::Incomplete`] until the next bytes or
+    /// silence come.
+    fn is_confirmed(&self, header: &ChunkHeader) -> Result<bool, ReadError> {
+        let message = self.rest().get(..header.end).ok_or(ReadError::Incomplete)?;
+        let after = self.rest().get(header.end..).unwrap_or(&[]);
+        let is_next = header.frame_number == self.next_number;
+        if after.is_empty() {
+            let is_whole = self.silent && is_next && !self.may_end_with_length(header, message);
+            return if is_whole { Ok(true) } else { Err(ReadError::Incomplete) };
+        }
+        match self.layout.header(after) {
+            // A jump of the number is accepted if the successor continues from there.
+            Ok(next) => Ok(is_next || next.frame_number == header.next_number()),
+            Err(ReadError::Incomplete) => Err(ReadError::Incomplete),
+            Err(ReadError::Malformed) => parse_interleaved(after, self.awaited_tag).map(|_| is_next),
+        }
     }
 
     /// Returns whether the last code of a chunk could be the length of its successor, in two bytes. Only the successor then

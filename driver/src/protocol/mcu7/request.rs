@@ -176,62 +176,52 @@ impl Command {
     /// refuses it.
     pub fn to_request(&self, protocol: Protocol) -> Request {
         use RequestKind::{Read, Transfer, Write};
-        let write = |request, value, index, payload: Vec<u8>| Request {
-            protocol,
-            kind: Write,
-            request,
-            value,
-            index,
-            length: payload.len() as u16,
-            payload,
-        };
-        let transfer =
-            |request, value, index, payload| Request { kind: Transfer, ..write(request, value, index, payload) };
-        let read =
-            |request, value, index, length| Request { kind: Read, length, ..write(request, value, index, vec![]) };
         let avian = protocol.avian_value();
+        // The last number is the length wanted by a read.
+        let (kind, request, value, index, wanted) = match self {
+            Command::BoardInfo => (Transfer, BOARD, 0, 0, 0),
+            Command::BoardInfoFixed { length } => (Read, BOARD, 0, 0, *length),
+            Command::FirmwareVersion => (Read, BOARD, 1, 0, 16),
+            Command::Uuid => (Read, BOARD, 2, 0, 16),
+            Command::ExtendedVersion => (Transfer, BOARD, 3, 0, 0),
+            Command::ComponentCount { component } => (Read, COMPONENT, 0, *component, 1),
+            Command::ComponentImplementation { component } => (Read, COMPONENT, *component, 0, 1),
+            Command::DataIndex if protocol == Protocol::V3 => (Read, COMPONENT, COMPONENT_RADAR, DATA_INDEX_V3, 1),
+            Command::DataIndex => (Read, COMPONENT, avian, DATA_INDEX, 1),
+            Command::WriteRegisters { .. } => (Write, COMPONENT, avian, WRITE_BURST, 0),
+            Command::ReadRegisters { .. } => (Transfer, COMPONENT, avian, READ_BURST, 0),
+            Command::SetBits { .. } => (Write, COMPONENT, avian, SET_BITS, 0),
+            Command::HardwareReset => (Write, COMPONENT, avian, RESET_PIN, 0),
+            Command::InterruptLevel => (Read, COMPONENT, avian, INTERRUPT_PIN, 1),
+            Command::Execute { answer: true, .. } => (Transfer, COMPONENT, avian, EXECUTE, 0),
+            Command::Execute { answer: false, .. } => (Write, COMPONENT, avian, EXECUTE, 0),
+            Command::ConfigureData { .. } => (Write, DATA, 1, 0, 0),
+            Command::DataStatus => (Read, DATA, 0, 0, 4),
+            Command::StartData => (Write, DATA, 3, 0, 0),
+            Command::StopData => (Write, DATA, 4, 0, 0),
+        };
+        let payload = self.payload(protocol);
+        let length = if kind == Read { wanted } else { payload.len() as u16 };
+        Request { protocol, kind, request, value, index, length, payload }
+    }
+
+    /// Encodes the payload of the request.
+    fn payload(&self, protocol: Protocol) -> Vec<u8> {
         match self {
-            Command::BoardInfo => transfer(BOARD, 0, 0, Vec::new()),
-            Command::BoardInfoFixed { length } => read(BOARD, 0, 0, *length),
-            Command::FirmwareVersion => read(BOARD, 1, 0, 16),
-            Command::Uuid => read(BOARD, 2, 0, 16),
-            Command::ExtendedVersion => transfer(BOARD, 3, 0, Vec::new()),
-            Command::ComponentCount { component } => read(COMPONENT, 0, *component, 1),
-            Command::ComponentImplementation { component } => read(COMPONENT, *component, 0, 1),
-            Command::DataIndex if protocol == Protocol::V3 => read(COMPONENT, COMPONENT_RADAR, DATA_INDEX_V3, 1),
-            Command::DataIndex => read(COMPONENT, avian, DATA_INDEX, 1),
             Command::WriteRegisters { address, values } => {
-                let mut payload: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-                payload.push(*address);
-                write(COMPONENT, avian, WRITE_BURST, payload)
+                values.iter().flat_map(|v| v.to_le_bytes()).chain([*address]).collect()
             }
-            Command::ReadRegisters { address, count } => {
-                let payload = match protocol {
-                    Protocol::V3 => vec![*address, *count],
-                    Protocol::V4 => vec![*count, *address],
-                };
-                transfer(COMPONENT, avian, READ_BURST, payload)
-            }
-            Command::SetBits { address, mask } => {
-                let word = u32::from(*address) << 24 | mask & 0xFF_FFFF;
-                write(COMPONENT, avian, SET_BITS, word.to_le_bytes().to_vec())
-            }
-            Command::HardwareReset => write(COMPONENT, avian, RESET_PIN, Vec::new()),
-            Command::InterruptLevel => read(COMPONENT, avian, INTERRUPT_PIN, 1),
-            Command::Execute { words, answer } => {
-                let payload = words.iter().flat_map(|w| w.to_bytes()).collect();
-                let request = write(COMPONENT, avian, EXECUTE, payload);
-                Request { kind: if *answer { Transfer } else { Write }, ..request }
-            }
+            Command::ReadRegisters { address, count } => match protocol {
+                Protocol::V3 => vec![*address, *count],
+                Protocol::V4 => vec![*count, *address],
+            },
+            Command::SetBits { address, mask } => (u32::from(*address) << 24 | mask & 0xFF_FFFF).to_le_bytes().to_vec(),
+            Command::Execute { words, .. } => words.iter().flat_map(|w| w.to_bytes()).collect(),
             Command::ConfigureData { slice_samples } => {
-                let mut payload = vec![PACKED_12, 0, 0, 0, 0, 0, 0, 0];
-                payload.extend(FIFO_ADDRESS.to_le_bytes());
-                payload.extend(slice_samples.to_le_bytes());
-                write(DATA, 1, 0, payload)
+                let numbers = [FIFO_ADDRESS, *slice_samples].map(u16::to_le_bytes);
+                [&[PACKED_12, 0, 0, 0, 0, 0, 0, 0][..], numbers.as_flattened()].concat()
             }
-            Command::DataStatus => read(DATA, 0, 0, 4),
-            Command::StartData => write(DATA, 3, 0, Vec::new()),
-            Command::StopData => write(DATA, 4, 0, Vec::new()),
+            _ => Vec::new(),
         }
     }
 
@@ -241,9 +231,9 @@ impl Command {
     /// Status that the board answers to a request that it does not know.
     pub fn from_request(request: &Request) -> Result<Self, Status> {
         use RequestKind::{Read, Transfer, Write};
-        let Request { protocol, kind, payload, .. } = request;
-        let is_v3 = *protocol == Protocol::V3;
-        match (request.request, *kind, request.value, request.index) {
+        let protocol = request.protocol;
+        let is_v3 = protocol == Protocol::V3;
+        match (request.request, request.kind, request.value, request.index) {
             (BOARD, Transfer, 0, _) => Ok(Command::BoardInfo),
             (BOARD, Read, 0, _) if is_v3 => Ok(Command::BoardInfoFixed { length: request.length }),
             (BOARD, Read, 1, _) => Ok(Command::FirmwareVersion),
@@ -253,43 +243,51 @@ impl Command {
             (COMPONENT, Read, 0, component) if !is_v3 => Ok(Command::ComponentCount { component }),
             (COMPONENT, Read, component, 0) if is_v3 => Ok(Command::ComponentImplementation { component }),
             (COMPONENT, Read, COMPONENT_RADAR, DATA_INDEX_V3) if is_v3 => Ok(Command::DataIndex),
-            (COMPONENT, _, component, index) if component == protocol.avian_value() => match (index, *kind) {
-                (DATA_INDEX, Read) if !is_v3 => Ok(Command::DataIndex),
-                (WRITE_BURST, Write) => match payload.split_last() {
-                    Some((&address, values)) if values.len() % 4 == 0 && !values.is_empty() => {
-                        let values = values.as_chunks::<4>().0.iter().map(|v| u32::from_le_bytes(*v)).collect();
-                        Ok(Command::WriteRegisters { address, values })
-                    }
-                    _ => Err(Status::RequestPayloadInvalid),
-                },
-                (READ_BURST, Transfer) => match *payload.as_slice() {
-                    [address, count] if is_v3 => Ok(Command::ReadRegisters { address, count }),
-                    [count, address] => Ok(Command::ReadRegisters { address, count }),
-                    _ => Err(Status::RequestPayloadInvalid),
-                },
-                (SET_BITS, Write) => match payload.as_slice() {
-                    &[a, b, c, address] => Ok(Command::SetBits { address, mask: u32::from_le_bytes([a, b, c, 0]) }),
-                    _ => Err(Status::RequestPayloadInvalid),
-                },
-                (RESET_PIN, Write) => Ok(Command::HardwareReset),
-                (INTERRUPT_PIN, Read) => Ok(Command::InterruptLevel),
-                (EXECUTE, Write | Transfer) => match payload.as_chunks::<4>() {
-                    (words, []) => Ok(Command::Execute {
-                        words: words.iter().map(|w| SpiWord::from_bytes(*w)).collect(),
-                        answer: *kind == Transfer,
-                    }),
-                    _ => Err(Status::RequestPayloadInvalid),
-                },
-                _ => Err(Status::RequestFunctionInvalid),
-            },
+            (COMPONENT, _, component, _) if component == protocol.avian_value() => decode_chip_command(request),
             (COMPONENT, ..) => Err(Status::RequestValueInvalid),
-            (DATA, Write, 1, _) => decode_data_configuration(payload),
+            (DATA, Write, 1, _) => decode_data_configuration(&request.payload),
             (DATA, Read, 0, _) => Ok(Command::DataStatus),
             (DATA, Write, 3, _) => Ok(Command::StartData),
             (DATA, Write, 4, _) => Ok(Command::StopData),
             (DATA, ..) => Err(Status::RequestValueInvalid),
             _ => Err(Status::RequestInvalid),
         }
+    }
+}
+
+/// Decodes a request to the radar chip.
+fn decode_chip_command(request: &Request) -> Result<Command, Status> {
+    use RequestKind::{Read, Transfer, Write};
+    let Request { protocol, kind, payload, .. } = request;
+    let is_v3 = *protocol == Protocol::V3;
+    match (request.index, *kind) {
+        (DATA_INDEX, Read) if !is_v3 => Ok(Command::DataIndex),
+        (WRITE_BURST, Write) => match payload.split_last() {
+            Some((&address, values)) if values.len() % 4 == 0 && !values.is_empty() => {
+                let values = values.as_chunks::<4>().0.iter().map(|v| u32::from_le_bytes(*v)).collect();
+                Ok(Command::WriteRegisters { address, values })
+            }
+            _ => Err(Status::RequestPayloadInvalid),
+        },
+        (READ_BURST, Transfer) => match *payload.as_slice() {
+            [address, count] if is_v3 => Ok(Command::ReadRegisters { address, count }),
+            [count, address] => Ok(Command::ReadRegisters { address, count }),
+            _ => Err(Status::RequestPayloadInvalid),
+        },
+        (SET_BITS, Write) => match payload.as_slice() {
+            &[a, b, c, address] => Ok(Command::SetBits { address, mask: u32::from_le_bytes([a, b, c, 0]) }),
+            _ => Err(Status::RequestPayloadInvalid),
+        },
+        (RESET_PIN, Write) => Ok(Command::HardwareReset),
+        (INTERRUPT_PIN, Read) => Ok(Command::InterruptLevel),
+        (EXECUTE, Write | Transfer) => match payload.as_chunks::<4>() {
+            (words, []) => Ok(Command::Execute {
+                words: words.iter().map(|w| SpiWord::from_bytes(*w)).collect(),
+                answer: *kind == Transfer,
+            }),
+            _ => Err(Status::RequestPayloadInvalid),
+        },
+        _ => Err(Status::RequestFunctionInvalid),
     }
 }
 

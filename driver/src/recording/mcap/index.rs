@@ -1,7 +1,7 @@
 //! Positions of the chunks: from the summary at the end of a finished file, else from a scan of all records.
 
 use crc32fast::Hasher;
-use mcap::records::{Record, op};
+use mcap::records::{ChunkIndex, Record, Statistics, op};
 
 use super::encode::{FOOTER_BODY_BYTES, is_intact};
 use super::lengths::parse_record;
@@ -147,52 +147,18 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
         return Ok(None);
     }
     records.go_to(start)?;
-    let (mut body, mut chunks, mut statistics) = (Vec::new(), Vec::new(), None);
-    let (mut all_channels, mut crc) = (channels.clone(), Hasher::new());
-    let (mut end, mut first_ns) = (0, None::<u64>);
+    let (mut body, mut crc) = (Vec::new(), Hasher::new());
+    let mut summary = SummaryIndex::new(start, channels.clone());
     loop {
-        let next = records.next(&mut body, |_| true);
-        if let Ok(Next::Record(opcode, _)) = next {
-            crc.update(&[opcode]);
-            crc.update(&(body.len() as u64).to_le_bytes());
-            crc.update(&body);
-        }
-        match next {
-            Ok(Next::Record(opcode @ (op::CHANNEL | op::CHUNK_INDEX | op::STATISTICS), _)) => {
-                match parse_record(opcode, &body) {
-                    Ok(Record::Channel(channel)) => {
-                        let topic = topic(&channel.topic);
-                        if all_channels.insert(channel.id, topic).is_some_and(|other| other != topic) {
-                            return Ok(None);
-                        }
-                    }
-                    Ok(Record::ChunkIndex(index)) => {
-                        // The chunks must be in order and must not overlap.
-                        if index.chunk_start_offset < end.max(8) || index.chunk_start_offset >= start {
-                            return Ok(None);
-                        }
-                        end = index.chunk_start_offset.saturating_add(index.chunk_length);
-                        // The recorder's first chunk holds channels alone, and has no time.
-                        if !index.message_index_offsets.is_empty() {
-                            let start_ns = index.message_start_time;
-                            first_ns = Some(first_ns.map_or(start_ns, |first| first.min(start_ns)));
-                        }
-                        let mut chunk = Chunk::new(index.chunk_start_offset);
-                        for id in index.message_index_offsets.keys() {
-                            match all_channels.get(id) {
-                                Some(Some(Topic::Label)) => chunk.has_labels = true,
-                                Some(Some(Topic::Result)) => chunk.has_results = true,
-                                Some(_) => {}
-                                None => return Ok(None),
-                            }
-                        }
-                        chunks.push(chunk);
-                    }
-                    Ok(Record::Statistics(found)) => statistics = Some(found),
-                    _ => return Ok(None),
+        match records.next(&mut body, |_| true) {
+            Ok(Next::Record(opcode, _)) => {
+                crc.update(&[opcode]);
+                crc.update(&(body.len() as u64).to_le_bytes());
+                crc.update(&body);
+                if !summary.add(opcode, &body) {
+                    return Ok(None);
                 }
             }
-            Ok(Next::Record(..)) => {}
             Ok(Next::End) => break,
             Ok(Next::CutShort) | Err(RecordingError::Corrupt { .. }) => return Ok(None),
             Err(error) => return Err(error),
@@ -207,27 +173,92 @@ fn from_summary(records: &mut Records, start: u64, channels: &mut Channels) -> R
     if !is_intact(crc, &footer) {
         return Ok(None);
     }
-    let Some(statistics) = statistics.filter(|s| s.chunk_count as usize == chunks.len()) else { return Ok(None) };
-    let counts = &statistics.channel_message_counts;
-    let count = |wanted: Option<Topic>| {
-        let counts = counts.iter().filter(|(id, _)| all_channels.get(id).copied().flatten() == wanted);
-        counts.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count))
-    };
-    let [frames, gaps, labels, results] =
-        [Topic::Frame, Topic::Gap, Topic::Label, Topic::Result].map(|topic| count(Some(topic)));
-    let total = [gaps, labels, results, count(None)].into_iter().fold(frames, u64::saturating_add);
-    // The counts disagree if messages are outside of chunks, or chunks lack an index of their messages.
-    let is_consistent = counts.keys().all(|id| all_channels.contains_key(id))
-        && total == statistics.message_count
-        && (total == 0 || !chunks.is_empty())
-        && first_ns.is_none_or(|first| first == statistics.message_start_time)
-        && (labels > 0) == chunks.iter().any(|chunk| chunk.has_labels)
-        && (results > 0) == chunks.iter().any(|chunk| chunk.has_results);
-    if !is_consistent {
-        return Ok(None);
+    let Some((frames, gaps)) = summary.frames_and_gaps() else { return Ok(None) };
+    *channels = summary.channels;
+    Ok(Some(Index { chunks: summary.chunks, frames, gaps, complete: true, ..Index::default() }))
+}
+
+/// Index in a summary, as far as its records have been read.
+struct SummaryIndex {
+    /// Offset of the summary in the file.
+    start: u64,
+    channels: Channels,
+    chunks: Vec<Chunk>,
+    /// Offset behind the last chunk.
+    chunks_end: u64,
+    /// Time of the first message in the chunks, ns.
+    first_ns: Option<u64>,
+    statistics: Option<Statistics>,
+}
+
+impl SummaryIndex {
+    /// Creates an empty index; `channels` are those that the file has named before it.
+    fn new(start: u64, channels: Channels) -> Self {
+        // The chunks stand behind the magic.
+        SummaryIndex { start, channels, chunks: Vec::new(), chunks_end: 8, first_ns: None, statistics: None }
     }
-    *channels = all_channels;
-    Ok(Some(Index { chunks, frames, gaps, complete: true, ..Index::default() }))
+
+    /// Adds a record; returns `false` if it is damaged, or contradicts the file or an earlier record.
+    fn add(&mut self, opcode: u8, body: &[u8]) -> bool {
+        if !matches!(opcode, op::CHANNEL | op::CHUNK_INDEX | op::STATISTICS) {
+            return true;
+        }
+        match parse_record(opcode, body) {
+            Ok(Record::Channel(channel)) => {
+                let topic = topic(&channel.topic);
+                self.channels.insert(channel.id, topic).is_none_or(|other| other == topic)
+            }
+            Ok(Record::ChunkIndex(index)) => self.add_chunk(&index),
+            Ok(Record::Statistics(statistics)) => {
+                self.statistics = Some(statistics);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// Adds a chunk; returns `false` if it is out of order, overlaps another one, or has a channel that is not named.
+    fn add_chunk(&mut self, index: &ChunkIndex) -> bool {
+        let offset = index.chunk_start_offset;
+        if offset < self.chunks_end || offset >= self.start {
+            return false;
+        }
+        self.chunks_end = offset.saturating_add(index.chunk_length);
+        // The recorder's first chunk holds channels alone, and has no time.
+        if !index.message_index_offsets.is_empty() {
+            let start_ns = index.message_start_time;
+            self.first_ns = Some(self.first_ns.map_or(start_ns, |first| first.min(start_ns)));
+        }
+        let mut chunk = Chunk::new(offset);
+        for id in index.message_index_offsets.keys() {
+            let Some(topic) = self.channels.get(id) else { return false };
+            chunk.has_labels |= *topic == Some(Topic::Label);
+            chunk.has_results |= *topic == Some(Topic::Result);
+        }
+        self.chunks.push(chunk);
+        true
+    }
+
+    /// Returns the numbers of frames and gaps by the statistics; `None` if these are absent or contradict the chunks.
+    fn frames_and_gaps(&self) -> Option<(u64, u64)> {
+        let statistics = self.statistics.as_ref().filter(|s| s.chunk_count as usize == self.chunks.len())?;
+        let counts = &statistics.channel_message_counts;
+        let count = |wanted: Option<Topic>| {
+            let counts = counts.iter().filter(|(id, _)| self.channels.get(id).copied().flatten() == wanted);
+            counts.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count))
+        };
+        let [frames, gaps, labels, results] =
+            [Topic::Frame, Topic::Gap, Topic::Label, Topic::Result].map(|topic| count(Some(topic)));
+        let total = [gaps, labels, results, count(None)].into_iter().fold(frames, u64::saturating_add);
+        // The counts disagree if messages are outside of chunks, or chunks lack an index of their messages.
+        let is_consistent = counts.keys().all(|id| self.channels.contains_key(id))
+            && total == statistics.message_count
+            && (total == 0 || !self.chunks.is_empty())
+            && self.first_ns.is_none_or(|first| first == statistics.message_start_time)
+            && (labels > 0) == self.chunks.iter().any(|chunk| chunk.has_labels)
+            && (results > 0) == self.chunks.iter().any(|chunk| chunk.has_results);
+        is_consistent.then_some((frames, gaps))
+    }
 }
 
 /// Source of the counts of a chunk.
@@ -242,71 +273,91 @@ enum CountSource {
 /// Scans the records of the file. The content of a chunk is skipped if it has indexes of its messages.
 fn scan(records: &mut Records, has_footer: bool, channels: &mut Channels) -> Result<Index, RecordingError> {
     records.go_to(8)?;
-    let (mut body, mut index) = (Vec::new(), Index::default());
-    // Source of the counts of the last chunk; there is no chunk yet.
-    let mut count_source = CountSource::ByContent;
+    let mut body = Vec::new();
+    // There is no chunk yet.
+    let mut scan = Scan { records, channels, index: Index::default(), count_source: CountSource::ByContent };
     loop {
-        let at = records.offset;
+        let at = scan.records.offset;
         let wanted = |opcode: u8| matches!(opcode, op::MESSAGE_INDEX | op::CHANNEL | op::MESSAGE);
-        let next = match records.next(&mut body, wanted) {
+        let next = match scan.records.next(&mut body, wanted) {
             // The remains of the last second after a power cut need not be a record.
             Err(RecordingError::Corrupt { reason, .. }) if !has_footer => {
-                warn_of_damaged_end(records, at, &reason);
-                index.end = Some(at);
+                warn_of_damaged_end(scan.records, at, &reason);
+                scan.index.end = Some(at);
                 Next::CutShort
             }
             next => next?,
         };
         // The last chunk ends without an index of its messages.
-        if count_source == CountSource::None
-            && !matches!(next, Next::Record(op::MESSAGE_INDEX, _))
-            && let Some(chunk) = index.chunks.last_mut()
-        {
-            count_content(records, chunk, channels)?;
-            count_source = CountSource::ByContent;
+        if scan.count_source == CountSource::None && !matches!(next, Next::Record(op::MESSAGE_INDEX, _)) {
+            scan.count_content()?;
         }
         match next {
             Next::Record(op::CHUNK, offset) => {
-                index.chunks.push(Chunk::new(offset));
-                count_source = CountSource::None;
+                scan.index.chunks.push(Chunk::new(offset));
+                scan.count_source = CountSource::None;
             }
-            Next::Record(op::MESSAGE_INDEX, _) if count_source != CountSource::ByContent => {
-                let Ok(Record::MessageIndex(messages)) = parse_record(op::MESSAGE_INDEX, &body) else { continue };
-                let Some(chunk) = index.chunks.last_mut() else { continue };
-                match channels.get(&messages.channel_id).copied() {
-                    Some(topic) => {
-                        if let Some(topic) = topic {
-                            chunk.count(topic, messages.records.len() as u64);
-                        }
-                        count_source = CountSource::ByIndexes;
-                    }
-                    // The chunk itself names the channel, or the index is damaged.
-                    None => {
-                        count_content(records, chunk, channels)?;
-                        count_source = CountSource::ByContent;
-                    }
-                }
+            Next::Record(op::MESSAGE_INDEX, _) if scan.count_source != CountSource::ByContent => {
+                scan.count_indexed(&body)?;
             }
-            Next::Record(opcode @ (op::CHANNEL | op::MESSAGE), offset) => {
-                // A damaged message is an error where it is read.
-                let Ok(messages) = messages_in(records, opcode, offset, &body, channels) else { continue };
-                for (topic, _) in messages {
-                    let mut message = Chunk::new(offset);
-                    message.count(topic, 1);
-                    index.chunks.push(message);
-                    count_source = CountSource::ByContent;
-                }
-            }
+            Next::Record(opcode @ (op::CHANNEL | op::MESSAGE), offset) => scan.add_unchunked(opcode, offset, &body),
             Next::Record(..) => {}
             Next::End => {
-                index.complete = has_footer;
-                index.trailing_data_offset = end_before_file(records, at)?;
-                return Ok(index);
+                scan.index.complete = has_footer;
+                scan.index.trailing_data_offset = end_before_file(scan.records, at)?;
+                return Ok(scan.index);
             }
             Next::CutShort => {
-                index.ends_within_record = at < records.length;
-                return Ok(index);
+                scan.index.ends_within_record = at < scan.records.length;
+                return Ok(scan.index);
             }
+        }
+    }
+}
+
+/// Scan of a file, with what has been found so far.
+struct Scan<'a> {
+    records: &'a mut Records,
+    channels: &'a mut Channels,
+    index: Index,
+    /// Source of the counts of the last chunk.
+    count_source: CountSource,
+}
+
+impl Scan<'_> {
+    /// Counts the messages of the last chunk by its content, which also names their channels. A damaged chunk has none.
+    fn count_content(&mut self) -> Result<(), RecordingError> {
+        let Some(chunk) = self.index.chunks.last_mut() else { return Ok(()) };
+        let next = self.records.offset;
+        *chunk = Chunk::new(chunk.offset);
+        for (topic, _) in readable_messages_at(self.records, chunk.offset, self.channels)? {
+            chunk.count(topic, 1);
+        }
+        self.count_source = CountSource::ByContent;
+        self.records.go_to(next)
+    }
+
+    /// Counts messages of the last chunk by the body of their index.
+    fn count_indexed(&mut self, body: &[u8]) -> Result<(), RecordingError> {
+        let Ok(Record::MessageIndex(messages)) = parse_record(op::MESSAGE_INDEX, body) else { return Ok(()) };
+        let Some(topic) = self.channels.get(&messages.channel_id) else {
+            // The chunk itself names the channel, or the index is damaged.
+            return self.count_content();
+        };
+        if let (Some(topic), Some(chunk)) = (topic, self.index.chunks.last_mut()) {
+            chunk.count(*topic, messages.records.len() as u64);
+        }
+        self.count_source = CountSource::ByIndexes;
+        Ok(())
+    }
+
+    /// Adds a channel or a message outside of chunks. A damaged message is an error where it is read.
+    fn add_unchunked(&mut self, opcode: u8, offset: u64, body: &[u8]) {
+        for (topic, _) in messages_in(self.records, opcode, offset, body, self.channels).unwrap_or_default() {
+            let mut message = Chunk::new(offset);
+            message.count(topic, 1);
+            self.index.chunks.push(message);
+            self.count_source = CountSource::ByContent;
         }
     }
 }
@@ -332,16 +383,6 @@ pub(super) fn end_before_file(records: &mut Records, data_end: u64) -> Result<Op
             return Ok((is_end && end < records.length).then_some(end));
         }
     }
-}
-
-/// Counts the messages of a chunk by its content, which also names their channels. A damaged chunk has none.
-fn count_content(records: &mut Records, chunk: &mut Chunk, channels: &mut Channels) -> Result<(), RecordingError> {
-    let next = records.offset;
-    *chunk = Chunk::new(chunk.offset);
-    for (topic, _) in readable_messages_at(records, chunk.offset, channels)? {
-        chunk.count(topic, 1);
-    }
-    records.go_to(next)
 }
 
 /// Logs that an unfinished file is damaged from this offset on.

@@ -105,7 +105,7 @@ pub fn set_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingErro
 pub fn stage_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingError> {
     let file =
         File::options().read(true).write(true).open(path).map_err(RecordingError::io(path, "cannot be opened"))?;
-    let length = file.metadata().map_err(RecordingError::io(path, "cannot be read"))?.len();
+    let length = file.metadata().map_err(RecordingError::cannot_read(path))?.len();
     // Staged labels name the recording by its first bytes, which must survive a power cut.
     disk::sync(&file, path).map_err(RecordingError::cannot_write(path))?;
     staged::write(path, length, labels, None)
@@ -279,13 +279,12 @@ impl<'a> Summary<'a> {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-    use std::io::{Cursor, Seek, SeekFrom, Write};
+    use std::io::{Seek, SeekFrom, Write};
 
     use radome_dsp::Frame;
 
     use super::*;
-    use crate::pattern::waveform;
+    use crate::pattern::{rewritten, waveform};
     use crate::recording::mcap::{Recorder, RecordingHeader};
 
     /// Asserts that the reader finds the messages outside of chunks if labels are the only chunk in the index.
@@ -305,22 +304,7 @@ mod tests {
         recorder.finish().expect("finishes");
 
         // The same messages without chunks, as another program may write them.
-        let bytes = std::fs::read(&path).expect("reads");
-        let found = mcap::Summary::read(&bytes).expect("reads").expect("a summary");
-        let options = mcap::WriteOptions::new().use_chunks(false);
-        let mut writer = options.create(Cursor::new(Vec::new())).expect("starts");
-        let metadata = mcap::read::metadata(&bytes, &found.metadata_indexes[0]).expect("metadata");
-        writer.write_metadata(&metadata).expect("writes");
-        for message in mcap::MessageStream::new(&bytes).expect("opens") {
-            let message = message.expect("reads");
-            let (topic, encoding) = (&message.channel.topic, &message.channel.message_encoding);
-            let channel_id = writer.add_channel(0, topic, encoding, &BTreeMap::new()).expect("writes");
-            let (log_time, publish_time) = (message.log_time, message.publish_time);
-            let header = MessageHeader { channel_id, sequence: message.sequence, log_time, publish_time };
-            writer.write_to_known_channel(&header, &message.data).expect("writes");
-        }
-        writer.finish().expect("finishes");
-        let bytes = writer.into_inner().into_inner();
+        let bytes = rewritten(&std::fs::read(&path).expect("reads"), mcap::WriteOptions::new().use_chunks(false));
         std::fs::write(&path, &bytes).expect("writes");
 
         let end = data_end(&mut Records::open(&path).expect("opens")).expect("finished");

@@ -205,11 +205,12 @@ impl McapReader {
         Ok(first.zip(last).map(|(first, last)| Extent { first, last }))
     }
 
-    /// Seeks the end of the last frame before the target, by bisection over the chunks. Each step reads one chunk.
-    fn seek(&mut self, target: SeekTarget) -> Result<(), RecordingError> {
+    /// Offset of the last chunk that begins before the target, which the target may be in; the start of the records if there is
+    /// none. The chunk is found by bisection: each step reads one chunk.
+    fn offset_before(&mut self, target: SeekTarget) -> Result<u64, RecordingError> {
         let count = self.index.chunks.len() as u64;
         let mut failure = None;
-        // First chunk that starts at the target or behind it; the target is in the chunk before.
+        // First chunk that starts at the target or behind it.
         let after = first_index(count, |middle| {
             if failure.is_some() {
                 return true;
@@ -228,14 +229,18 @@ impl McapReader {
             return Err(error);
         }
         // Reading starts at a chunk that is where the index says. Later chunks are found by reading on.
-        let mut start = 8;
         for chunk in (0..after).rev() {
             if self.first_position(chunk)?.is_some() {
                 let known = usize::try_from(chunk).ok().and_then(|chunk| self.index.chunks.get(chunk));
-                start = known.map_or(8, |chunk| chunk.offset);
-                break;
+                return Ok(known.map_or(8, |chunk| chunk.offset));
             }
         }
+        Ok(8)
+    }
+
+    /// Seeks the end of the last frame before the target.
+    fn seek(&mut self, target: SeekTarget) -> Result<(), RecordingError> {
+        let start = self.offset_before(target)?;
         self.pending.clear();
         (self.ended, self.has_reported_end, self.expected_sequence) = (false, false, None);
         self.records.go_to(start)?;

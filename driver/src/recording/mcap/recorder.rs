@@ -127,6 +127,17 @@ fn metadata(header: &RecordingHeader) -> serde_json::Result<BTreeMap<String, Str
     Ok(fields)
 }
 
+/// Encodes the bytes before the first chunk, and the body of the summary's record with the position of the metadata.
+fn head(header: &RecordingHeader) -> serde_json::Result<(Vec<u8>, Vec<u8>)> {
+    let metadata = metadata_body(METADATA_NAME, &metadata(header)?);
+    let mut bytes = mcap::MAGIC.to_vec();
+    record(&mut bytes, op::HEADER, &header_body(concat!("radome ", env!("CARGO_PKG_VERSION"))));
+    let start = bytes.len();
+    record(&mut bytes, op::METADATA, &metadata);
+    let length = bytes.len() - start;
+    Ok((bytes, metadata_index_body(start as u64, length as u64, METADATA_NAME)))
+}
+
 /// The schema and the channels of a recording, opcode and body.
 fn definitions(takes_results: bool) -> Vec<(u8, Vec<u8>)> {
     let mut definitions = vec![
@@ -197,12 +208,7 @@ impl Recorder {
         sync: Option<SyncOptions>,
     ) -> Result<Self, RecordingError> {
         let cannot = |source| RecordingError::Io { path: path.to_owned(), what: "cannot be written", source };
-        let metadata = metadata(header).map_err(|e| cannot(io::Error::other(e)))?;
-        let mut pending = mcap::MAGIC.to_vec();
-        record(&mut pending, op::HEADER, &header_body(concat!("radome ", env!("CARGO_PKG_VERSION"))));
-        let metadata_start = pending.len();
-        record(&mut pending, op::METADATA, &metadata_body(METADATA_NAME, &metadata));
-        let metadata_bytes = (pending.len() - metadata_start) as u64;
+        let (pending, metadata_index) = head(header).map_err(|e| cannot(io::Error::other(e)))?;
         let takes_results = header.judge.is_some();
         let definitions = definitions(takes_results);
         let mut chunk = Chunk::new().map_err(cannot)?;
@@ -216,7 +222,7 @@ impl Recorder {
             file,
             _lock: None,
             takes_labels: false,
-            metadata_index: metadata_index_body(metadata_start as u64, metadata_bytes, METADATA_NAME),
+            metadata_index,
             chunk,
             chunk_indexes,
             statistics: Statistics {

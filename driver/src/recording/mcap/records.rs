@@ -69,7 +69,7 @@ pub(super) enum Next {
 impl Records {
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let file = open_file(path)?;
-        let length = file.metadata().map_err(RecordingError::io(path, "cannot be read"))?.len();
+        let length = file.metadata().map_err(RecordingError::cannot_read(path))?.len();
         let mut records = Records { path: path.to_owned(), file: BufReader::new(file), length, offset: 0 };
         let mut magic = [0; 8];
         if records.file.read_exact(&mut magic).is_err() || magic != *mcap::MAGIC {
@@ -85,7 +85,7 @@ impl Records {
 
     /// Seeks the record that starts here.
     pub fn go_to(&mut self, offset: u64) -> Result<(), RecordingError> {
-        self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+        self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::cannot_read(&self.path))?;
         self.offset = offset;
         Ok(())
     }
@@ -95,7 +95,7 @@ impl Records {
         self.go_to(offset)?;
         let mut filled = 0;
         while let Some(rest) = bytes.get_mut(filled..).filter(|rest| !rest.is_empty()) {
-            match self.file.read(rest).map_err(RecordingError::io(&self.path, "cannot be read"))? {
+            match self.file.read(rest).map_err(RecordingError::cannot_read(&self.path))? {
                 0 => break,
                 count => filled += count,
             }
@@ -112,32 +112,20 @@ impl Records {
             return Ok(Next::CutShort);
         }
         let mut header = [0; RECORD_HEADER as usize];
-        self.file.read_exact(&mut header).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+        self.file.read_exact(&mut header).map_err(RecordingError::cannot_read(&self.path))?;
         let [opcode, length @ ..] = header;
         let length = u64::from_le_bytes(length);
-        let end_length = match opcode {
-            op::DATA_END => Some(DATA_END_BYTES - RECORD_HEADER),
-            op::FOOTER => Some(FOOTER_BODY_BYTES),
-            _ => None,
-        };
-        if let Some(expected) = end_length {
-            self.go_to(at)?;
-            // The length is checked because one damaged opcode would end the recording.
-            return match length == expected {
-                true => Ok(Next::End),
-                false => {
-                    let reason = format!("a record that ends the data has {length} bytes, expected {expected}");
-                    Err(self.corrupt(at, reason))
-                }
-            };
+        match opcode {
+            op::DATA_END => return self.end_of_data(at, length, DATA_END_BYTES - RECORD_HEADER),
+            op::FOOTER => return self.end_of_data(at, length, FOOTER_BODY_BYTES),
+            _ => {}
         }
         if opcode == 0 || (opcode < 0x80 && opcode > op::DATA_END) {
             return Err(self.corrupt(at, format!("{opcode:#04x} is no MCAP record")));
         }
         if length > remaining - RECORD_HEADER {
             // The file may have grown since: labels are written behind the last frame.
-            self.length =
-                self.file.get_ref().metadata().map_err(RecordingError::io(&self.path, "cannot be read"))?.len();
+            self.length = self.file.get_ref().metadata().map_err(RecordingError::cannot_read(&self.path))?.len();
             if length > self.length.saturating_sub(at + RECORD_HEADER) {
                 return Ok(Next::CutShort);
             }
@@ -148,13 +136,23 @@ impl Records {
         body.clear();
         if wanted(opcode) {
             body.resize(length as usize, 0);
-            self.file.read_exact(body).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+            self.file.read_exact(body).map_err(RecordingError::cannot_read(&self.path))?;
         } else {
             // The seek stays within the buffer if possible.
-            self.file.seek_relative(length as i64).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+            self.file.seek_relative(length as i64).map_err(RecordingError::cannot_read(&self.path))?;
         }
         self.offset = at + RECORD_HEADER + length;
         Ok(Next::Record(opcode, at))
+    }
+
+    /// Goes back to the record that ends the data. Its length is checked because one damaged opcode would end the recording.
+    fn end_of_data(&mut self, at: u64, length: u64, expected: u64) -> Result<Next, RecordingError> {
+        self.go_to(at)?;
+        if length != expected {
+            let reason = format!("a record that ends the data has {length} bytes, expected {expected}");
+            return Err(self.corrupt(at, reason));
+        }
+        Ok(Next::End)
     }
 }
 

@@ -172,48 +172,61 @@ impl Repair {
         loop {
             check()?;
             let at = records.offset;
-            let reason = match records.next(&mut body, |opcode| opcode < 0x80) {
-                // Records of other programs look like damaged ones.
-                Ok(Next::Record(opcode, _)) if opcode >= 0x80 => format!("{opcode:#04x} is no record of a recording"),
-                // A damaged length may reach over chunks that are intact.
-                Ok(Next::Record(opcode, _)) if opcode != op::CHUNK && !has_exact_length(records, opcode, &body)? => {
-                    "the length of a record is not that of its content".to_owned()
-                }
-                Ok(Next::Record(opcode, _)) => match messages_in(records, opcode, at, &body, &mut channels) {
-                    Ok(messages) => {
-                        self.has_loose_messages |= opcode == op::MESSAGE;
-                        for (topic, data) in messages {
-                            self.copy_message(at, topic, &data)?;
-                        }
-                        continue;
-                    }
-                    Err(RecordingError::Corrupt { reason, .. }) => reason,
-                    Err(error) => return Err(error),
-                },
-                Ok(Next::End) => {
-                    self.report.was_finished = true;
-                    if let Some(end) = end_before_file(records, at)? {
-                        let reason = TRAILING_DATA.to_owned();
-                        let damage = Damage { offset: end, bytes: records.length - end, frames: None, reason };
-                        self.report.damage.push(damage);
-                    }
-                    break;
-                }
-                Ok(Next::CutShort) if at == records.length => break,
-                Ok(Next::CutShort) => "the file ends within a record".to_owned(),
-                Err(RecordingError::Corrupt { reason, .. }) => reason,
-                Err(error) => return Err(error),
+            let goes_on = match self.copy_record(records, &mut body, &mut channels) {
+                Err(RecordingError::Corrupt { reason, .. }) => self.skip(records, at, reason, &channels)?,
+                result => result?,
             };
-            if !self.skip(records, at, reason, &channels)? {
+            if !goes_on {
                 break;
             }
         }
         // Frames lost at the end.
         self.write_gap_before(None)?;
-        if let Some(staged) = self.staged.take() {
-            self.labels = staged;
+        self.write_labels()
+    }
+
+    /// Copies the messages of the next record; returns `false` at the end. A damaged record is [`RecordingError::Corrupt`].
+    fn copy_record(
+        &mut self,
+        records: &mut Records,
+        body: &mut Vec<u8>,
+        channels: &mut Channels,
+    ) -> Result<bool, RecordingError> {
+        let at = records.offset;
+        let opcode = match records.next(body, |opcode| opcode < 0x80)? {
+            Next::Record(opcode, _) => opcode,
+            Next::End => {
+                self.report.was_finished = true;
+                if let Some(end) = end_before_file(records, at)? {
+                    let reason = TRAILING_DATA.to_owned();
+                    let damage = Damage { offset: end, bytes: records.length - end, frames: None, reason };
+                    self.report.damage.push(damage);
+                }
+                return Ok(false);
+            }
+            Next::CutShort if at == records.length => return Ok(false),
+            Next::CutShort => return Err(records.corrupt(at, "the file ends within a record".into())),
+        };
+        // Records of other programs look like damaged ones.
+        if opcode >= 0x80 {
+            return Err(records.corrupt(at, format!("{opcode:#04x} is no record of a recording")));
         }
-        for label in std::mem::take(&mut self.labels) {
+        // A damaged length may reach over chunks that are intact.
+        if opcode != op::CHUNK && !has_exact_length(records, opcode, body)? {
+            return Err(records.corrupt(at, "the length of a record is not that of its content".into()));
+        }
+        let messages = messages_in(records, opcode, at, body, channels)?;
+        self.has_loose_messages |= opcode == op::MESSAGE;
+        for (topic, data) in messages {
+            self.copy_message(at, topic, &data)?;
+        }
+        Ok(true)
+    }
+
+    /// Writes the labels, cut to the frames that were written.
+    fn write_labels(&mut self) -> Result<(), RecordingError> {
+        let labels = std::mem::take(&mut self.labels);
+        for label in self.staged.take().unwrap_or(labels) {
             match self.extent_s.and_then(|extent_s| clip_label(&label, extent_s)) {
                 Some(label) => {
                     self.writer.recorder.label(&label)?;
@@ -269,15 +282,7 @@ impl Repair {
         let malformed = |reason| Damage { offset: at, bytes: data.len() as u64, frames: None, reason };
         match topic {
             Topic::Frame => match decode_frame(data, self.header.waveform.shape(), &mut self.frame) {
-                Ok(()) => {
-                    self.write_gap_before(Some(self.frame.sequence))?;
-                    self.writer.recorder.frame(&self.frame)?;
-                    self.expected_sequence = self.frame.sequence.checked_add(1);
-                    let (start_s, interval_s) = (self.frame.time_s(), self.header.waveform.frame_interval_s());
-                    let (first_s, end_s) = self.extent_s.unwrap_or((start_s, start_s));
-                    self.extent_s = Some((first_s.min(start_s), end_s.max(start_s + interval_s)));
-                    self.report.frames += 1;
-                }
+                Ok(()) => self.write_frame()?,
                 Err(reason) => self.note_damage(Damage { frames: Some(1), ..malformed(reason) }),
             },
             Topic::Gap => match serde_json::from_slice::<Gap>(data) {
@@ -309,6 +314,18 @@ impl Repair {
                 Err(reason) => self.report.damage.push(malformed(reason)),
             },
         }
+        Ok(())
+    }
+
+    /// Writes the frame that was decoded.
+    fn write_frame(&mut self) -> Result<(), RecordingError> {
+        self.write_gap_before(Some(self.frame.sequence))?;
+        self.writer.recorder.frame(&self.frame)?;
+        self.expected_sequence = self.frame.sequence.checked_add(1);
+        let (start_s, interval_s) = (self.frame.time_s(), self.header.waveform.frame_interval_s());
+        let (first_s, end_s) = self.extent_s.unwrap_or((start_s, start_s));
+        self.extent_s = Some((first_s.min(start_s), end_s.max(start_s + interval_s)));
+        self.report.frames += 1;
         Ok(())
     }
 

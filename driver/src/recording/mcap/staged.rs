@@ -90,7 +90,7 @@ pub(super) fn write(
     let path = staged_path(recording)?;
     let cannot = || RecordingError::cannot_write(&path);
     let prefix_bytes = data_end.min(PREFIX_BYTES);
-    let prefix = prefix_crc(recording, prefix_bytes).map_err(RecordingError::io(recording, "cannot be read"))?;
+    let prefix = prefix_crc(recording, prefix_bytes).map_err(RecordingError::cannot_read(recording))?;
     let header = Header {
         version: VERSION,
         prefix_bytes,
@@ -119,7 +119,7 @@ pub(super) fn read(recording: &Path) -> Result<Option<Staged>, RecordingError> {
         file => file?,
     };
     let mut bytes = Vec::new();
-    file.take(2 * MAX_RECORD).read_to_end(&mut bytes).map_err(RecordingError::io(&path, "cannot be read"))?;
+    file.take(2 * MAX_RECORD).read_to_end(&mut bytes).map_err(RecordingError::cannot_read(&path))?;
     let corrupt = |reason: String| RecordingError::Corrupt { path: path.clone(), offset: 0, reason };
     let line = bytes.iter().position(|byte| *byte == b'\n').ok_or_else(|| corrupt("no line with labels".into()))?;
     let (line, rest) = bytes.split_at(line);
@@ -130,7 +130,7 @@ pub(super) fn read(recording: &Path) -> Result<Option<Staged>, RecordingError> {
     }
     let header: Header = serde_json::from_slice(line).map_err(|e| corrupt(format!("malformed labels: {e}")))?;
     let prefix = prefix_crc(recording, header.prefix_bytes.min(PREFIX_BYTES));
-    if prefix.map_err(RecordingError::io(recording, "cannot be read"))? != Some(header.prefix_crc) {
+    if prefix.map_err(RecordingError::cannot_read(recording))? != Some(header.prefix_crc) {
         tracing::warn!("{}: labels of another recording of this name; they are left out", path.display());
         return Ok(None);
     }

@@ -31,16 +31,13 @@ fn socket(flags: SocketFlags) -> io::Result<OwnedFd> {
 fn can_receive(socket: &OwnedFd, timeout: Duration) -> io::Result<bool> {
     let end = Instant::now() + timeout;
     loop {
-        match poll(&mut [PollFd::new(socket, PollFlags::IN)], Some(&timespec(end.duration_since(Instant::now())))) {
+        let left = Timespec::try_from(end.duration_since(Instant::now())).ok();
+        match poll(&mut [PollFd::new(socket, PollFlags::IN)], left.as_ref()) {
             Ok(ready) => return Ok(ready > 0),
             Err(Errno::INTR) => {}
             Err(e) => return Err(e.into()),
         }
     }
-}
-
-fn timespec(duration: Duration) -> Timespec {
-    Timespec { tv_sec: duration.as_secs() as i64, tv_nsec: i64::from(duration.subsec_nanos()) }
 }
 
 /// The host's side.
@@ -174,7 +171,7 @@ impl DeviceSockets {
         if write {
             interests.extend(data.iter().map(|d| PollFd::new(d, PollFlags::OUT)));
         }
-        match poll(&mut interests, Some(&timespec(timeout))) {
+        match poll(&mut interests, Timespec::try_from(timeout).ok().as_ref()) {
             Ok(_) | Err(Errno::INTR) => Ok(()),
             Err(e) => Err(e.into()),
         }
