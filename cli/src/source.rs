@@ -206,10 +206,22 @@ impl Source {
 /// # Errors
 /// Those of the source.
 pub fn next_frame(source: &mut dyn FrameSource, frame: &mut Frame) -> anyhow::Result<bool> {
+    next_frame_noting_gaps(source, frame, || ())
+}
+
+/// Reads the next frame, and calls `note_gap` at each gap before it; `false` at the end.
+///
+/// # Errors
+/// Those of the source.
+pub fn next_frame_noting_gaps(
+    source: &mut dyn FrameSource,
+    frame: &mut Frame,
+    mut note_gap: impl FnMut(),
+) -> anyhow::Result<bool> {
     loop {
         match source.next_frame(frame).map_err(anyhow::Error::from_boxed)? {
             SourceEvent::Frame => return Ok(true),
-            SourceEvent::Gap(_) => {}
+            SourceEvent::Gap(_) => note_gap(),
             SourceEvent::End => return Ok(false),
         }
     }

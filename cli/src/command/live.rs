@@ -82,48 +82,14 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     let started = Instant::now();
     output::catch_interrupts()?;
-    if arguments.view.access.is_given() && !arguments.view.is_wanted() && !arguments.integrations.has_metrics() {
-        wrong_use!(
-            "--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT"
-        );
-    }
-    arguments.integrations.check_metrics(&arguments.view.access)?;
+    arguments.check_access()?;
     let broker = arguments.integrations.broker()?;
-    let output = arguments.output.as_deref().map(NewRecording::named);
-    if let Some(path) = output.as_ref().map(NewRecording::path) {
-        output_file::check_is_mcap(path)?;
-        let background = arguments.background.as_deref().unwrap_or(Path::new(""));
-        let [source, waveform] = arguments.source.inputs();
-        arguments.overwrite.check(path, &[source, waveform, &arguments.model, background])?;
-    }
+    let output = arguments.new_recording()?;
     let model = Model::open(&arguments.model)?;
-    let delays = Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s };
-    let description = model.description(&arguments.model, delays, arguments.max_range_m)?;
+    let description = model.description(&arguments.model, arguments.delays(), arguments.max_range_m)?;
     let background = arguments.background.as_deref().map(|path| Background::load(path, &description)).transpose()?;
-    let source = source::open(&arguments.source.source, &arguments.source_options(&model)?)?;
-    // The page repeats and skips frames, which no recording may.
-    if source.playback.is_some() && output.is_some() {
-        wrong_use!(
-            "-o cannot record a recording that the page plays: seeks and steps on the page would repeat frames and leave others out\n\n\
-             hint: leave out --view or -o; radome recording convert copies a recording"
-        );
-    }
-    message!("{}", source.description);
-    if output.is_some() {
-        labels::warn_not_copied(arguments.source.input());
-    }
-    message!("model {}", arguments.model.display());
-    let waveform = source.frames.waveform().clone();
-    if let (Some(background), Some(path)) = (&background, &arguments.background) {
-        background.check_waveform(path, &waveform)?;
-    }
-    let mut classifier = LiveClassifier::new(model, &waveform, delays, arguments.max_range_m, started)?
-        .with_background(background)
-        .with_outage(source.outage.clone());
-    if let Some(playback) = &source.playback {
-        playback.transport.set_preroll_s(classifier.memory_s());
-        classifier = classifier.with_transport(playback.transport.clone());
-    }
+    let source = arguments.open_source(&model)?;
+    let mut classifier = arguments.classifier(model, background, &source, started)?;
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
     let has_failed = Arc::<AtomicBool>::default();
     let recording = output.as_ref().map(|output| (output.path(), has_failed.clone()));
@@ -161,6 +127,48 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
 }
 
 impl Arguments {
+    /// Refuses options of access without a page or metrics, and metrics that anyone in the network could read.
+    fn check_access(&self) -> anyhow::Result<()> {
+        if self.view.access.is_given() && !self.view.is_wanted() && !self.integrations.has_metrics() {
+            wrong_use!(
+                "--token-file and --allow-host are for a page or metrics\n\nhint: add --view or --metrics ADDRESS:PORT"
+            );
+        }
+        self.integrations.check_metrics(&self.view.access)
+    }
+
+    /// Returns the recording that `-o` names, if its file can be written.
+    fn new_recording(&self) -> anyhow::Result<Option<NewRecording>> {
+        let Some(output) = self.output.as_deref().map(NewRecording::named) else { return Ok(None) };
+        output_file::check_is_mcap(output.path())?;
+        let background = self.background.as_deref().unwrap_or(Path::new(""));
+        let [source, waveform] = self.source.inputs();
+        self.overwrite.check(output.path(), &[source, waveform, &self.model, background])?;
+        Ok(Some(output))
+    }
+
+    fn delays(&self) -> Delays {
+        Delays { on_s: self.on_delay_s, off_s: self.off_delay_s }
+    }
+
+    /// Opens the source, and prints on stderr what it is and which model classifies its frames.
+    fn open_source(&self, model: &Model) -> anyhow::Result<Source> {
+        let source = source::open(&self.source.source, &self.source_options(model)?)?;
+        // The page repeats and skips frames, which no recording may.
+        if source.playback.is_some() && self.output.is_some() {
+            wrong_use!(
+                "-o cannot record a recording that the page plays: seeks and steps on the page would repeat frames and leave others out\n\n\
+                 hint: leave out --view or -o; radome recording convert copies a recording"
+            );
+        }
+        message!("{}", source.description);
+        if self.output.is_some() {
+            labels::warn_not_copied(self.source.input());
+        }
+        message!("model {}", self.model.display());
+        Ok(source)
+    }
+
     /// Builds the options of the source. A board is programmed with a waveform that the model accepts.
     fn source_options(&self, model: &Model) -> anyhow::Result<SourceOptions> {
         let options = self.source.options()?;
@@ -176,6 +184,26 @@ impl Arguments {
         let seed = self.source.seed.unwrap_or(UNSEEN_SEED);
         let (model_waveform, as_playback) = (model.waveform().cloned(), self.view.is_wanted());
         Ok(SourceOptions { model_waveform, seed, as_playback, ..options })
+    }
+
+    /// Prepares the classifier for the frames of the source.
+    fn classifier(
+        &self,
+        model: Model,
+        background: Option<Background>,
+        source: &Source,
+        started: Instant,
+    ) -> anyhow::Result<LiveClassifier> {
+        let waveform = source.frames.waveform();
+        if let (Some(background), Some(path)) = (&background, &self.background) {
+            background.check_waveform(path, waveform)?;
+        }
+        let classifier = LiveClassifier::new(model, waveform, self.delays(), self.max_range_m, started)?
+            .with_background(background)
+            .with_outage(source.outage.clone());
+        let Some(playback) = &source.playback else { return Ok(classifier) };
+        playback.transport.set_preroll_s(classifier.memory_s());
+        Ok(classifier.with_transport(playback.transport.clone()))
     }
 
     /// Starts to record frames and answers. Frames of a board must not be lost meanwhile.

@@ -6,9 +6,10 @@ use anyhow::ensure;
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_dsp::detect::{CfarCounter, Observation};
-use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_dsp::{Frame, FrameSource, Occupancy};
 
 use crate::labels::spans_of;
+use crate::source;
 
 /// Time over which frames vote for a class, s.
 const AGREEMENT_S: f64 = 1.5;
@@ -24,12 +25,8 @@ pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let frames = counter.slow_frames();
     let mut frame = Frame::zeroed(waveform.shape());
     let mut observations: Vec<(f64, Observation)> = Vec::new();
-    loop {
-        match recording.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => break,
-            SourceEvent::Gap(_) => counter.reset(),
-            SourceEvent::Frame => observations.push((frame.time_s(), counter.observe(&frame)?)),
-        }
+    while source::next_frame_noting_gaps(&mut recording, &mut frame, || counter.reset())? {
+        observations.push((frame.time_s(), counter.observe(&frame)?));
     }
     ensure!(!observations.is_empty(), "{}: no frame", path.display());
     let classify = |index: usize, (time_s, observation): &(f64, Observation)| {

@@ -6,7 +6,7 @@ use anyhow::Context;
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_driver::recording::span_check::check_spans;
-use radome_dsp::{Frame, FrameSource, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Truth};
+use radome_dsp::{Frame, FrameSource, MapStatus, Rdm, RdmProcessor, RdmSpec, Truth};
 use radome_models::dataset::DatasetWriter;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use rayon::prelude::*;
@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::plan::{Plan, Unit, UnitSource};
 use super::thermal::{NoisyProcessor, RawNoise};
 use crate::output::Interrupted;
-use crate::{labels, output};
+use crate::{labels, output, source};
 
 /// Number of frames that are simulated before maps are computed from them.
 const CHUNK: usize = 32;
@@ -131,32 +131,28 @@ fn recording(
         if output::interrupted() {
             return Err(Interrupted.into());
         }
-        match frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => break,
-            SourceEvent::Gap(_) => processor.processor.reset(),
-            SourceEvent::Frame => {
-                let end_s = frame.time_s() + waveform.frame_interval_s();
-                extent_s = Some((extent_s.map_or(frame.time_s(), |(first, _)| first), end_s));
-                if !processor.processor.spec().has_signal(&frame) {
-                    without_signal += 1;
-                    processor.processor.reset();
-                    continue;
-                }
-                if processor.process(&frame, &mut map)? != MapStatus::Ready {
-                    continue;
-                }
-                let labelled = || {
-                    let mut truth = labels::truth_of_frame(spans, &frame, &waveform)?;
-                    // A simulator also marks when somebody is partly in the room.
-                    truth.transition |=
-                        frame.truth.is_some_and(|own| own.transition && own.occupancy == truth.occupancy);
-                    Some(truth)
-                };
-                match fixed_truth.or_else(|| if has_labels { labelled() } else { frame.truth }) {
-                    Some(truth) => sink.push_every_nth(&map, truth)?,
-                    None => unlabelled += 1,
-                }
-            }
+        if !source::next_frame_noting_gaps(frames, &mut frame, || processor.processor.reset())? {
+            break;
+        }
+        let end_s = frame.time_s() + waveform.frame_interval_s();
+        extent_s = Some((extent_s.map_or(frame.time_s(), |(first, _)| first), end_s));
+        if !processor.processor.spec().has_signal(&frame) {
+            without_signal += 1;
+            processor.processor.reset();
+            continue;
+        }
+        if processor.process(&frame, &mut map)? != MapStatus::Ready {
+            continue;
+        }
+        let labelled = || {
+            let mut truth = labels::truth_of_frame(spans, &frame, &waveform)?;
+            // A simulator also marks when somebody is partly in the room.
+            truth.transition |= frame.truth.is_some_and(|own| own.transition && own.occupancy == truth.occupancy);
+            Some(truth)
+        };
+        match fixed_truth.or_else(|| if has_labels { labelled() } else { frame.truth }) {
+            Some(truth) => sink.push_every_nth(&map, truth)?,
+            None => unlabelled += 1,
         }
     }
     labels::check_imported(spans, extent_s)?;

@@ -177,7 +177,7 @@ impl Drop for Reader {
     }
 }
 
-/// Items of a source for a single consumer. A separate thread reads them and waits for the consumer, so that a signal ends the
+/// Frames of a source for a single consumer. A separate thread reads them and waits for the consumer, so that a signal ends the
 /// wait for a board that is away.
 pub struct Items {
     inlet: Inlet,
@@ -186,25 +186,27 @@ pub struct Items {
 }
 
 impl Items {
-    /// Starts to read a source. `limit` ends the items after this number of frames.
+    /// Starts to read a source, up to `limit` frames if that is given.
     pub fn of(source: Box<dyn FrameSource>, limit: Option<u64>) -> Self {
         let mut pipeline = Pipeline::default();
         let inlet = pipeline.consumer("command", 16, Policy::Wait);
         Items { inlet, _reader: pipeline.start(source, limit) }
     }
 
-    /// Waits for the next item. If the user has stopped the program, it is [`Item::End`].
+    /// Waits for the next frame, and calls `note_gap` at each gap before it. Returns `None` at the end, or if the user has
+    /// stopped the program.
     ///
     /// # Errors
     /// Those of the source.
-    pub fn next_item(&self) -> anyhow::Result<Item> {
+    pub fn next_frame(&self, mut note_gap: impl FnMut()) -> anyhow::Result<Option<Arc<Frame>>> {
         while !output::interrupted() {
-            match self.inlet.receiver.recv_timeout(Duration::from_millis(100)) {
-                Ok(Delivery { item: Item::End(end), .. }) => {
+            match self.inlet.receiver.recv_timeout(Duration::from_millis(100)).map(|delivery| delivery.item) {
+                Ok(Item::Frame(frame)) => return Ok(Some(frame)),
+                Ok(Item::Gap(_)) => note_gap(),
+                Ok(Item::End(end)) => {
                     end?;
                     break;
                 }
-                Ok(delivery) => return Ok(delivery.item),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
                     self.inlet.end_of_stream()?;
@@ -212,7 +214,7 @@ impl Items {
                 }
             }
         }
-        Ok(Item::End(Ok(())))
+        Ok(None)
     }
 }
 
@@ -427,21 +429,17 @@ mod tests {
     }
 
     #[test]
-    fn items_of_one_consumer_end_with_the_source_its_limit_or_its_error() {
+    fn frames_of_one_consumer_end_with_the_source_its_limit_or_its_error() {
         for (limit, frames, gaps) in [(None, 49, 1), (Some(3), 3, 0), (Some(0), 0, 0)] {
             let items = Items::of(counter(50), limit);
             let (mut seen, mut missing) = (0, 0);
-            loop {
-                match items.next_item().expect("no error") {
-                    Item::Frame(_) => seen += 1,
-                    Item::Gap(_) => missing += 1,
-                    Item::End(_) => break,
-                }
+            while items.next_frame(|| missing += 1).expect("no error").is_some() {
+                seen += 1;
             }
             assert_eq!((seen, missing), (frames, gaps), "{limit:?}");
         }
         let items = Items::of(crate::panics::tests::failing_after(0, |_| "chunk 3 is damaged".into()), None);
-        assert_eq!(items.next_item().err().map(|error| error.to_string()).as_deref(), Some("chunk 3 is damaged"));
+        assert_eq!(items.next_frame(|| ()).err().map(|error| error.to_string()).as_deref(), Some("chunk 3 is damaged"));
     }
 
     mod hard_cases {

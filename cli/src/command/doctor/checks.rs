@@ -300,65 +300,68 @@ impl FrameCounts {
 
 /// Checks free space and write speed for recordings.
 pub fn disk(folder: &Path, waveform: &Waveform) -> Vec<Check> {
-    const PROBE_BYTES: usize = 32 << 20;
-    let name = folder.display();
     // Two bytes per code, before compression.
     let needed_bytes_per_s = 2.0 * waveform.shape().codes() as f64 / waveform.frame_interval_s();
-    let mut checks = Vec::new();
     match rustix::fs::statvfs(folder) {
         Ok(fs) => {
             let free_bytes = fs.f_bavail as f64 * fs.f_frsize as f64;
-            let hours = free_bytes / needed_bytes_per_s / 3600.0;
-            let found = format!(
-                "{name}: {:.1} GiB free, {hours:.1} h of frames ({}, not compressed)",
-                free_bytes / f64::from(1 << 30),
-                waveform.shape()
-            );
-            checks.push(match hours {
-                h if h < 0.1 => Check::fail("space", found, "free some space, or --record-to another disk"),
-                h if h < 10.0 => {
-                    Check::warn("space", found, "not enough for a night: --record-to DIR on a larger disk")
-                }
-                _ => Check::ok("space", found),
-            });
+            vec![free_space(folder, free_bytes, needed_bytes_per_s, waveform), write_speed(folder, needed_bytes_per_s)]
         }
         Err(error) => {
-            checks.push(Check::fail("space", format!("{name}: {error}"), "name a folder that exists"));
-            return checks;
+            vec![Check::fail("space", format!("{}: {error}", folder.display()), "name a folder that exists")]
         }
     }
-    let probe = || -> std::io::Result<f64> {
-        // Incompressible data, in case the file system compresses.
-        let mut word = 1u64;
-        let mut block = vec![0u8; 1 << 20];
-        block.chunks_mut(8).for_each(|bytes| {
-            word = word.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            bytes.copy_from_slice(&word.to_le_bytes());
-        });
-        // The file has no name, or an unpredictable one, and is deleted when this function returns.
-        let mut file = tempfile::tempfile_in(folder)?;
-        let start = Instant::now();
-        for _ in 0..PROBE_BYTES / block.len() {
-            file.write_all(&block)?;
-        }
-        file.sync_all()?;
-        Ok(PROBE_BYTES as f64 / start.elapsed().as_secs_f64())
+}
+
+/// Checks for how many hours of frames there is space.
+fn free_space(folder: &Path, free_bytes: f64, needed_bytes_per_s: f64, waveform: &Waveform) -> Check {
+    let hours = free_bytes / needed_bytes_per_s / 3600.0;
+    let found = format!(
+        "{}: {:.1} GiB free, {hours:.1} h of frames ({}, not compressed)",
+        folder.display(),
+        free_bytes / f64::from(1 << 30),
+        waveform.shape()
+    );
+    match hours {
+        h if h < 0.1 => Check::fail("space", found, "free some space, or --record-to another disk"),
+        h if h < 10.0 => Check::warn("space", found, "not enough for a night: --record-to DIR on a larger disk"),
+        _ => Check::ok("space", found),
+    }
+}
+
+/// Checks whether frames can be written as fast as they come.
+fn write_speed(folder: &Path, needed_bytes_per_s: f64) -> Check {
+    let name = folder.display();
+    let speed = match measure_write_speed(folder) {
+        Ok(speed) => speed,
+        Err(error) => return Check::fail("speed", format!("{name}: {error}"), remedy(error.kind())),
     };
-    let speed = probe();
-    checks.push(match speed {
-        Ok(speed) => {
-            let found = format!("{name}: writes {:.0} MB/s, frames need {:.1}", speed / 1e6, needed_bytes_per_s / 1e6);
-            match speed / needed_bytes_per_s {
-                ratio if ratio < 1.0 => Check::fail("speed", found, "record to a faster disk: recordings would stop"),
-                ratio if ratio < 3.0 => {
-                    Check::warn("speed", found, "record to a faster disk: there is little to spare")
-                }
-                _ => Check::ok("speed", found),
-            }
-        }
-        Err(error) => Check::fail("speed", format!("{name}: {error}"), remedy(error.kind())),
+    let found = format!("{name}: writes {:.0} MB/s, frames need {:.1}", speed / 1e6, needed_bytes_per_s / 1e6);
+    match speed / needed_bytes_per_s {
+        ratio if ratio < 1.0 => Check::fail("speed", found, "record to a faster disk: recordings would stop"),
+        ratio if ratio < 3.0 => Check::warn("speed", found, "record to a faster disk: there is little to spare"),
+        _ => Check::ok("speed", found),
+    }
+}
+
+/// Measures how fast a file in the folder is written, bytes/s.
+fn measure_write_speed(folder: &Path) -> std::io::Result<f64> {
+    const PROBE_BYTES: usize = 32 << 20;
+    // Incompressible data, in case the file system compresses.
+    let mut word = 1u64;
+    let mut block = vec![0u8; 1 << 20];
+    block.chunks_mut(8).for_each(|bytes| {
+        word = word.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        bytes.copy_from_slice(&word.to_le_bytes());
     });
-    checks
+    // The file has no name, or an unpredictable one, and is deleted when this function returns.
+    let mut file = tempfile::tempfile_in(folder)?;
+    let start = Instant::now();
+    for _ in 0..PROBE_BYTES / block.len() {
+        file.write_all(&block)?;
+    }
+    file.sync_all()?;
+    Ok(PROBE_BYTES as f64 / start.elapsed().as_secs_f64())
 }
 
 /// Returns what helps against an error of writing to a folder.

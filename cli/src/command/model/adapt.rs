@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use radome_driver::recording::{Recording, infineon};
-use radome_dsp::{Frame, FrameSource, Occupancy};
+use radome_dsp::{FrameSource, Occupancy};
 use radome_models::Dataset;
 use radome_models::train::{AdaptRecording, Adaptation, Adapter, BeforeAfter};
 use serde_json::json;
@@ -129,8 +129,7 @@ fn read_recording(reader: &mut FeatureReader, recording: &LabelledRecording) -> 
     let name = || recording.path.display().to_string();
     let mut source = Recording::open(&recording.path)?;
     let waveform = source.waveform().clone();
-    let next = |frame: &mut Frame| source.next_frame(frame).map_err(anyhow::Error::from_boxed);
-    let features = reader.read(&waveform, next, |frame| recording.truth(frame, &waveform)).with_context(name)?;
+    let features = reader.read(&mut source, |frame| recording.truth(frame, &waveform)).with_context(name)?;
     if features.frames.is_empty() {
         return Err(recording.without_frames());
     }

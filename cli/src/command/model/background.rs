@@ -6,7 +6,7 @@ use serde_json::json;
 use crate::classifier::{BUILT_IN, Model, Prediction};
 use crate::exit::wrong_use;
 use crate::live::background::{Background, Capture, LEAST_FRAMES};
-use crate::live::pipeline::{Item, Items};
+use crate::live::pipeline::Items;
 use crate::output;
 use crate::output_file::Overwrite;
 use crate::source::{self, SourceArgs, not_negative, positive};
@@ -65,18 +65,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut capture = Capture::default();
     let mut start_s = None;
     let items = Items::of(source.frames, arguments.source.frames);
-    loop {
-        match items.next_item()? {
-            Item::End(_) => break,
-            Item::Gap(_) => classifier.reset(),
-            Item::Frame(frame) => {
-                if frame.time_s() - *start_s.get_or_insert(frame.time_s()) > seconds {
-                    break;
-                }
-                if let Prediction::Probabilities(_) = classifier.classify(&frame)? {
-                    capture.add(classifier.map());
-                }
-            }
+    while let Some(frame) = items.next_frame(|| classifier.reset())? {
+        if frame.time_s() - *start_s.get_or_insert(frame.time_s()) > seconds {
+            break;
+        }
+        if let Prediction::Probabilities(_) = classifier.classify(&frame)? {
+            capture.add(classifier.map());
         }
     }
     ensure!(is_live || !output::interrupted(), "interrupted: nothing is written");

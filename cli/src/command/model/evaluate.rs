@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{bail, ensure};
 use radome_driver::recording::{Format, Recording};
-use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_dsp::{Frame, FrameSource, Occupancy};
 use radome_models::calibration::ReliabilitySums;
 use radome_models::dataset::{self, Dataset, SplitSpec};
 use radome_models::evaluate::{Confusion, FalseAlarms, Metrics, RecordingScores, Stretch, add_confusion, evaluate};
@@ -435,19 +435,14 @@ fn classify_recording(
         Ok(run) => run,
         Err(refusal) => return Ok(Err(refusal)),
     };
-    loop {
-        match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => return Ok(Ok(candidate.end_run(run))),
-            SourceEvent::Gap(_) => run.note_gap(),
-            SourceEvent::Frame => {
-                let truth = recording.truth(&frame, source.waveform());
-                match noise {
-                    Some(noise) => run.predict_changed(&frame, &noise.add_to(&frame), truth)?,
-                    None => run.predict(&frame, truth)?,
-                }
-            }
+    while source::next_frame_noting_gaps(&mut source, &mut frame, || run.note_gap())? {
+        let truth = recording.truth(&frame, source.waveform());
+        match noise {
+            Some(noise) => run.predict_changed(&frame, &noise.add_to(&frame), truth)?,
+            None => run.predict(&frame, truth)?,
         }
     }
+    Ok(Ok(candidate.end_run(run)))
 }
 
 fn evaluate_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments) -> anyhow::Result<()> {

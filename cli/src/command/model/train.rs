@@ -3,7 +3,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_files::with_suffix;
 use radome_models::dataset::{Dataset, DatasetError};
-use radome_models::{CheckpointLock, NetworkSpec, TrainError, TrainSpec, train_with_checkpoint, training_warnings};
+use radome_models::{
+    CheckpointLock, EpochReport, Model, NetworkSpec, TrainError, TrainSpec, train_with_checkpoint, training_warnings,
+};
 use serde_json::json;
 
 use crate::exit::WrongUse;
@@ -119,17 +121,7 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
         let printed = if arguments.json {
             output::json_line(&report)
         } else {
-            let line = format!(
-                "start {} epoch {:2}/{}: loss {:.3}, balanced accuracy {:.3} training, {:.3} validation, {:.1} s",
-                report.start + 1,
-                report.epoch,
-                report.epochs,
-                report.training_loss,
-                report.training_balanced_accuracy,
-                report.validation_balanced_accuracy,
-                report.seconds
-            );
-            bar.suspend(|| output::text_line(&line))
+            bar.suspend(|| output::text_line(&epoch_text(&report)))
         };
         output_error = output_error.take().or(printed.err());
     });
@@ -146,15 +138,7 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
         message!("warning: {warning}");
     }
     // The model is saved even if progress could not be printed.
-    let bytes = outcome.model.to_bytes(&arguments.output)?;
-    files::write_bytes(&arguments.output, arguments.overwrite.existing(), &bytes).inspect_err(|_| {
-        message!(
-            "the training is kept in {}; the same command writes the model as soon as it can",
-            checkpoint.display()
-        );
-    })?;
-    // Not before: a kill would lose the training. A file that cannot be removed does no harm: a new training repeats the last step.
-    let _ = std::fs::remove_file(checkpoint);
+    save_model(arguments, &outcome.model, checkpoint)?;
     if let Some(error) = output_error {
         return Err(error);
     }
@@ -163,6 +147,34 @@ fn train(arguments: &Arguments, spec: &TrainSpec, checkpoint: &Path) -> anyhow::
         return output::json_line(&json!({ "model": file, "training": outcome.model.card.training }));
     }
     output::text_line(&format!("{file} written"))
+}
+
+/// Formats the scores of an epoch for the terminal.
+fn epoch_text(report: &EpochReport) -> String {
+    format!(
+        "start {} epoch {:2}/{}: loss {:.3}, balanced accuracy {:.3} training, {:.3} validation, {:.1} s",
+        report.start + 1,
+        report.epoch,
+        report.epochs,
+        report.training_loss,
+        report.training_balanced_accuracy,
+        report.validation_balanced_accuracy,
+        report.seconds
+    )
+}
+
+/// Writes the model, and then removes the checkpoint.
+fn save_model(arguments: &Arguments, model: &Model, checkpoint: &Path) -> anyhow::Result<()> {
+    let bytes = model.to_bytes(&arguments.output)?;
+    files::write_bytes(&arguments.output, arguments.overwrite.existing(), &bytes).inspect_err(|_| {
+        message!(
+            "the training is kept in {}; the same command writes the model as soon as it can",
+            checkpoint.display()
+        );
+    })?;
+    // Not before: a kill would lose the training. A file that cannot be removed does no harm: a new training repeats the last step.
+    let _ = std::fs::remove_file(checkpoint);
+    Ok(())
 }
 
 /// Reads the settings of a training from a TOML file, without a check of their values; defaults without one.

@@ -1,16 +1,15 @@
 use std::collections::VecDeque;
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use radome_dsp::detect::{AngleCalibration, Detection, Detector, RangeProfile, Receivers};
-use radome_dsp::{Frame, Waveform};
+use radome_dsp::{Frame, FrameSource, Waveform};
 use radome_files::parse_toml;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::exit::wrong_use;
-use crate::live::pipeline::{Item, Items};
+use crate::live::pipeline::Items;
 use crate::output_file::Overwrite;
 use crate::source::{self, SourceArgs};
 use crate::{files, output};
@@ -87,73 +86,57 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let [source, waveform] = arguments.source.inputs();
         arguments.overwrite.check(path, &[source, waveform, angles])?;
     }
-    let truth = arguments.reflector.as_deref().map(parse_reflector).transpose()?;
+    let reflector = arguments.reflector.as_deref().map(parse_reflector).transpose()?;
     let calibration = arguments.angles.as_deref().map(read_angles).transpose()?.unwrap_or_default();
-    let frames = arguments.source.frames;
     let source = source::open(&arguments.source.source, &arguments.source.finite_options()?)?.frames;
     let waveform = source.waveform().clone();
     let receivers = Receivers::new(waveform.request.rx_antennas, calibration);
     if receivers.baselines().is_empty() {
         let why = "these receivers tell no angle: RX3 and RX1 are needed for azimuth, RX3 and RX2 for elevation";
-        ensure!(truth.is_none(), why);
+        ensure!(reflector.is_none(), why);
         message!("{why}");
     }
-    let mut detector = Detector::new(&waveform, &receivers.baselines());
-    let window = (STILL_WINDOW_S / waveform.frame_interval_s()).round().clamp(4.0, 200.0) as usize;
-    let (frame_limit, profile_count) = match &arguments.reflector {
-        Some(_) => (Some(frames.unwrap_or(u64::MAX).min(REFLECTOR_FRAMES)), REFLECTOR_FRAMES as usize),
-        None => (frames, window),
-    };
-    let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(profile_count + 1);
-    let items = Items::of(source, frame_limit);
-    let (mut frame_count, mut echo_count, mut moving_count) = (0u64, 0, 0u64);
-    loop {
-        match items.next_item()? {
-            Item::End(_) => break,
-            // A reflector that stands still needs no frames in a row.
-            Item::Gap(_) if arguments.reflector.is_some() => {}
-            Item::Gap(_) => profiles.clear(),
-            Item::Frame(frame) => {
-                let (mut echoes, profile) = detector.detect_moving(&frame)?;
-                if profiles.len() == profile_count {
-                    profiles.pop_front();
-                }
-                profiles.push_back(profile);
-                frame_count += 1;
-                if let Some([range_m, ..]) = truth {
-                    moving_count +=
-                        u64::from(echoes.iter().any(|echo| (echo.range_m - range_m).abs() < REFLECTOR_HALF_WIDTH_M));
-                    continue;
-                }
-                if profiles.len() == window {
-                    let still = detector.detect_still(&profiles.iter().collect::<Vec<_>>());
-                    let is_new = |s: &Detection| echoes.iter().all(|e| (e.range_m - s.range_m).abs() > SAME_BODY_M);
-                    let new: Vec<Detection> = still.into_iter().filter(is_new).collect();
-                    echoes.extend(new);
-                }
-                echo_count += echoes.len();
-                print_echoes(&frame, &echoes, &receivers, arguments.json)?;
-            }
+    let detector = Detector::new(&waveform, &receivers.baselines());
+    match reflector {
+        None => print_all_echoes(arguments, &receivers, detector, source),
+        Some(position) => {
+            let echo = measure_reflector(arguments, position, detector, source)?;
+            calibrate(arguments, position, &receivers, &waveform, &echo)
         }
     }
-    let Some(truth) = truth else {
-        if echo_count == 0 && !arguments.json {
-            message!("no echo stands out of the noise in {frame_count} frames");
+}
+
+/// Prints the echoes of every frame: those that move within it, and those that change over [`STILL_WINDOW_S`].
+fn print_all_echoes(
+    arguments: &Arguments,
+    receivers: &Receivers,
+    mut detector: Detector,
+    source: Box<dyn FrameSource>,
+) -> anyhow::Result<()> {
+    let window = (STILL_WINDOW_S / source.waveform().frame_interval_s()).round().clamp(4.0, 200.0) as usize;
+    let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(window + 1);
+    let items = Items::of(source, arguments.source.frames);
+    let (mut frame_count, mut echo_count) = (0u64, 0);
+    while let Some(frame) = items.next_frame(|| profiles.clear())? {
+        let (mut echoes, profile) = detector.detect_moving(&frame)?;
+        if profiles.len() == window {
+            profiles.pop_front();
         }
-        return Ok(());
-    };
-    if output::interrupted() {
-        return Err(output::Interrupted.into());
+        profiles.push_back(profile);
+        if profiles.len() == window {
+            let still = detector.detect_still(&profiles.iter().collect::<Vec<_>>());
+            let is_new = |s: &Detection| echoes.iter().all(|e| (e.range_m - s.range_m).abs() > SAME_BODY_M);
+            let new: Vec<Detection> = still.into_iter().filter(is_new).collect();
+            echoes.extend(new);
+        }
+        frame_count += 1;
+        echo_count += echoes.len();
+        print_echoes(&frame, &echoes, receivers, arguments.json)?;
     }
-    ensure!(frame_count > 0, "{}: no frame to measure a reflector in", arguments.source.source);
-    let [range_m, ..] = truth;
-    ensure!(
-        moving_count == 0,
-        "something moves within {REFLECTOR_HALF_WIDTH_M} m of the reflector's range, {range_m} m, in {moving_count} of {frame_count} frames\n\nhint: leave the \
-         room, and measure again"
-    );
-    let profiles: Vec<&RangeProfile> = profiles.iter().collect();
-    calibrate(arguments, truth, &receivers, &waveform, |within_m| detector.find_reflector(&profiles, within_m))
+    if echo_count == 0 && !arguments.json {
+        message!("no echo stands out of the noise in {frame_count} frames");
+    }
+    Ok(())
 }
 
 /// Parses the position of the reflector: range, azimuth and elevation.
@@ -169,19 +152,37 @@ fn parse_reflector(numbers: &[f64]) -> anyhow::Result<[f64; 3]> {
     Ok([range_m, azimuth_deg, elevation_deg])
 }
 
-/// Computes phase offsets between the receivers from a reflector at a known position. `find` finds the strongest echo
-/// in a range interval.
-fn calibrate(
+/// Measures the echo of a reflector over some frames. Refuses frames in which something moves at its range.
+fn measure_reflector(
     arguments: &Arguments,
-    [range_m, azimuth_deg, elevation_deg]: [f64; 3],
-    receivers: &Receivers,
-    waveform: &Waveform,
-    find: impl FnOnce(Range<f64>) -> Option<Detection>,
-) -> anyhow::Result<()> {
-    let echo = find(range_m - REFLECTOR_HALF_WIDTH_M..range_m + REFLECTOR_HALF_WIDTH_M).with_context(|| {
+    [range_m, ..]: [f64; 3],
+    mut detector: Detector,
+    source: Box<dyn FrameSource>,
+) -> anyhow::Result<Detection> {
+    let max_range_m = source.waveform().max_range_m();
+    let frame_limit = arguments.source.frames.unwrap_or(u64::MAX).min(REFLECTOR_FRAMES);
+    let items = Items::of(source, Some(frame_limit));
+    let (mut profiles, mut moving_count) = (Vec::<RangeProfile>::new(), 0u64);
+    // A reflector that stands still needs no frames in a row.
+    while let Some(frame) = items.next_frame(|| ())? {
+        let (echoes, profile) = detector.detect_moving(&frame)?;
+        profiles.push(profile);
+        moving_count += u64::from(echoes.iter().any(|echo| (echo.range_m - range_m).abs() < REFLECTOR_HALF_WIDTH_M));
+    }
+    if output::interrupted() {
+        return Err(output::Interrupted.into());
+    }
+    let frame_count = profiles.len();
+    ensure!(frame_count > 0, "{}: no frame to measure a reflector in", arguments.source.source);
+    ensure!(
+        moving_count == 0,
+        "something moves within {REFLECTOR_HALF_WIDTH_M} m of the reflector's range, {range_m} m, in {moving_count} of {frame_count} frames\n\nhint: leave the \
+         room, and measure again"
+    );
+    let within_m = range_m - REFLECTOR_HALF_WIDTH_M..range_m + REFLECTOR_HALF_WIDTH_M;
+    let echo = detector.find_reflector(&profiles.iter().collect::<Vec<_>>(), within_m).with_context(|| {
         format!(
-            "no echo within {REFLECTOR_HALF_WIDTH_M} m of {range_m} m\n\nhint: check the reflector's range; the waveform reaches {:.1} m",
-            waveform.max_range_m()
+            "no echo within {REFLECTOR_HALF_WIDTH_M} m of {range_m} m\n\nhint: check the reflector's range; the waveform reaches {max_range_m:.1} m"
         )
     })?;
     ensure!(
@@ -190,6 +191,17 @@ fn calibrate(
          needed\n\nhint: use a larger reflector, such as a metal corner of 10 cm, or a range at which nothing else stands",
         echo.snr_db
     );
+    Ok(echo)
+}
+
+/// Computes phase offsets between the receivers from the echo of a reflector at a known position. Writes and prints them.
+fn calibrate(
+    arguments: &Arguments,
+    [range_m, azimuth_deg, elevation_deg]: [f64; 3],
+    receivers: &Receivers,
+    waveform: &Waveform,
+    echo: &Detection,
+) -> anyhow::Result<()> {
     let truth = (azimuth_deg.to_radians(), elevation_deg.to_radians());
     let calibration = receivers.calibrate(&echo.cosines, truth, waveform.wavelength_m());
     let measured_from = format!(

@@ -95,59 +95,20 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if !is_given && arguments.erase.is_empty() {
         return show_labels(arguments);
     }
-    if arguments.who.is_some() && arguments.span.is_empty() && arguments.from.is_none() {
-        wrong_use!(
-            "--who names the author of labels by --span and --from, and there are none\n\nhint: leave it out; labels of --propose name the \
-             proposer"
-        );
-    }
-    let holds_authors = || match &arguments.output {
-        Some(_) => Ok(false),
-        None => Recording::open(&arguments.recording).map(|recording| recording.format().holds_labels()),
-    };
-    if arguments.who.is_some() && !holds_authors()? {
-        wrong_use!(
-            "--who has no effect: files of labels hold no authors\n\nhint: leave it out; labels in an MCAP recording hold them"
-        );
-    }
-    let mut spans = arguments.span.clone();
-    if let Some(file) = &arguments.from {
-        spans.extend(labels::read_file(file)?);
-    }
-    if let Some(who) = &arguments.who {
-        spans.iter_mut().for_each(|span| span.who = Some(who.clone()));
-    }
-    if let Some(proposer) = arguments.propose {
-        spans.extend(match proposer {
-            Proposer::Truth => truth_labels(&arguments.recording)?,
-            Proposer::Detector => detector::propose(&arguments.recording)?,
-        });
-    }
+    arguments.check_who()?;
+    let spans = arguments.new_labels()?;
     if spans.is_empty() && arguments.erase.is_empty() && arguments.output.is_none() {
         Recording::open(&arguments.recording)?;
         message!("no label was given or found; nothing has been written");
         return print(&spans, arguments.json);
     }
-    let mut erased = 0;
-    let target = match &arguments.output {
+    let (target, erased) = match &arguments.output {
         Some(file) => {
             labels::check(&arguments.recording, &spans)?;
             labels::write_file(file, arguments.overwrite.existing(), &spans)?;
-            file.clone()
+            (file.clone(), 0)
         }
-        None => labels::add(&arguments.recording, &spans, |existing| {
-            let is_erased =
-                |label: &&LabelSpan| arguments.erase.iter().any(|interval| labels::overlaps(label, *interval));
-            erased = existing.iter().filter(is_erased).count();
-            let existing = arguments
-                .erase
-                .iter()
-                .fold(existing, |existing, interval| labels::cut_out(existing, *interval, |_| true));
-            let classes = spans.iter().filter(|span| arguments.replace && span.occupancy().is_some());
-            classes.fold(existing, |existing, span| {
-                labels::cut_out(existing, (span.start_s, span.end_s), |other| other.occupancy().is_some())
-            })
-        })?,
+        None => edit_recording(arguments, &spans)?,
     };
     let target = target.display();
     let label_count = |count: usize| format!("{count} label{}", if count == 1 { "" } else { "s" });
@@ -160,6 +121,61 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         message!("{} written to {target}", label_count(spans.len()));
     }
     print(&spans, arguments.json)
+}
+
+impl Arguments {
+    /// Refuses `--who` where no label would hold the author.
+    fn check_who(&self) -> anyhow::Result<()> {
+        if self.who.is_none() {
+            return Ok(());
+        }
+        if self.span.is_empty() && self.from.is_none() {
+            wrong_use!(
+                "--who names the author of labels by --span and --from, and there are none\n\nhint: leave it out; labels of --propose name \
+                 the proposer"
+            );
+        }
+        if self.output.is_some() || !Recording::open(&self.recording)?.format().holds_labels() {
+            wrong_use!(
+                "--who has no effect: files of labels hold no authors\n\nhint: leave it out; labels in an MCAP recording hold them"
+            );
+        }
+        Ok(())
+    }
+
+    /// Returns the labels of `--span`, `--from` and `--propose`.
+    fn new_labels(&self) -> anyhow::Result<Vec<LabelSpan>> {
+        let mut spans = self.span.clone();
+        if let Some(file) = &self.from {
+            spans.extend(labels::read_file(file)?);
+        }
+        if let Some(who) = &self.who {
+            spans.iter_mut().for_each(|span| span.who = Some(who.clone()));
+        }
+        match self.propose {
+            Some(Proposer::Truth) => spans.extend(truth_labels(&self.recording)?),
+            Some(Proposer::Detector) => spans.extend(detector::propose(&self.recording)?),
+            None => {}
+        }
+        Ok(spans)
+    }
+}
+
+/// Cuts `--erase` out of the labels of the recording, and, with `--replace`, the new labels out of those of classes. Then adds the
+/// new labels. Returns the changed file and the number of labels that `--erase` concerned.
+fn edit_recording(arguments: &Arguments, spans: &[LabelSpan]) -> anyhow::Result<(PathBuf, usize)> {
+    let mut erased = 0;
+    let target = labels::add(&arguments.recording, spans, |existing| {
+        let is_erased = |label: &&LabelSpan| arguments.erase.iter().any(|interval| labels::overlaps(label, *interval));
+        erased = existing.iter().filter(is_erased).count();
+        let erase = arguments.erase.iter();
+        let existing = erase.fold(existing, |existing, interval| labels::cut_out(existing, *interval, |_| true));
+        let classes = spans.iter().filter(|span| arguments.replace && span.occupancy().is_some());
+        classes.fold(existing, |existing, span| {
+            labels::cut_out(existing, (span.start_s, span.end_s), |other| other.occupancy().is_some())
+        })
+    })?;
+    Ok((target, erased))
 }
 
 /// Prints the labels of a recording and writes them to the output file, if one is named.

@@ -7,7 +7,7 @@ use radome_dsp::{MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform};
 use serde_json::json;
 
 use crate::exit::wrong_use;
-use crate::live::pipeline::{Item, Items};
+use crate::live::pipeline::Items;
 use crate::map_preset::MapPreset;
 use crate::output_file::{Overwrite, check_ending, is_stdout};
 use crate::picture::plot;
@@ -138,25 +138,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let items = Items::of(source.frames, arguments.source.frames);
     // The array is written map by map, since the maps of a night do not fit in memory.
     let mut each_map = |write: &mut dyn FnMut(&Rdm) -> anyhow::Result<()>| {
-        loop {
-            match items.next_item()? {
-                Item::End(_) => break,
-                Item::Gap(_) => processor.reset(),
-                Item::Frame(frame) => {
-                    read_range = Some((read_range.map_or(frame.sequence, |(first, _)| first), frame.sequence));
-                    bar.inc(1);
-                    if processor.process(&frame, &mut map)? != MapStatus::Ready {
-                        continue;
-                    }
-                    counts.maps += 1;
-                    counts.saturated_samples += u64::from(map.flags.saturated_samples);
-                    counts.non_finite_cells += u64::from(map.flags.non_finite_cells);
-                    write(&map)?;
-                    if let (Some(path), true) = (&arguments.png, arguments.frame == Some(frame.sequence)) {
-                        plot::save_map(path, &map)?;
-                        is_drawn = true;
-                    }
-                }
+        while let Some(frame) = items.next_frame(|| processor.reset())? {
+            read_range = Some((read_range.map_or(frame.sequence, |(first, _)| first), frame.sequence));
+            bar.inc(1);
+            if processor.process(&frame, &mut map)? != MapStatus::Ready {
+                continue;
+            }
+            counts.maps += 1;
+            counts.saturated_samples += u64::from(map.flags.saturated_samples);
+            counts.non_finite_cells += u64::from(map.flags.non_finite_cells);
+            write(&map)?;
+            if let (Some(path), true) = (&arguments.png, arguments.frame == Some(frame.sequence)) {
+                plot::save_map(path, &map)?;
+                is_drawn = true;
             }
         }
         // Checked before the array gets its final name. A board sends until it is stopped; a part of a recording is no array of it.

@@ -5,7 +5,7 @@ use std::time::Instant;
 use anyhow::{Context, bail, ensure};
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
 use radome_driver::recording::{Existing, rename_synced};
-use radome_dsp::{Frame, FrameSource, SourceEvent};
+use radome_dsp::{Frame, FrameSource, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde_json::json;
 
@@ -14,7 +14,7 @@ use crate::exit::wrong_use;
 use crate::live::recorder::failure_message;
 use crate::output_file::{Overwrite, check_is_mcap, check_is_picture};
 use crate::shard::Shard;
-use crate::source::DEFAULT_SEED;
+use crate::source::{self, DEFAULT_SEED};
 use crate::{output, stored_simulation};
 
 /// `radome scene simulate`
@@ -68,6 +68,41 @@ impl Arguments {
         let extension = output.extension().unwrap_or("mcap".as_ref()).to_string_lossy();
         Some(output.with_file_name(format!("{stem}-{}.{extension}", shard.name())))
     }
+
+    /// Returns the file that is written while the simulation runs. A shard gets its final name when it is complete, so that an
+    /// interrupted run can be repeated.
+    fn running_file(&self) -> Option<PathBuf> {
+        let file = self.file()?;
+        Some(if self.shard.is_some() { file.with_extension("partial") } else { file })
+    }
+
+    /// Refuses a tolerance that no simulation has, and outputs that cannot be written.
+    fn check(&self) -> anyhow::Result<()> {
+        if let Some(tolerance_db) = self.tolerance_db.filter(|db| Simulator::check_tolerance(*db).is_err()) {
+            wrong_use!("--tolerance-db is {tolerance_db}, expected 0.01 to 20 dB");
+        }
+        self.preview.iter().try_for_each(|path| check_is_picture(path))?;
+        let Some(file) = self.file() else { return Ok(()) };
+        check_is_mcap(&file)?;
+        // An existing shard is reused or made again.
+        let overwrite = if self.shard.is_some() { Overwrite::yes() } else { self.overwrite };
+        overwrite.check(&file, &[&self.scene])
+    }
+
+    /// Returns the options of a simulation of the frames up to `end`.
+    fn options(&self, end: u64) -> SimulateOptions {
+        let tolerance_db = self.tolerance_db.unwrap_or(SimulateOptions::default().tolerance_db);
+        SimulateOptions { seed: self.seed, people: self.people, frames: Some(end), tolerance_db }
+    }
+
+    /// Starts the recording, if an output is named.
+    fn recorder(&self, waveform: &Waveform) -> anyhow::Result<Option<Recorder>> {
+        let Some(path) = self.running_file() else { return Ok(None) };
+        // An unfinished shard of an interrupted run is made again.
+        let existing = if self.shard.is_some() { Existing::Replace } else { self.overwrite.existing() };
+        let options = RecorderOptions { existing, ..RecorderOptions::default() };
+        Ok(Some(Recorder::with_options(&path, &RecordingHeader::new(waveform.clone()), &options)?))
+    }
 }
 
 /// Simulates a scene into a recording.
@@ -76,23 +111,10 @@ impl Arguments {
 /// The scene cannot be read or simulated, the recording cannot be written, or the user interrupts.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    if let Some(tolerance_db) = arguments.tolerance_db.filter(|db| Simulator::check_tolerance(*db).is_err()) {
-        wrong_use!("--tolerance-db is {tolerance_db}, expected 0.01 to 20 dB");
-    }
-    arguments.preview.iter().try_for_each(|path| check_is_picture(path))?;
+    arguments.check()?;
     let (first, end) = arguments.range();
     let file = arguments.file();
-    if let Some(output) = &file {
-        // An existing shard is reused or made again.
-        let overwrite = if arguments.shard.is_some() { Overwrite::yes() } else { arguments.overwrite };
-        check_is_mcap(output)?;
-        overwrite.check(output, &[&arguments.scene])?;
-    }
-    // A shard gets its final name when it is complete, so that an interrupted run can be repeated.
-    let written_path = file.as_ref().map(|path| match arguments.shard {
-        Some(_) => path.with_extension("partial"),
-        None => path.clone(),
-    });
+    let shard_file = file.as_deref().filter(|_| arguments.shard.is_some());
     let scene = Scene::load(&arguments.scene)?;
     if let Some(path) = &arguments.preview {
         preview::draw(&scene, arguments.seed, arguments.people, arguments.frames, path)?;
@@ -100,13 +122,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             return preview::report(&arguments.scene, arguments.seed, path, arguments.json);
         }
     }
-    let mut options =
-        SimulateOptions { seed: arguments.seed, people: arguments.people, frames: Some(end), ..Default::default() };
-    if let Some(tolerance_db) = arguments.tolerance_db {
-        options.tolerance_db = tolerance_db;
-    }
+    let options = arguments.options(end);
     let mut simulator = Simulator::new(&scene, options)?;
-    if let (Some(_), Some(output)) = (arguments.shard, &file)
+    if let Some(output) = shard_file
         && output.exists()
         && shard_exists(arguments.overwrite, output, &simulator, first..end)?
     {
@@ -114,22 +132,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     print_estimate(&simulator, end - first);
     simulator.seek(first);
-    let header = RecordingHeader::new(scene.waveform().clone());
-    // An unfinished shard of an interrupted run is made again.
-    let existing = if arguments.shard.is_some() { Existing::Replace } else { arguments.overwrite.existing() };
-    let recorder_options = RecorderOptions { existing, ..RecorderOptions::default() };
-    let recorder =
-        written_path.as_ref().map(|path| Recorder::with_options(path, &header, &recorder_options)).transpose()?;
-    let simulated = Simulated::record(&mut simulator, recorder, end - first)?;
-    if let (Some(_), Some(written_path), Some(file)) = (arguments.shard, &written_path, &file) {
-        if simulated.frames < end - first && output::interrupted() {
-            let _ = std::fs::remove_file(written_path);
+    let simulated = Simulated::record(&mut simulator, arguments.recorder(scene.waveform())?, end - first)?;
+    let is_interrupted = simulated.frames < end - first && output::interrupted();
+    if let (Some(running), Some(file)) = (arguments.running_file(), shard_file) {
+        if is_interrupted {
+            let _ = std::fs::remove_file(&running);
             bail!("interrupted: {} was not finished", file.display());
         }
-        rename_synced(written_path, file)?;
+        rename_synced(&running, file)?;
     }
     simulated.print_report(arguments, file.as_deref(), options.tolerance_db)?;
-    if simulated.frames < end - first && output::interrupted() {
+    if is_interrupted {
         let place = file.map_or_else(|| "simulated".to_owned(), |path| format!("in {}", path.display()));
         bail!("interrupted: {} of {} frames are {place}", simulated.frames, end - first);
     }
@@ -157,16 +170,9 @@ impl Simulated {
         let bar = output::progress(frames, "simulating");
         let mut frame = Frame::zeroed(simulator.waveform().shape());
         let mut all = Simulated { frames: 0, estimate_db: None, clamped: 0, clipped: 0, codes: 0, seconds: 0.0 };
-        while !output::interrupted() {
-            match simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-                SourceEvent::Frame => {
-                    if let Some(recorder) = &mut recorder {
-                        recorder.frame(&frame).with_context(|| failure_message(recorder))?;
-                    }
-                }
-                // A simulation loses no frame.
-                SourceEvent::Gap(_) => {}
-                SourceEvent::End => break,
+        while !output::interrupted() && source::next_frame(simulator, &mut frame)? {
+            if let Some(recorder) = &mut recorder {
+                recorder.frame(&frame).with_context(|| failure_message(recorder))?;
             }
             if let Some(report) = simulator.last_report() {
                 let worst = all.estimate_db;

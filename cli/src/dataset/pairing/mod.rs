@@ -22,7 +22,7 @@ use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_driver::recording::span_check::check_spans;
 use radome_dsp::detect::Baseline;
-use radome_dsp::{Frame, MapStatus, Occupancy, RdmProcessor, RdmSpec, SourceEvent, Truth, Waveform};
+use radome_dsp::{Frame, MapStatus, Occupancy, RdmProcessor, RdmSpec, Truth, Waveform};
 use radome_models::dataset::{DatasetHeader, DatasetWriter, Domain};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use rayon::prelude::*;
@@ -237,33 +237,29 @@ impl<'a> Pairing<'a> {
         let mut frame = Frame::zeroed(self.waveform.shape());
         let mut frames: Vec<FrameInfo> = Vec::new();
         let mut unlabelled = 0u64;
-        let mut after_gap = false;
         let bar = output::progress(source.frames.frame_count().unwrap_or(0), "following");
         while self.settings.frames.is_none_or(|most| (frames.len() as u64) < most) {
             if output::interrupted() {
                 return Err(Interrupted.into());
             }
-            match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-                SourceEvent::End => break,
-                SourceEvent::Gap(_) => {
-                    processor.reset();
-                    after_gap = true;
-                }
-                SourceEvent::Frame => {
-                    let truth = self.truth(spans, &frame);
-                    let info = FrameInfo { sequence: frame.sequence, time_ns: frame.time_ns, after_gap, truth };
-                    after_gap = false;
-                    echo_finder.add_frame(&frame)?;
-                    if processor.process(&frame, &mut map)? == MapStatus::Ready {
-                        match truth {
-                            Some(truth) => store.push(Domain::Real, &map, &info, truth, None)?,
-                            None => unlabelled += 1,
-                        }
-                    }
-                    frames.push(info);
-                    bar.inc(1);
+            let mut after_gap = false;
+            if !source::next_frame_noting_gaps(source.frames.as_mut(), &mut frame, || after_gap = true)? {
+                break;
+            }
+            if after_gap {
+                processor.reset();
+            }
+            let truth = self.truth(spans, &frame);
+            let info = FrameInfo { sequence: frame.sequence, time_ns: frame.time_ns, after_gap, truth };
+            echo_finder.add_frame(&frame)?;
+            if processor.process(&frame, &mut map)? == MapStatus::Ready {
+                match truth {
+                    Some(truth) => store.push(Domain::Real, &map, &info, truth, None)?,
+                    None => unlabelled += 1,
                 }
             }
+            frames.push(info);
+            bar.inc(1);
         }
         bar.finish_and_clear();
         let first_ns = self.check(&frames, spans)?;

@@ -1,7 +1,7 @@
 //! Requests of a page: one JSON object per message, all of them checked here.
 
 use anyhow::{Context, bail, ensure};
-use radome_driver::LabelSpan;
+use radome_driver::{LabelSpan, Transport};
 use radome_dsp::Occupancy;
 use serde::Deserialize;
 
@@ -61,59 +61,35 @@ pub enum Command {
 /// The message is malformed, or the request cannot be fulfilled.
 pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
     let command: Command = serde_json::from_str(text).context("this is no message of the page")?;
-    let transport = || {
-        let playback =
-            shared.about.playback.as_ref().context("only recordings can be sought, paused and stepped through")?;
-        anyhow::Ok(&playback.transport)
-    };
     match command {
         Command::Seen => shared.feed.acknowledge(page),
         Command::Look(selection) => shared.feed.select(page, selection)?,
-        Command::Play => {
-            let transport = transport()?;
-            if transport.playback().at_end {
-                shared.labels.end_before_jump();
-            }
-            transport.play();
+        Command::Play => play(shared)?,
+        Command::Pause => transport(shared)?.pause(),
+        Command::Speed { times } => {
+            ensure!((0.0..=MOST_SPEED).contains(&times), "a speed of {times} times, expected 0 to {MOST_SPEED}");
+            transport(shared)?.set_speed(times);
         }
-        Command::Pause => transport()?.pause(),
-        Command::Speed { times } if !(0.0..=MOST_SPEED).contains(&times) => {
-            bail!("a speed of {times} times, expected 0 to {MOST_SPEED}")
-        }
-        Command::Speed { times } => transport()?.set_speed(times),
         Command::Seek { time_s } => {
-            let transport = transport()?;
+            let transport = transport(shared)?;
             ensure!(time_s.is_finite(), "a time must be finite");
             shared.labels.end_before_jump();
             transport.seek_time_s(time_s);
         }
         Command::SeekFrame { sequence } => {
-            let transport = transport()?;
+            let transport = transport(shared)?;
             shared.labels.end_before_jump();
             transport.seek_frame(sequence);
         }
-        Command::Step { frames } if !(-100..=100).contains(&frames) => {
-            bail!("a step of {frames} frames, expected -100 to 100")
-        }
-        Command::Step { frames } => {
-            let transport = transport()?;
-            if frames < 0 {
-                shared.labels.end_before_jump();
-            }
-            transport.step(frames);
-        }
+        Command::Step { frames } => step(shared, frames)?,
         Command::Label { occupancy, who, shown_s } => {
             let who = labeller(who)?;
-            check_no_seek(shared)?;
-            edit(shared, |labels, newest_s| labels.toggle(occupancy, label_time(shared, shown_s, newest_s)?, who))?;
+            edit_at_shown(shared, shown_s, |labels, time_s| labels.toggle(occupancy, time_s, who))?;
         }
-        Command::Stop { shown_s } => {
-            check_no_seek(shared)?;
-            edit(shared, |labels, newest_s| {
-                labels.stop(label_time(shared, shown_s, newest_s)?);
-                Ok(())
-            })?;
-        }
+        Command::Stop { shown_s } => edit_at_shown(shared, shown_s, |labels, time_s| {
+            labels.stop(time_s);
+            Ok(())
+        })?,
         Command::Move { id, start_s, end_s } => {
             edit(shared, |labels, _| labels.change(id, |label| (label.start_s, label.end_s) = (start_s, end_s)))?;
         }
@@ -121,14 +97,40 @@ pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
             edit(shared, |labels, _| labels.change(id, |label| label.label = occupancy.name().to_owned()))?;
         }
         Command::Add { start_s, end_s, occupancy, who } => {
-            let mut label = LabelSpan::new(start_s, end_s, occupancy.name());
-            label.who = labeller(who)?;
+            let label = LabelSpan { who: labeller(who)?, ..LabelSpan::new(start_s, end_s, occupancy.name()) };
             edit(shared, |labels, _| labels.add(label))?;
         }
         Command::Delete { id } => edit(shared, |labels, _| labels.delete(id))?,
         Command::Undo => edit(shared, |labels, _| labels.undo())?,
         Command::Redo => edit(shared, |labels, _| labels.redo())?,
     }
+    Ok(())
+}
+
+/// Returns the controls of the playback; fails if the source is not a recording that is played.
+fn transport(shared: &Shared) -> anyhow::Result<&Transport> {
+    let playback = shared.about.playback.as_ref();
+    Ok(&playback.context("only recordings can be sought, paused and stepped through")?.transport)
+}
+
+/// Continues the playback. At the end of the recording, it starts again.
+fn play(shared: &Shared) -> anyhow::Result<()> {
+    let transport = transport(shared)?;
+    if transport.playback().at_end {
+        shared.labels.end_before_jump();
+    }
+    transport.play();
+    Ok(())
+}
+
+/// Steps forwards, or backwards if negative.
+fn step(shared: &Shared, frames: i64) -> anyhow::Result<()> {
+    ensure!((-100..=100).contains(&frames), "a step of {frames} frames, expected -100 to 100");
+    let transport = transport(shared)?;
+    if frames < 0 {
+        shared.labels.end_before_jump();
+    }
+    transport.step(frames);
     Ok(())
 }
 
@@ -157,6 +159,16 @@ fn label_time(shared: &Shared, shown_s: Option<f64>, newest_s: f64) -> anyhow::R
         "the page shows the frame at {shown_s:.1} s, and the newest one is at {newest_s:.1} s: press again when the page is up to date"
     );
     Ok(shown_s.min(newest_s))
+}
+
+/// Begins or ends a label, by `change`, at the time of [`label_time`].
+fn edit_at_shown(
+    shared: &Shared,
+    shown_s: Option<f64>,
+    change: impl FnOnce(&mut LabelSet, f64) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    check_no_seek(shared)?;
+    edit(shared, |labels, newest_s| change(labels, label_time(shared, shown_s, newest_s)?))
 }
 
 /// Changes the labels, unless they are read-only.

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, source_from_fn};
 use radome_files::named_by_spec;
 use radome_models::train::{AdaptRecording, Adapter, Scores};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -162,18 +162,19 @@ fn read_recording(
     simulator: &mut Simulator,
     length: u64,
 ) -> anyhow::Result<AdaptRecording> {
-    let waveform = simulator.waveform().clone();
     let mut remaining = length;
-    let next = |frame: &mut Frame| {
-        ensure!(!output::interrupted(), "interrupted");
+    let mut source = source_from_fn(simulator.waveform().clone(), |frame| {
+        if output::interrupted() {
+            return Err("interrupted".into());
+        }
         if remaining == 0 {
             return Ok(SourceEvent::End);
         }
         remaining -= 1;
-        simulator.next_frame(frame).map_err(anyhow::Error::from_boxed)
-    };
+        simulator.next_frame(frame)
+    });
     let truth = |frame: &Frame| frame.truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy);
-    reader.read(&waveform, next, truth)
+    reader.read(&mut source, truth)
 }
 
 /// Copies the first seconds of the recordings.

@@ -1,10 +1,11 @@
 //! Features of the frames that a model is adapted to.
 
 use anyhow::Context;
-use radome_dsp::{Frame, Occupancy, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Occupancy};
 use radome_models::train::{AdaptFrame, AdaptRecording, Adapter};
 
 use crate::classifier::{Model, Prediction};
+use crate::source;
 
 /// Computes the features of recordings with one model.
 pub struct FeatureReader<'a> {
@@ -20,33 +21,26 @@ impl<'a> FeatureReader<'a> {
         FeatureReader { model: Some(model), adapter, max_range_m }
     }
 
-    /// Reads features and labels of the frames that `next` returns one after another.
+    /// Reads features of all frames of a source, and their labels by `truth`.
     ///
     /// # Errors
-    /// `next` fails, the model does not take the waveform, or an earlier call has failed.
+    /// The source cannot be read, the model does not take its waveform, or an earlier call has failed.
     pub fn read(
         &mut self,
-        waveform: &Waveform,
-        mut next: impl FnMut(&mut Frame) -> anyhow::Result<SourceEvent>,
+        source: &mut dyn FrameSource,
         truth: impl Fn(&Frame) -> Option<Occupancy>,
     ) -> anyhow::Result<AdaptRecording> {
-        let mut classifier =
-            self.model.take().context("an earlier recording has failed")?.for_waveform(waveform, self.max_range_m)?;
-        let mut frame = Frame::zeroed(waveform.shape());
+        let model = self.model.take().context("an earlier recording has failed")?;
+        let mut classifier = model.for_waveform(source.waveform(), self.max_range_m)?;
+        let mut frame = Frame::zeroed(source.waveform().shape());
         let mut frames = Vec::new();
-        loop {
-            match next(&mut frame)? {
-                SourceEvent::End => break,
-                SourceEvent::Gap(_) => classifier.reset(),
-                SourceEvent::Frame => {
-                    if let Prediction::Probabilities(_) = classifier.classify(&frame)? {
-                        let features = self.adapter.features(classifier.map())?;
-                        frames.push(AdaptFrame { time_s: frame.time_s(), features, label: truth(&frame) });
-                    }
-                }
+        while source::next_frame_noting_gaps(source, &mut frame, || classifier.reset())? {
+            if let Prediction::Probabilities(_) = classifier.classify(&frame)? {
+                let features = self.adapter.features(classifier.map())?;
+                frames.push(AdaptFrame { time_s: frame.time_s(), features, label: truth(&frame) });
             }
         }
         self.model = Some(classifier.into_model());
-        Ok(AdaptRecording { frame_interval_s: waveform.frame_interval_s(), frames })
+        Ok(AdaptRecording { frame_interval_s: source.waveform().frame_interval_s(), frames })
     }
 }

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, bail};
 use radome_driver::recording::Recording;
-use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_dsp::{Frame, FrameSource, Occupancy};
 use radome_models::ablation::{Ablation, AblationScores, ablate};
 use radome_models::dataset::Dataset;
 use radome_models::evaluate::Confusion;
@@ -12,6 +12,7 @@ use serde::Serialize;
 use super::labelled::LabelledRecording;
 use crate::classifier::{CFAR, Model, Prediction};
 use crate::output::{self, or_dash};
+use crate::source;
 
 /// Scores of single maps with one part replaced.
 #[derive(Serialize)]
@@ -43,20 +44,13 @@ pub fn ablate_recordings(
         let mut frame = Frame::zeroed(source.waveform().shape());
         let mut frame_classifier =
             model.for_waveform(source.waveform(), max_range_m).with_context(|| path.display().to_string())?;
-        loop {
-            match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-                SourceEvent::End => break,
-                SourceEvent::Gap(_) => frame_classifier.reset(),
-                SourceEvent::Frame => {
-                    let prediction = frame_classifier.classify(&frame)?;
-                    if let (Prediction::Probabilities(_), Some(label)) =
-                        (prediction, recording.truth(&frame, source.waveform()))
-                    {
-                        let map = frame_classifier.map().clone();
-                        if let Some(network) = frame_classifier.network() {
-                            scores.add(&map, label, |map| network.classify(map))?;
-                        }
-                    }
+        while source::next_frame_noting_gaps(&mut source, &mut frame, || frame_classifier.reset())? {
+            let prediction = frame_classifier.classify(&frame)?;
+            let label = recording.truth(&frame, source.waveform());
+            if let (Prediction::Probabilities(_), Some(label)) = (prediction, label) {
+                let map = frame_classifier.map().clone();
+                if let Some(network) = frame_classifier.network() {
+                    scores.add(&map, label, |map| network.classify(map))?;
                 }
             }
         }

@@ -10,7 +10,7 @@ use anyhow::{Context, ensure};
 use indicatif::ProgressBar;
 use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
 use radome_driver::recording::{Existing, Recording};
-use radome_dsp::{Frame, FrameSource, SourceEvent};
+use radome_dsp::{Frame, FrameSource};
 use radome_models::occupancy_filter::Smoothing;
 use radome_models::train::{FilterSequence, fit_smoothing};
 use radome_sim::{SimulateOptions, Simulator};
@@ -21,7 +21,7 @@ use self::scores::{ModelScores, RungScores, print, print_fit};
 use super::candidate::{Candidate, Refusal, Run};
 use crate::classifier::Model;
 use crate::panics::PanicGuard;
-use crate::{output, stored_simulation};
+use crate::{output, source, stored_simulation};
 
 /// Evaluates models on the recordings of a ladder and prints their scores. With `fit`, also prints the filter settings
 /// that suit all of them best.
@@ -117,20 +117,18 @@ impl Simulation {
         let mut frame = Frame::zeroed(waveform.shape());
         loop {
             ensure!(!output::interrupted(), "interrupted");
-            match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-                SourceEvent::End => break,
-                SourceEvent::Gap(_) => runs.iter_mut().flatten().for_each(Run::note_gap),
-                SourceEvent::Frame => {
-                    if let Some(recorder) = &mut recorder {
-                        recorder.frame(&frame)?;
-                    }
-                    let truth = frame.truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy);
-                    for run in runs.iter_mut().flatten() {
-                        run.predict(&frame, truth)?;
-                    }
-                    bar.inc(1);
-                }
+            let note_gap = || runs.iter_mut().flatten().for_each(Run::note_gap);
+            if !source::next_frame_noting_gaps(source.as_mut(), &mut frame, note_gap)? {
+                break;
             }
+            if let Some(recorder) = &mut recorder {
+                recorder.frame(&frame)?;
+            }
+            let truth = frame.truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy);
+            for run in runs.iter_mut().flatten() {
+                run.predict(&frame, truth)?;
+            }
+            bar.inc(1);
         }
         if let Some(recorder) = recorder {
             recorder.finish()?;
@@ -171,7 +169,7 @@ impl Simulation {
 
 #[cfg(test)]
 mod tests {
-    use radome_dsp::Occupancy;
+    use radome_dsp::{Occupancy, SourceEvent};
 
     use super::*;
     use crate::files;
