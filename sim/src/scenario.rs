@@ -118,8 +118,6 @@ struct Script<'a> {
     scene: &'a Scene,
     file: &'a SceneFile,
     ground: Option<&'a Ground>,
-    /// Direction in which the person looks at first, rad.
-    facing_rad: f64,
     /// Index of the person.
     index: u64,
     /// Whether there was a warning about a place. Only the first one of a person is given.
@@ -151,7 +149,7 @@ fn scripted(scene: &Scene, ground: Option<&Ground>, actor: &ActorFile, steps: St
     };
     let turn_rate = file.people.turn_rate_deg_per_s.map(f64::to_radians);
     let path = MotionBuilder::new(person, actor.start_s, place, facing_rad).turning_at(turn_rate);
-    let script = Script { scene, file, ground, facing_rad, index, has_warned: Cell::new(false) };
+    let script = Script { scene, file, ground, index, has_warned: Cell::new(false) };
     let steps = actor.step.iter().enumerate();
     let path = steps.fold(path, |path, (number, step)| script.add_step(path, step, number == 0));
     let leaves = actor.step.iter().any(|step| step.leave_door.is_some_and(|number| number < file.door.len()));
@@ -186,7 +184,10 @@ impl Script<'_> {
         if let Some(duration_s) = step.sit_s {
             path = match step.seat.and_then(|number| self.file.seat.get(number)) {
                 Some(seat) => sit_on(path, seat, duration_s, |path, to| self.route_to(path, to, speed)),
-                None => path.sit(self.facing_rad, 0.45, duration_s),
+                None => {
+                    let heading_rad = path.heading_rad();
+                    path.sit(heading_rad, 0.45, duration_s)
+                }
             };
         }
         if let Some(duration_s) = step.squat_s {

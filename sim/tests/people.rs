@@ -448,6 +448,23 @@ mod hard_cases {
         }
     }
 
+    /// Regression test: people sat down with the back to the radar, whatever way they had come.
+    #[test]
+    fn a_person_without_a_seat_sits_down_in_the_direction_they_look_in() {
+        for (turn, knee_ahead) in
+            [("", DVec3::X), ("{ face_deg = 180.0 }, ", -DVec3::X), ("{ face_deg = 90.0 }, ", DVec3::Y)]
+        {
+            let text = hall(&format!(
+                "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [3.0, 10.0] }}, \
+                 {{ walk_to_m = [5.0, 10.0], speed_m_per_s = 1.0 }}, {turn}{{ sit_s = 60.0 }}]\n"
+            ));
+            let people = Scenario::new(&parse(&text), 1, None).between(0.0, 20.0);
+            let body = people[0].1.body(18.0);
+            let knee = body[SHANK].centre - body[PELVIS].centre;
+            assert!(body[PELVIS].centre.z < 0.7 && knee.dot(knee_ahead) > 0.25, "{turn}: the knee is at {knee}");
+        }
+    }
+
     /// Steps of zero length or duration, beds against the wall, and turns by zero and by a full circle.
     #[test]
     fn degenerate_scripts_have_finite_bodies() {

@@ -102,7 +102,7 @@ pub struct StepFile {
     pub stand_s: Option<f64>,
     /// Sit so long, s.
     pub sit_s: Option<f64>,
-    /// Index of the seat. The place where the person stands, if absent.
+    /// Index of the seat. If absent, the person sits down where they stand, in the direction in which they look.
     pub seat: Option<usize>,
     /// Squat so long, going down and getting up included, s.
     pub squat_s: Option<f64>,

@@ -129,6 +129,11 @@ impl MotionBuilder {
         self.time_s
     }
 
+    /// Heading reached so far, rad.
+    pub fn heading_rad(&self) -> f64 {
+        self.heading_rad
+    }
+
     /// Position reached so far, m.
     pub fn place(&self) -> [f64; 2] {
         self.position_m
