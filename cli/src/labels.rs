@@ -58,14 +58,15 @@ fn codec(path: &Path) -> anyhow::Result<Codec> {
             print: label_text::to_deepcraft,
             lost_parts: LOST_IN_DEEPCRAFT,
         }),
+        Some("json") => Ok(Codec { parse: label_text::from_json, print: label_text::to_json, lost_parts: &[] }),
         _ => bail!(
-            "{}: which kind of labels?\n\nhint: end its name in .txt for an Audacity label track, in .label for DEEPCRAFT",
+            "{}: which kind of labels?\n\nhint: end its name in .txt for an Audacity label track, in .label for DEEPCRAFT, in .json for JSON",
             path.display()
         ),
     }
 }
 
-/// Reads a file of labels: `.txt` is an Audacity label track, `.label` a DEEPCRAFT file.
+/// Reads a file of labels: `.txt` is an Audacity label track, `.label` a DEEPCRAFT file, `.json` a JSON array.
 ///
 /// # Errors
 /// The name has an unknown ending, or the file cannot be read or understood.

@@ -70,7 +70,8 @@ def label_of(frame: Frame, labels: Sequence[Label]) -> Optional[str]:
 
 
 def read_labels(path: _StrPath) -> List[Label]:
-    """Labels of a file of another tool: ``.txt`` is an Audacity label track, ``.label`` a DEEPCRAFT file."""
+    """Labels of a file of another tool: ``.txt`` is an Audacity label track, ``.label`` a DEEPCRAFT file,
+    ``.json`` a JSON array."""
     return [Label(**label) for label in _radome.read_labels(os.fspath(path))]
 
 

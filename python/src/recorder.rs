@@ -93,7 +93,7 @@ impl Recorder {
     }
 }
 
-/// Labels of a file of another tool, a list of dicts: `.txt` is an Audacity label track, `.label` a DEEPCRAFT file.
+/// Labels of a file of another tool, a list of dicts: `.txt` is an Audacity label track, `.label` a DEEPCRAFT file, `.json` a JSON array.
 #[pyfunction]
 pub fn read_labels<'py>(py: Python<'py>, path: PathBuf) -> PyResult<Bound<'py, PyAny>> {
     let labels = detached(py, || {
@@ -101,10 +101,11 @@ pub fn read_labels<'py>(py: Python<'py>, path: PathBuf) -> PyResult<Bound<'py, P
         let parse = match kind {
             Some("txt") => label_text::from_audacity,
             Some("label") => label_text::from_deepcraft,
+            Some("json") => label_text::from_json,
             _ => {
                 let path = path.display();
                 let text = format!(
-                    "{path}: which kind of labels?\n\nhint: .txt is an Audacity label track, .label DEEPCRAFT's"
+                    "{path}: which kind of labels?\n\nhint: .txt is an Audacity label track, .label DEEPCRAFT's, .json a JSON array"
                 );
                 return Err(text.into());
             }

@@ -211,6 +211,21 @@ fn parts_that_a_file_of_labels_does_not_hold_are_reported() {
     }
 }
 
+/// JSON holds all parts of labels, and is read again, as that of the page is.
+#[test]
+fn labels_in_json_lose_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (recording, json) = (fixture("formats/recording.mcap"), folder.path().join("labels.json"));
+    let (_, said) = success(command!("recording label", &recording, "-o", &json));
+    assert!(!said.contains("not held"), "{said}");
+    let copy = folder.path().join("run.mcap");
+    std::fs::copy(&recording, &copy).expect("copies");
+    success(command!("recording label --erase 0:1000", &copy));
+    assert!(labels_of(&copy).is_empty());
+    success(command!("recording label --from", &json, &copy));
+    assert_eq!(labels_of(&copy), labels_of(&recording));
+}
+
 /// Regression test: labels of a text recording were those of every other whose name was the same up to its last dot. The vendor's SDK
 /// gives its recordings no ending.
 #[test]

@@ -1,4 +1,5 @@
-//! Label spans in the text formats of other tools: Audacity's label track and DEEPCRAFT Studio's `.label` file.
+//! Label spans in the text formats of other tools, Audacity's label track and DEEPCRAFT Studio's `.label` file, and as JSON, which
+//! holds all parts of a label.
 //!
 //! Audacity: `start TAB end TAB label`, seconds, no header. DEEPCRAFT: the header below, then one comma-separated row a
 //! span, by start and length. Fields with a comma, a quote or a line's end are quoted (RFC 4180). Blanks at either end
@@ -99,6 +100,23 @@ pub fn from_deepcraft(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
         Ok(span)
     })
     .collect()
+}
+
+/// Formats labels as a JSON array with an object for each label.
+pub fn to_json(spans: &[LabelSpan]) -> String {
+    serde_json::json!(spans).to_string()
+}
+
+/// Parses the text of [`to_json`].
+///
+/// # Errors
+/// [`LabelTextError`] for text that is no array of labels, or for times that are reversed.
+pub fn from_json(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let spans: Vec<LabelSpan> = serde_json::from_str(text)
+        .map_err(|error| LabelTextError { line: error.line().max(1), what: error.to_string() })?;
+    spans.iter().try_for_each(|read| span(0, read.start_s, read.end_s, &read.label).map(|_| ()))?;
+    Ok(spans)
 }
 
 /// Formats a time with six to nine decimals.
@@ -211,6 +229,7 @@ mod tests {
             for (a, b) in read.iter().zip(&spans) {
                 prop_assert!(near(a, b) && (&a.label, a.confidence, &a.note) == (&b.label, b.confidence, &b.note), "{:?} {:?}", a, b);
             }
+            prop_assert_eq!(from_json(&to_json(&spans)), Ok(spans.clone()));
             let read = from_audacity(&to_audacity(&spans)).expect("readable");
             prop_assert_eq!(read.len(), spans.len());
             for (a, b) in read.iter().zip(&spans) {
@@ -221,7 +240,7 @@ mod tests {
 
         #[test]
         fn any_text_is_read_without_panic(text in "\\PC{0,200}|[0-9,\t\n\"]{0,200}") {
-            let _ = (from_audacity(&text), from_deepcraft(&text), from_deepcraft(&format!("{DEEPCRAFT_HEADER}\n{text}")));
+            let _ = (from_json(&text), from_audacity(&text), from_deepcraft(&text), from_deepcraft(&format!("{DEEPCRAFT_HEADER}\n{text}")));
         }
     }
 
@@ -246,6 +265,15 @@ mod tests {
                 ("0,1,a,2,\n", 2, "confidence is 2"),
             ] {
                 let error = from_deepcraft(&format!("{DEEPCRAFT_HEADER}\n{rows}")).expect_err("wrong");
+                assert!(error.line == line && error.what.contains(what), "{error}");
+            }
+            for (text, line, what) in [
+                ("", 1, "EOF"),
+                ("[\n{\"start_s\": 1, \"label\": \"one\"}]", 2, "missing field `end_s`"),
+                ("[{\"start_s\": 2, \"end_s\": 1, \"label\": \"one\"}]", 1, "before its start"),
+                ("[{\"start_s\": 0, \"end_s\": 1e999, \"label\": \"one\"}]", 1, "number out of range"),
+            ] {
+                let error = from_json(text).expect_err("wrong");
                 assert!(error.line == line && error.what.contains(what), "{error}");
             }
             assert!(from_deepcraft("").expect_err("no header").to_string().contains("Time(Seconds)"));

@@ -76,6 +76,59 @@ fn the_map_follows_a_walker_and_velocity_has_the_right_sign() {
     }
 }
 
+/// The focus of a deleted label goes to the next one, and at last to the title of the list; single characters do nothing when they
+/// are switched off.
+#[test]
+fn labels_are_deleted_one_after_the_other_by_keys_and_single_characters_can_be_switched_off() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = simulate_walk(folder.path(), 2.0, 4.0, 40);
+    let served = replay(&recording, SLOW);
+    let Some(mut browser) = Browser::open(&served.url(), 1280, 1000) else { return };
+    pause_playback(&mut browser);
+    browser.key("l");
+    for start in [0.5, 1.5, 2.5] {
+        let request = format!("{{do: 'add', start_s: {start}, end_s: {}, occupancy: 'one'}}", start + 0.5);
+        browser.evaluate(&format!("radome.send({request})"));
+    }
+    browser.wait_until("document.querySelectorAll('#labels-list li').length === 3");
+    browser.evaluate("document.querySelectorAll('#labels-list li button:last-of-type')[1].focus()");
+    for left in [2, 1, 0] {
+        browser.evaluate("document.activeElement.click()");
+        browser.wait_until(&format!("radome.labels.spans.length === {left}"));
+        let focused = if left > 0 { "aria-label')?.startsWith('delete one')" } else { "id') === null" };
+        browser.wait_until(&format!("document.activeElement.getAttribute('{focused}"));
+    }
+    assert_eq!(browser.evaluate("document.activeElement.tagName"), "SUMMARY");
+    browser.evaluate("document.getElementById('shortcuts').click()");
+    for key in ["1", "r", "ArrowRight"] {
+        browser.key(key);
+    }
+    browser.wait_until("radome.header.answer.sequence > 0");
+    assert_eq!(
+        browser.evaluate("[radome.labels.open, document.getElementById('chirps-card').open]"),
+        json!([null, false])
+    );
+    browser.evaluate("document.getElementById('shortcuts').click()");
+    browser.key("1");
+    browser.wait_until("radome.labels.open?.label === 'one'");
+    assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+    drop(browser);
+    assert!(served.stop(), "an orderly end");
+}
+
+#[test]
+fn a_page_too_many_says_so_and_opens_when_another_one_is_closed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let served = replay(&simulate_walk(folder.path(), 2.0, 4.0, 20), SLOW);
+    let others: Vec<_> = (0..16).map(|_| radome_tests::browser::page(&served.address)).collect();
+    let Some(mut browser) = Browser::open(&served.url(), 1280, 1000) else { return };
+    browser.wait_until("document.getElementById('status').textContent.startsWith('too many pages are open')");
+    drop(others);
+    browser.wait_until("window.radome?.header && document.getElementById('status').textContent === ''");
+    drop(browser);
+    assert!(served.stop(), "an orderly end");
+}
+
 #[test]
 fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     let folder = tempfile::tempdir().expect("a folder");

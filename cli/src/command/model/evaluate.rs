@@ -32,7 +32,7 @@ pub struct Arguments {
     #[arg(long)]
     model: Vec<PathBuf>,
     /// Dataset folder, or recordings with their labels: RECORDING=empty, RECORDING=one, RECORDING=two (two people or more),
-    /// RECORDING=LABELS.txt (an Audacity label track) or .label (DEEPCRAFT), or RECORDING alone if it contains labels. Frames
+    /// RECORDING=LABELS.txt (an Audacity label track), .label (DEEPCRAFT) or .json, or RECORDING alone if it contains labels. Frames
     /// without a label are left out. With --ladder: further models
     #[arg(value_name = "DATASET|RECORDING[=LABEL]", value_hint = clap::ValueHint::AnyPath, required_unless_present = "ladder")]
     inputs: Vec<String>,

@@ -29,7 +29,7 @@ pub struct Arguments {
     /// Interval and its label, such as 0.5:12=empty; may be given several times
     #[arg(long, value_name = "START_S:END_S=LABEL", group = "what", value_parser = parse_span, allow_hyphen_values = true)]
     span: Vec<LabelSpan>,
-    /// File with labels: .txt is an Audacity label track, .label a DEEPCRAFT file
+    /// File with labels: .txt is an Audacity label track, .label a DEEPCRAFT file, .json a JSON array
     #[arg(long, value_name = "FILE", group = "what")]
     from: Option<PathBuf>,
     /// Add labels from the truth of the frames, which simulations have, or from a classical detector

@@ -12,7 +12,7 @@ use crate::{labels, output};
 pub struct Arguments {
     /// MCAP recording
     file: PathBuf,
-    /// Write its labels: .txt is an Audacity label track, .label a DEEPCRAFT file
+    /// Write its labels: .txt is an Audacity label track, .label a DEEPCRAFT file, .json a JSON array
     #[arg(long, conflicts_with = "import")]
     export: Option<PathBuf>,
     #[command(flatten)]

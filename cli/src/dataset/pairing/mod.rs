@@ -54,7 +54,7 @@ pub struct Settings {
     /// Dataset folder to make
     #[arg(short, long, value_name = "DIR")]
     pub output: PathBuf,
-    /// File with labels instead of the recording's own: .txt is an Audacity label track, .label a DEEPCRAFT file
+    /// File with labels instead of the recording's own: .txt is an Audacity label track, .label a DEEPCRAFT file, .json a JSON array
     #[arg(long, value_name = "FILE")]
     labels: Option<PathBuf>,
     /// Number of people in frames without a label

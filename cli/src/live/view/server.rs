@@ -169,7 +169,7 @@ fn file(name: &str) -> Response {
 async fn named(Path(name): Path<String>, State(shared): State<Arc<Shared>>) -> Response {
     let labels = || shared.labels.labels();
     let (kind, text) = match name.as_str() {
-        "labels.json" => ("application/json", json!(labels()).to_string()),
+        "labels.json" => ("application/json", label_text::to_json(&labels())),
         "labels.txt" => ("text/plain; charset=utf-8", label_text::to_audacity(&labels())),
         "labels.label" => ("text/csv; charset=utf-8", label_text::to_deepcraft(&labels())),
         _ => return file(&name),
@@ -180,7 +180,8 @@ async fn named(Path(name): Path<String>, State(shared): State<Arc<Shared>>) -> R
 }
 
 async fn health(State(shared): State<Arc<Shared>>) -> Response {
-    let counters = json!({ "pages": shared.feed.pages(), "refused": shared.policy.refused() });
+    let is_full = shared.policy.pages.available_permits() == 0;
+    let counters = json!({ "pages": shared.feed.pages(), "is_full": is_full, "refused": shared.policy.refused() });
     ([(header::CONTENT_TYPE, "application/json")], counters.to_string()).into_response()
 }
 

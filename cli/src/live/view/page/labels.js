@@ -16,6 +16,7 @@ export class LabelList {
     this.state.textContent = this.readOnly ? 'labels are read-only here' : fault ? `not saved: ${fault}`
       : place ? saved ? `saved in ${place}` : `saving in ${place} …`
       : spans.length || open ? 'kept by this page’s program only while it runs: export them' : 'press 0, 1 or 2 to label what you see';
+    const focused = [...this.list.children].findIndex(element => element.contains(document.activeElement));
     const kept = new Map();
     spans.forEach((span, index) => {
       const row = this.rows.get(span.id) ?? this.row(span.id);
@@ -25,6 +26,11 @@ export class LabelList {
     });
     for (const [id, row] of this.rows) if (!kept.has(id)) row.element.remove();
     this.rows = kept;
+    // The focus of a deleted label goes to its neighbour, or to the title of the empty list.
+    if (focused >= 0 && !this.list.contains(document.activeElement)) {
+      const neighbour = this.list.children[Math.min(focused, spans.length - 1)];
+      (neighbour?.querySelector('button:last-of-type') ?? this.list.closest('details').querySelector('summary')).focus();
+    }
   }
 
   /** Says of labels that no file holds that they have ended with the program. */

@@ -57,12 +57,20 @@ export class Link {
     };
     socket.onclose = () => {
       this.handlers.state(this.over ? 'over' : 'lost');
-      // A socket does not report why it was refused. Another run may have another token.
-      if (!opened) fetch('health.json').then(({ status }) => { if (status === 401) this.handlers.state('locked'); }, () => {});
+      if (!opened) this.explain();
       // The program may be restarted at the same address.
       setTimeout(() => this.connect(), this.over ? 5000 : this.waits);
       this.waits = Math.min(this.waits * 2, 8000);
     };
+  }
+
+  /** Finds out why a connection was refused, which its socket does not report. Another run may have another token. */
+  async explain() {
+    try {
+      const answer = await fetch('health.json');
+      if (answer.status === 401) this.handlers.state('locked');
+      else if (answer.ok && (await answer.json()).is_full) this.handlers.state('full');
+    } catch { /* The program does not answer: there is no connection. */ }
   }
 
   /** Replaces a connection that sends nothing: a network that is gone closes no socket. */

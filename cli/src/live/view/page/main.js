@@ -35,6 +35,11 @@ Object.assign(page, { map, partner, profile, doppler, chirps, timeline, send: re
 /** Arrival time of the newest frame. */
 let arrived_ms = 0;
 
+const STATES = {
+  open: '', lost: 'no connection', over: 'the run is over',
+  locked: 'a token is needed: open the link that the program shows', full: 'too many pages are open: close one of them',
+};
+
 const link = new Link({
   picture({ header, parts }) {
     page.pictures++;
@@ -99,7 +104,7 @@ const link = new Link({
   },
   state(state) {
     page.state = state;
-    $('status').textContent = { open: '', lost: 'no connection', locked: 'a token is needed: open the link that the program shows', over: 'the run is over' }[state];
+    $('status').textContent = STATES[state];
     $('status').classList.toggle('bad', state !== 'open');
     if (state !== 'open') $('frame').textContent = '';
     if (state === 'open') look();
@@ -329,8 +334,12 @@ const TAPE = {
   ' ': play, ArrowLeft: () => step(-1), ArrowRight: () => step(1), Home: () => seek(page.hello.tape.first_s), End: () => seek(page.hello.tape.last_s),
   '[': () => turn($('speed'), -1), ']': () => turn($('speed'), 1),
 };
+$('shortcuts').checked = localStorage.getItem('shortcuts') !== 'off';
+$('shortcuts').addEventListener('change', () => localStorage.setItem('shortcuts', $('shortcuts').checked ? 'on' : 'off'));
 addEventListener('keydown', event => {
   if (event.ctrlKey || event.metaKey || event.altKey || $('help').open) return;
+  // Speech input and trembling hands press single characters without intent.
+  if (!$('shortcuts').checked && event.key.length === 1) return;
   const { target } = event, tag = target.tagName;
   const isTyping = tag === 'SELECT' || tag === 'INPUT' && !['checkbox', 'range'].includes(target.type);
   if (isTyping) { if (event.key === 'Escape') target.blur(); return; }
