@@ -26,14 +26,25 @@ pub struct Scenario {
     visits: Option<Visits>,
 }
 
-/// Visits of each slot so far, in order of time. Later ones are drawn when they are first requested.
+/// Visits of each slot so far, in order of time. Later ones are drawn when they are first requested. Motions of past ones are
+/// forgotten, and drawn again if they are requested again.
 #[derive(Debug)]
 struct Visits {
     seed: u64,
     scene: SceneFile,
     file: VisitsFile,
     ground: Option<Ground>,
-    slots: Vec<Mutex<Vec<Arc<Motion>>>>,
+    slots: Vec<Mutex<Vec<Visit>>>,
+}
+
+/// Visit of a slot.
+#[derive(Debug)]
+struct Visit {
+    /// Time from which its motion is drawn, s.
+    begin_s: f64,
+    start_s: f64,
+    end_s: f64,
+    motion: Option<Arc<Motion>>,
 }
 
 impl Scenario {
@@ -450,19 +461,43 @@ const MAX_ATTEMPTS: usize = 40;
 
 impl Visits {
     fn between(&self, slot: usize, start_s: f64, end_s: f64) -> Vec<Arc<Motion>> {
+        /// Time after a visit for which its motion is kept, s. Frames are simulated side by side, not quite in order.
+        const KEPT_S: f64 = 60.0;
         let Some(visits) = self.slots.get(slot) else { return Vec::new() };
         let mut visits = visits.lock().unwrap_or_else(PoisonError::into_inner);
-        while visits.last().is_none_or(|v| v.start_s <= end_s) {
-            let number = visits.len() as u64;
-            let mut rng = generator(self.seed, Purpose::Visit, [slot as u64, number]);
-            let begin = match visits.last() {
-                None => draw(&mut rng, self.file.first_absence_s),
-                Some(last) => last.end_s + draw(&mut rng, self.file.absence_s),
-            };
-            visits.push(Arc::new(self.visit(slot, number, begin, &mut rng)));
+        while visits.last().is_none_or(|visit| visit.start_s <= end_s) {
+            visits.iter_mut().filter(|visit| visit.end_s < start_s - KEPT_S).for_each(|visit| visit.motion = None);
+            let number = visits.len();
+            let mut rng = self.generator(slot, number);
+            let absence_s = draw(&mut rng, self.absence_s(number));
+            let begin_s = visits.last().map_or(0.0, |last| last.end_s) + absence_s;
+            let motion = self.visit(slot, number as u64, begin_s, &mut rng);
+            let (start_s, end_s) = (motion.start_s, motion.end_s);
+            visits.push(Visit { begin_s, start_s, end_s, motion: Some(Arc::new(motion)) });
         }
-        let first = visits.partition_point(|v| v.end_s < start_s);
-        visits.iter().skip(first).take_while(|v| v.start_s <= end_s).cloned().collect()
+        let first = visits.partition_point(|visit| visit.end_s < start_s);
+        let requested = visits.iter_mut().enumerate().skip(first).take_while(|(_, visit)| visit.start_s <= end_s);
+        requested.map(|(number, visit)| self.motion(slot, number, visit)).collect()
+    }
+
+    /// Random numbers of a visit: its absence before, then its motion.
+    fn generator(&self, slot: usize, number: usize) -> Xoshiro256PlusPlus {
+        generator(self.seed, Purpose::Visit, [slot as u64, number as u64])
+    }
+
+    /// Bounds of the time before a visit, s.
+    fn absence_s(&self, number: usize) -> [f64; 2] {
+        if number == 0 { self.file.first_absence_s } else { self.file.absence_s }
+    }
+
+    /// Motion of a visit, drawn again if it has been forgotten.
+    fn motion(&self, slot: usize, number: usize, visit: &mut Visit) -> Arc<Motion> {
+        let again = || {
+            let mut rng = self.generator(slot, number);
+            draw(&mut rng, self.absence_s(number));
+            Arc::new(self.visit(slot, number as u64, visit.begin_s, &mut rng))
+        };
+        Arc::clone(visit.motion.get_or_insert_with(again))
     }
 
     /// Draws a place to which a pacing person walks.

@@ -250,6 +250,26 @@ fn a_visitor_is_absent_before_entering_and_after_leaving() {
     assert_eq!(simulator.people(200).len(), 0);
 }
 
+#[test]
+fn past_visits_are_forgotten_and_the_same_again() {
+    let scene = scene("hall");
+    let scenario = Scenario::new(&scene, 5, Some(2));
+    let times = (0..100).map(|i| 0.7 * f64::from(i));
+    let bodies = || -> Vec<_> {
+        let chests = |t: f64| scenario.between(t, t).into_iter().map(move |(slot, m)| (slot, m.body(t)[CHEST].centre));
+        times.clone().flat_map(chests).collect()
+    };
+    let before = bodies();
+    let visits: Vec<_> = scenario.between(0.0, 70.0).iter().map(|(_, motion)| Arc::downgrade(motion)).collect();
+    for second in 0..1000 {
+        scenario.between(f64::from(second), f64::from(second) + 1.0);
+    }
+    // A passer-by never leaves.
+    let kept = visits.iter().filter(|visit| visit.strong_count() > 0).count();
+    assert!(visits.len() > 4 && kept <= 1, "{kept} of {}", visits.len());
+    assert_eq!(bodies(), before);
+}
+
 /// Least distances of people from furniture and from walls, m.
 fn clearances_m(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64) {
     let file: &SceneFile = scene.file();
