@@ -28,7 +28,7 @@ from ._circuit import Circuit, CircuitResult, circuit
 from ._counter import CLASSES, Answer, Counter
 from ._dataset import Dataset, DatasetWriter
 from ._recorder import Recorder
-from ._scene import Path, Paths, paths
+from ._scene import Path, Paths, Person, paths, people
 from ._training import AdaptedModel, Trained, adapt, evaluate, export, networks, train
 
 __version__ = "0.1.0"
@@ -58,6 +58,7 @@ __all__ = [
     "Model",
     "Path",
     "Paths",
+    "Person",
     "RadomeError",
     "Recorder",
     "Source",
@@ -72,6 +73,7 @@ __all__ = [
     "networks",
     "open",
     "paths",
+    "people",
     "rdm",
     "read_labels",
     "simulate",

@@ -1,4 +1,4 @@
-"""Paths of a scene."""
+"""Paths and people of a scene."""
 
 from __future__ import annotations
 
@@ -78,3 +78,41 @@ def paths(
         there = f"at that time these are there: {found['people']}" if found["people"] else "at that time nobody is there"
         raise ArgumentError(f"person {person} is not there at {time_s} s", there)
     return Paths(**{**found, "paths": [Path(**path) for path in found["paths"]]})
+
+
+@dataclass(frozen=True)
+class Person:
+    """Where a person is in a frame: the middle of the chest in the middle of the frame.
+
+    ``sequence`` and ``time_s`` are those of the frame; ``person`` is the person's number, from 0; ``in_room`` says whether
+    any part of the body is in the room. ``position_m`` and ``velocity_m_per_s`` are in the axes of the scene, m and m/s.
+    ``range_m`` is the distance from the radar, m; ``radial_velocity_m_per_s`` is positive where it increases;
+    ``azimuth_deg`` is positive to the left of boresight, ``elevation_deg`` upwards, degrees.
+    """
+
+    sequence: int
+    time_s: float
+    person: int
+    in_room: bool
+    position_m: List[float]
+    velocity_m_per_s: List[float]
+    range_m: float
+    radial_velocity_m_per_s: float
+    azimuth_deg: float
+    elevation_deg: float
+
+
+def people(
+    scene: Union[str, "os.PathLike[str]"], *, frames: int, seed: int = 1, people: Optional[int] = None
+) -> List[Person]:
+    """Where each person of a scene is in each frame, to compare trackers with. The frames are not simulated.
+
+    :param frames: number of frames
+    :param people: number of people, instead of the scene's own
+
+    The people are those of :func:`simulate` with the same seed.
+
+    >>> ranges_m = [person.range_m for person in radome.people("fixtures/scenes/corridor.toml", frames=100)]
+    """
+    options = {"frames": frames, "seed": seed, "people": people}
+    return [Person(**person) for person in _radome.people(os.fspath(scene), options)]

@@ -44,6 +44,7 @@ fn _radome(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(opened::boards, module)?)?;
     module.add_function(wrap_pyfunction!(recorder::read_labels, module)?)?;
     module.add_function(wrap_pyfunction!(scene::paths, module)?)?;
+    module.add_function(wrap_pyfunction!(scene::people, module)?)?;
     module.add_function(wrap_pyfunction!(train::networks, module)?)?;
     module.add_function(wrap_pyfunction!(train::train, module)?)?;
     Ok(())

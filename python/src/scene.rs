@@ -1,10 +1,10 @@
-//! Paths of a scene.
+//! Paths and people of a scene.
 
 use std::path::PathBuf;
 
 use pyo3::prelude::*;
 use radome_sim::path_list::{PathList, PathListOptions};
-use radome_sim::{Scene, Simulator};
+use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde::Deserialize;
 
 use crate::error::{detached, from_python, to_python};
@@ -38,4 +38,28 @@ pub fn paths<'py>(py: Python<'py>, scene: PathBuf, options: &Bound<'py, PyAny>) 
         Ok(PathList::new(&scene, &options)?)
     })?;
     to_python(py, &list)
+}
+
+/// Options of a list of people, as `radome.people` passes them.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct PeopleOptions {
+    frames: u64,
+    seed: u64,
+    people: Option<usize>,
+}
+
+/// Where the people of a scene are in each frame, a list of dicts. `options` is a dict with the keys of `radome.people`.
+#[pyfunction]
+pub fn people<'py>(py: Python<'py>, scene: PathBuf, options: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    let PeopleOptions { frames, seed, people } = from_python("people", options)?;
+    let listed = detached(py, || {
+        fork::check_pools("the simulator")?;
+        let scene = Scene::load(&scene)?;
+        Simulator::check_people(&scene, people)?;
+        let options = SimulateOptions { seed, people, frames: Some(frames), ..SimulateOptions::default() };
+        let simulator = Simulator::new(&scene, options)?;
+        Ok((0..frames).flat_map(|frame| simulator.listed_people(frame)).collect::<Vec<_>>())
+    })?;
+    to_python(py, &listed)
 }

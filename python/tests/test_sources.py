@@ -126,7 +126,24 @@ def test_paths_lie_on_their_lengths():
 
 
 class TestHardCases:
-    def test_a_frame_is_kept_beyond_its_source(self, desk_frames):
+    def test_people_are_listed_for_each_frame_and_move_at_their_velocity():
+    listed = radome.people(FIXTURES / "scenes" / "corridor.toml", frames=40, seed=7, people=2)
+    assert {person.person for person in listed} <= {0, 1} and listed[-1].sequence == 39
+    by_frame = {(person.sequence, person.person): person for person in listed}
+    compared = 0
+    for (sequence, number), before in by_frame.items():
+        after = by_frame.get((sequence + 1, number))
+        if after is not None:
+            rate = (after.range_m - before.range_m) / (after.time_s - before.time_s)
+            mean = 0.5 * (before.radial_velocity_m_per_s + after.radial_velocity_m_per_s)
+            assert abs(rate - mean) < 0.15
+            compared += 1
+    assert compared > 20
+    with pytest.raises(radome.RadomeError):
+        radome.people(FIXTURES / "scenes" / "corridor.toml", frames=1, people=70)
+
+
+def test_a_frame_is_kept_beyond_its_source(self, desk_frames):
         source = radome.simulate(DESK, frames=3, seed=3, people=1)
         codes = [frame.codes for frame in source]
         source.close()

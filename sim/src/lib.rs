@@ -60,6 +60,7 @@ pub mod path_sampling;
 pub mod path_segment;
 pub mod paths;
 pub mod people;
+pub mod people_list;
 pub mod prepared_scene;
 pub mod random;
 pub mod rays;

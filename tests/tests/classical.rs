@@ -76,6 +76,47 @@ fn azimuth_is_on_the_side_on_which_somebody_walks() {
     }
 }
 
+/// Asserts that `scene people` says where the strongest echo comes from, and that its velocities are those of its places.
+#[test]
+fn people_are_where_their_echoes_come_from() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let walk = "[people]\n[[people.actor]]\nstep = [{ walk_to_m = [2.0, 1.55] }, { walk_to_m = [5.5, 0.45], speed_m_per_s = 1.0 }]\n";
+    let path = write_corridor(folder.path(), "walk.toml", walk);
+    let people = json_lines(command!("scene people --frames 30 --json", &path));
+    let number = |value: &Value, key: &str| value[key].as_f64().unwrap_or_else(|| panic!("{key} of {value}"));
+    let differs = |a: &Value, b: &Value, key: &str| (number(a, key) - number(b, key)).abs();
+    let frames = json_lines(command!("recording echoes --frames 30 --json", &path));
+    assert_eq!((people.len(), frames.len()), (30, 30));
+    let is_there = |(person, frame): &(&Value, &Value)| {
+        assert_eq!((&person["sequence"], &person["in_room"]), (&frame["sequence"], &true.into()));
+        frame["echoes"].get(0).is_some_and(|echo| {
+            differs(person, echo, "range_m") < 0.4
+                && !echo["azimuth_deg"].is_null()
+                && differs(person, echo, "azimuth_deg") < 12.0
+        })
+    };
+    let there = people.iter().zip(&frames).filter(is_there).count();
+    assert!(there >= 22, "{there} of 30");
+    for (before, after) in people.iter().zip(&people[1..]) {
+        let per_s = 1.0 / (number(after, "time_s") - number(before, "time_s"));
+        let mean = 0.5 * (number(before, "radial_velocity_m_per_s") + number(after, "radial_velocity_m_per_s"));
+        let rate = (number(after, "range_m") - number(before, "range_m")) * per_s;
+        assert!((rate - mean).abs() < 0.1, "{before} {after}");
+    }
+    // The same numbers as CSV.
+    let csv = folder.path().join("people.csv");
+    success(command!("scene people --frames 30 -o", &csv, &path));
+    let text = std::fs::read_to_string(&csv).expect("written");
+    let (heading, lines) = text.split_once('\n').expect("a heading");
+    let column = heading.split(',').position(|name| name == "range_m").expect("a column");
+    let ranges: Vec<f64> =
+        lines.lines().map(|line| line.split(',').nth(column).unwrap_or("").parse().expect("a number")).collect();
+    assert!(
+        ranges.len() == 30 && ranges.iter().zip(&people).all(|(range, p)| (range - number(p, "range_m")).abs() < 1e-4)
+    );
+    fails_with(command!("scene people --frames 3 -o", &csv, &path), &["people.csv", "--overwrite"]);
+}
+
 /// Regression test: without `--frames` the echoes of a recording ended after 100 frames, without a word.
 #[test]
 fn echoes_are_measured_up_to_the_end_of_a_recording() {

@@ -150,6 +150,7 @@ fn every_key_of_scenes_answers_and_scores_is_documented() {
         ("scene simulate", vec![scene, "--frames", "3", "--seed", "5", "-o", room]),
         ("scene preview", vec![scene, "-o", path_text(&at("room.png"))]),
         ("scene paths", vec![scene]),
+        ("scene people", vec![scene]),
         ("recording echoes", vec![room]),
         ("live", vec![room]),
         ("model evaluate", vec!["--model", "cfar", labelled.as_str()]),

@@ -3,6 +3,7 @@
 mod calibrate;
 mod pair;
 mod paths;
+mod people;
 mod preview;
 mod simulate;
 
@@ -12,6 +13,8 @@ pub enum Action {
     Simulate(simulate::Arguments),
     /// List every path between the antennas at one time: surfaces, length, delay, Doppler shift, gain, phase
     Paths(paths::Arguments),
+    /// List where each person is in each frame: place, velocity, range, azimuth and elevation
+    People(people::Arguments),
     /// Draw a scene without simulating it: objects, the radar's beam, and the path of each person
     Preview(preview::Arguments),
     /// Fit a receiver to a recording; report the difference between simulation and recording before and after
@@ -28,6 +31,7 @@ pub fn run(action: &Action) -> anyhow::Result<()> {
     match action {
         Action::Simulate(arguments) => simulate::run(arguments),
         Action::Paths(arguments) => paths::run(arguments),
+        Action::People(arguments) => people::run(arguments),
         Action::Preview(arguments) => preview::run(arguments),
         Action::Calibrate(arguments) => calibrate::run(arguments),
         Action::Pair(arguments) => pair::run(arguments),

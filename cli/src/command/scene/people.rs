@@ -1,0 +1,87 @@
+//! `radome scene people`.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use radome_sim::people_list::ListedPerson;
+use radome_sim::{Scene, SimulateOptions, Simulator};
+
+use crate::output_file::Overwrite;
+use crate::source::DEFAULT_SEED;
+use crate::{files, output};
+
+/// Text below the options in the help.
+const NOTES: &str = "\
+There is one line for each person and frame. A place is the middle of the chest in the middle of the frame, in the axes of the \
+scene. Azimuth is positive to the left of the radar's boresight, and elevation upwards. The radial velocity is positive if the \
+range increases, as in maps. The people are those of `radome scene simulate` with the same seed.";
+
+/// `radome scene people`
+#[derive(clap::Args)]
+#[command(after_help = NOTES)]
+pub struct Arguments {
+    /// Scene file
+    scene: PathBuf,
+    /// CSV file to write, instead of stdout
+    #[arg(short, long, value_name = "FILE.csv")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Number of frames
+    #[arg(long, default_value_t = 400)]
+    frames: u64,
+    /// Seed of all random draws
+    #[arg(long, default_value_t = DEFAULT_SEED)]
+    seed: u64,
+    /// Number of people, instead of the scene's own; a script has at most its own people
+    #[arg(long)]
+    people: Option<usize>,
+    /// Print one JSON object for each person and frame
+    #[arg(long, conflicts_with = "output")]
+    json: bool,
+}
+
+const HEADING: &str = "sequence,time_s,person,in_room,x_m,y_m,z_m,velocity_x_m_per_s,velocity_y_m_per_s,velocity_z_m_per_s,range_m,\
+                       radial_velocity_m_per_s,azimuth_deg,elevation_deg";
+
+/// Lists where the people of a scene are in each frame, without simulating the frames.
+///
+/// # Errors
+/// The scene is not valid or has fewer people, or the file cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let Arguments { frames, seed, people, .. } = *arguments;
+    if let Some(path) = &arguments.output {
+        arguments.overwrite.check(path, &[&arguments.scene])?;
+    }
+    let scene = Scene::load(&arguments.scene)?;
+    Simulator::check_people(&scene, people)?;
+    let options = SimulateOptions { seed, people, frames: Some(frames), ..SimulateOptions::default() };
+    let simulator = Simulator::new(&scene, options)?;
+    let mut people = (0..frames).flat_map(|frame| simulator.listed_people(frame));
+    match &arguments.output {
+        Some(path) => files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, people)),
+        None if arguments.json => people.try_for_each(|person| output::json_line(&person)),
+        None => {
+            output::text_line(HEADING)?;
+            people.try_for_each(|person| output::text_line(&csv_line(&person)))
+        }
+    }
+}
+
+fn write_csv(out: &mut impl Write, mut people: impl Iterator<Item = ListedPerson>) -> anyhow::Result<()> {
+    let cannot = "cannot write the people";
+    writeln!(out, "{HEADING}").context(cannot)?;
+    people.try_for_each(|person| writeln!(out, "{}", csv_line(&person))).context(cannot)?;
+    out.flush().context(cannot)
+}
+
+fn csv_line(listed: &ListedPerson) -> String {
+    let ListedPerson { sequence, time_s, person, in_room, position_m: [x, y, z], velocity_m_per_s, .. } = listed;
+    let [velocity_x, velocity_y, velocity_z] = velocity_m_per_s;
+    let ListedPerson { range_m, radial_velocity_m_per_s, azimuth_deg, elevation_deg, .. } = listed;
+    format!(
+        "{sequence},{time_s:.6},{person},{in_room},{x:.5},{y:.5},{z:.5},{velocity_x:.5},{velocity_y:.5},{velocity_z:.5},\
+         {range_m:.5},{radial_velocity_m_per_s:.5},{azimuth_deg:.4},{elevation_deg:.4}"
+    )
+}
