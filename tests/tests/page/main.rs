@@ -122,7 +122,7 @@ fn a_page_too_many_says_so_and_opens_when_another_one_is_closed() {
     let served = replay(&simulate_walk(folder.path(), 2.0, 4.0, 20), SLOW);
     let others: Vec<_> = (0..16).map(|_| radome_tests::browser::page(&served.address)).collect();
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1000) else { return };
-    browser.wait_until("document.getElementById('status').textContent.startsWith('too many pages are open')");
+    browser.wait_until("document.getElementById('status')?.textContent.startsWith('too many pages are open')");
     drop(others);
     browser.wait_until("window.radome?.header && document.getElementById('status').textContent === ''");
     drop(browser);
@@ -290,7 +290,7 @@ fn an_old_answer_is_not_shown_as_the_present_one() {
     let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
     let is_blank = "document.getElementById('answer').value === '–' && document.getElementById('occupied').hidden && \
                     !document.getElementById('confidence').textContent && document.body.classList.contains('stale')";
-    let says = |text: &str| format!("document.getElementById('status').textContent.startsWith('{text}')");
+    let says = |text: &str| format!("document.getElementById('status')?.textContent.startsWith('{text}')");
     browser.wait_until("window.radome?.header");
     browser.wait_until("['empty', 'one', 'two'].includes(document.getElementById('answer').value)");
     // The connection stays open, but no messages arrive.
