@@ -26,25 +26,32 @@ pub struct Scenario {
     visits: Option<Visits>,
 }
 
-/// Visits of each slot so far, in order of time. Later ones are drawn when they are first requested. Motions of past ones are
-/// forgotten, and drawn again if they are requested again.
+/// Visits of each slot. They are drawn when they are first requested.
 #[derive(Debug)]
 struct Visits {
     seed: u64,
     scene: SceneFile,
     file: VisitsFile,
     ground: Option<Ground>,
-    slots: Vec<Mutex<Vec<Visit>>>,
+    slots: Vec<Mutex<Slot>>,
+}
+
+/// Visits of a slot so far, in order of time. Only the motions of those near the last request are kept; others are drawn again if
+/// they are requested again.
+#[derive(Debug, Default)]
+struct Slot {
+    visits: Vec<Visit>,
+    /// Motions by the number of the visit.
+    motions: Vec<(usize, Arc<Motion>)>,
 }
 
 /// Visit of a slot.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 struct Visit {
     /// Time from which its motion is drawn, s.
     begin_s: f64,
     start_s: f64,
     end_s: f64,
-    motion: Option<Arc<Motion>>,
 }
 
 impl Scenario {
@@ -60,7 +67,7 @@ impl Scenario {
                 scene: file.clone(),
                 file: visits.clone(),
                 ground: ground(scene),
-                slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
+                slots: (0..slots).map(|_| Mutex::default()).collect(),
             });
         } else if let Some(wandering) = &file.people.wander {
             let all = wander::wandering_people(file, wandering, blocks(scene), seed, people).into_iter();
@@ -461,23 +468,36 @@ const MAX_ATTEMPTS: usize = 40;
 
 impl Visits {
     fn between(&self, slot: usize, start_s: f64, end_s: f64) -> Vec<Arc<Motion>> {
-        /// Time after a visit for which its motion is kept, s. Frames are simulated side by side, not quite in order.
+        /// Time around a request within which motions are kept, s. Frames are simulated side by side, not quite in order.
         const KEPT_S: f64 = 60.0;
-        let Some(visits) = self.slots.get(slot) else { return Vec::new() };
-        let mut visits = visits.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(state) = self.slots.get(slot) else { return Vec::new() };
+        let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
+        let Slot { visits, motions } = &mut *state;
+        let is_near = |visit: &Visit| visit.end_s >= start_s - KEPT_S && visit.start_s <= end_s + KEPT_S;
         while visits.last().is_none_or(|visit| visit.start_s <= end_s) {
-            visits.iter_mut().filter(|visit| visit.end_s < start_s - KEPT_S).for_each(|visit| visit.motion = None);
             let number = visits.len();
             let mut rng = self.generator(slot, number);
             let absence_s = draw(&mut rng, self.absence_s(number));
             let begin_s = visits.last().map_or(0.0, |last| last.end_s) + absence_s;
             let motion = self.visit(slot, number as u64, begin_s, &mut rng);
-            let (start_s, end_s) = (motion.start_s, motion.end_s);
-            visits.push(Visit { begin_s, start_s, end_s, motion: Some(Arc::new(motion)) });
+            let visit = Visit { begin_s, start_s: motion.start_s, end_s: motion.end_s };
+            visits.push(visit);
+            if is_near(&visit) {
+                motions.push((number, Arc::new(motion)));
+            }
         }
+        motions.retain(|(number, _)| visits.get(*number).is_some_and(is_near));
         let first = visits.partition_point(|visit| visit.end_s < start_s);
-        let requested = visits.iter_mut().enumerate().skip(first).take_while(|(_, visit)| visit.start_s <= end_s);
-        requested.map(|(number, visit)| self.motion(slot, number, visit)).collect()
+        let requested = visits.iter().enumerate().skip(first).take_while(|(_, visit)| visit.start_s <= end_s);
+        let motion = |(number, visit): (usize, &Visit)| {
+            if let Some((_, motion)) = motions.iter().find(|(kept, _)| *kept == number) {
+                return Arc::clone(motion);
+            }
+            let motion = Arc::new(self.drawn_again(slot, number, visit));
+            motions.push((number, Arc::clone(&motion)));
+            motion
+        };
+        requested.map(motion).collect()
     }
 
     /// Random numbers of a visit: its absence before, then its motion.
@@ -490,14 +510,11 @@ impl Visits {
         if number == 0 { self.file.first_absence_s } else { self.file.absence_s }
     }
 
-    /// Motion of a visit, drawn again if it has been forgotten.
-    fn motion(&self, slot: usize, number: usize, visit: &mut Visit) -> Arc<Motion> {
-        let again = || {
-            let mut rng = self.generator(slot, number);
-            draw(&mut rng, self.absence_s(number));
-            Arc::new(self.visit(slot, number as u64, visit.begin_s, &mut rng))
-        };
-        Arc::clone(visit.motion.get_or_insert_with(again))
+    /// Motion of a visit that has been drawn before.
+    fn drawn_again(&self, slot: usize, number: usize, visit: &Visit) -> Motion {
+        let mut rng = self.generator(slot, number);
+        draw(&mut rng, self.absence_s(number));
+        self.visit(slot, number as u64, visit.begin_s, &mut rng)
     }
 
     /// Draws a place to which a pacing person walks.

@@ -91,9 +91,7 @@ pub fn from_deepcraft(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
         let mut span = span(index, start_s, start_s + length_s, label)?;
         if !confidence.trim().is_empty() {
             let number = seconds(index, "confidence", Some(confidence))?;
-            if !(0.0..=1.0).contains(&number) {
-                return Err(error(index + 1, format!("confidence is {number}, expected 0 to 1")));
-            }
+            check_confidence(index, number)?;
             span.confidence = Some(number);
         }
         span.note = (!note.is_empty()).then(|| note.clone());
@@ -110,13 +108,24 @@ pub fn to_json(spans: &[LabelSpan]) -> String {
 /// Parses the text of [`to_json`].
 ///
 /// # Errors
-/// [`LabelTextError`] for text that is no array of labels, or for times that are reversed.
+/// [`LabelTextError`] for text that is no array of labels, for times that are reversed, and for confidences that are not 0 to 1.
 pub fn from_json(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
-    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
-    let spans: Vec<LabelSpan> = serde_json::from_str(text)
-        .map_err(|error| LabelTextError { line: error.line().max(1), what: error.to_string() })?;
-    spans.iter().try_for_each(|read| span(0, read.start_s, read.end_s, &read.label).map(|_| ()))?;
-    Ok(spans)
+    let unreadable = |error: serde_json::Error| {
+        let text = error.to_string();
+        let what = text.rsplit_once(" at line ").map_or(text.as_str(), |(what, _)| what);
+        LabelTextError { line: error.line().max(1), what: what.to_owned() }
+    };
+    let spans: Vec<LabelSpan> =
+        serde_json::from_str(text.strip_prefix('\u{feff}').unwrap_or(text)).map_err(unreadable)?;
+    let checked = |(index, read): (usize, LabelSpan)| {
+        let checked = span(0, read.start_s, read.end_s, &read.label).and_then(|span| {
+            read.confidence.map_or(Ok(()), |confidence| check_confidence(0, confidence))?;
+            Ok(LabelSpan { label: span.label, ..read })
+        });
+        // The reader does not tell on which line a label stands.
+        checked.map_err(|error| LabelTextError { line: 1, what: format!("label {}: {}", index + 1, error.what) })
+    };
+    spans.into_iter().enumerate().map(checked).collect()
 }
 
 /// Formats a time with six to nine decimals.
@@ -131,6 +140,14 @@ fn seconds(index: usize, name: &str, field: Option<&str>) -> Result<f64, LabelTe
     let field = field.unwrap_or("").trim();
     let number = field.parse::<f64>().ok().filter(|number| number.is_finite());
     number.ok_or_else(|| LabelTextError { line: index + 1, what: format!("{name} is '{field}', expected a number") })
+}
+
+/// Checks that a confidence is 0 to 1.
+fn check_confidence(index: usize, confidence: f64) -> Result<(), LabelTextError> {
+    if (0.0..=1.0).contains(&confidence) {
+        return Ok(());
+    }
+    Err(LabelTextError { line: index + 1, what: format!("confidence is {confidence}, expected 0 to 1") })
 }
 
 /// Creates a span; it must not end before its start.
@@ -271,11 +288,18 @@ mod tests {
                 ("", 1, "EOF"),
                 ("[\n{\"start_s\": 1, \"label\": \"one\"}]", 2, "missing field `end_s`"),
                 ("[{\"start_s\": 2, \"end_s\": 1, \"label\": \"one\"}]", 1, "before its start"),
+                (
+                    "[{\"start_s\": 0, \"end_s\": 1, \"label\": \"one\", \"confidence\": 7}]",
+                    1,
+                    "label 1: confidence is 7",
+                ),
                 ("[{\"start_s\": 0, \"end_s\": 1e999, \"label\": \"one\"}]", 1, "number out of range"),
             ] {
                 let error = from_json(text).expect_err("wrong");
                 assert!(error.line == line && error.what.contains(what), "{error}");
             }
+            let blanks = from_json("[{\"start_s\": 0, \"end_s\": 1, \"label\": \" one \"}]");
+            assert_eq!(blanks, Ok(vec![LabelSpan::new(0.0, 1.0, "one")]));
             assert!(from_deepcraft("").expect_err("no header").to_string().contains("Time(Seconds)"));
         }
     }

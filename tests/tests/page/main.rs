@@ -92,13 +92,23 @@ fn labels_are_deleted_one_after_the_other_by_keys_and_single_characters_can_be_s
     }
     browser.wait_until("document.querySelectorAll('#labels-list li').length === 3");
     browser.evaluate("document.querySelectorAll('#labels-list li button:last-of-type')[1].focus()");
-    for left in [2, 1, 0] {
-        browser.evaluate("document.activeElement.click()");
+    for (left, neighbour_s) in [(2, Some(2.5)), (1, Some(0.5)), (0, None)] {
+        browser.evaluate("document.activeElement.closest('li').querySelector('button:last-of-type').click()");
         browser.wait_until(&format!("radome.labels.spans.length === {left}"));
-        let focused = if left > 0 { "aria-label')?.startsWith('delete one')" } else { "id') === null" };
-        browser.wait_until(&format!("document.activeElement.getAttribute('{focused}"));
+        if let Some(start_s) = neighbour_s {
+            browser.wait_until("document.activeElement.textContent === 'go to'");
+            let start = "Number(document.activeElement.closest('li').querySelector('input').value)";
+            assert_eq!(browser.evaluate(start), json!(start_s), "the neighbour has the focus");
+            // A label before it goes, and it keeps the focus.
+            let add = "{do: 'add', start_s: 0.1, end_s: 0.2, occupancy: 'two'}";
+            browser.evaluate(&format!("radome.send({add})"));
+            browser.wait_until(&format!("radome.labels.spans.length === {}", left + 1));
+            browser.evaluate("radome.send({do: 'undo'})");
+            browser.wait_until(&format!("radome.labels.spans.length === {left}"));
+            assert_eq!(browser.evaluate(start), json!(start_s), "it keeps the focus");
+        }
     }
-    assert_eq!(browser.evaluate("document.activeElement.tagName"), "SUMMARY");
+    browser.wait_until("document.activeElement.tagName === 'SUMMARY'");
     browser.evaluate("document.getElementById('shortcuts').click()");
     for key in ["1", "r", "ArrowRight"] {
         browser.key(key);

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use radome_sim::people_list::ListedPerson;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
@@ -48,8 +48,9 @@ const HEADING: &str = "sequence,time_s,person,in_room,x_m,y_m,z_m,velocity_x_m_p
 /// Lists where the people of a scene are in each frame, without simulating the frames.
 ///
 /// # Errors
-/// The scene is not valid or has fewer people, or the file cannot be written.
+/// The scene is not valid or has fewer people, the file cannot be written, or the user interrupts.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
     let Arguments { frames, seed, people, .. } = *arguments;
     if let Some(path) = &arguments.output {
         arguments.overwrite.check(path, &[&arguments.scene])?;
@@ -58,21 +59,26 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Simulator::check_people(&scene, people)?;
     let options = SimulateOptions { seed, people, frames: Some(frames), ..SimulateOptions::default() };
     let simulator = Simulator::new(&scene, options)?;
-    let mut people = (0..frames).flat_map(|frame| simulator.listed_people(frame));
-    match &arguments.output {
-        Some(path) => files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, people)),
-        None if arguments.json => people.try_for_each(|person| output::json_line(&person)),
-        None => {
-            output::text_line(HEADING)?;
-            people.try_for_each(|person| output::text_line(&csv_line(&person)))
-        }
+    let mut people =
+        (0..frames).take_while(|_| !output::interrupted()).flat_map(|frame| simulator.listed_people(frame));
+    if let Some(path) = &arguments.output {
+        return files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, people));
     }
+    if arguments.json {
+        people.try_for_each(|person| output::json_line(&person))?;
+    } else {
+        output::text_line(HEADING)?;
+        people.try_for_each(|person| output::text_line(&csv_line(&person)))?;
+    }
+    ensure!(!output::interrupted(), "interrupted");
+    Ok(())
 }
 
 fn write_csv(out: &mut impl Write, mut people: impl Iterator<Item = ListedPerson>) -> anyhow::Result<()> {
     let cannot = "cannot write the people";
     writeln!(out, "{HEADING}").context(cannot)?;
     people.try_for_each(|person| writeln!(out, "{}", csv_line(&person))).context(cannot)?;
+    ensure!(!output::interrupted(), "interrupted: nothing is written");
     out.flush().context(cannot)
 }
 

@@ -15,21 +15,23 @@ export class LabelList {
     this.state.className = fault || !saved && !place ? 'unsaved' : '';
     this.state.textContent = this.readOnly ? 'labels are read-only here' : fault ? `not saved: ${fault}`
       : place ? saved ? `saved in ${place}` : `saving in ${place} …`
-      : spans.length || open ? 'kept by this page’s program only while it runs: export them' : 'press 0, 1 or 2 to label what you see';
-    const focused = [...this.list.children].findIndex(element => element.contains(document.activeElement));
+      : spans.length || open ? 'kept by this page’s program only while it runs: export them' : 'label what you see by the buttons or keys 0, 1 and 2';
+    const active = document.activeElement;
+    const focused = [...this.list.children].findIndex(element => element.contains(active));
     const kept = new Map();
+    for (const { id } of spans) kept.set(id, this.rows.get(id) ?? this.row(id));
+    for (const [id, row] of this.rows) if (!kept.has(id)) row.element.remove();
+    this.rows = kept;
     spans.forEach((span, index) => {
-      const row = this.rows.get(span.id) ?? this.row(span.id);
-      kept.set(span.id, row);
+      const row = kept.get(span.id);
       row.update(span);
       if (this.list.children[index] !== row.element) this.list.insertBefore(row.element, this.list.children[index] ?? null);
     });
-    for (const [id, row] of this.rows) if (!kept.has(id)) row.element.remove();
-    this.rows = kept;
-    // The focus of a deleted label goes to its neighbour, or to the title of the empty list.
-    if (focused >= 0 && !this.list.contains(document.activeElement)) {
+    if (focused >= 0 && document.activeElement !== active) {
+      // A row that is moved loses the focus. That of a deleted label goes to its neighbour, or to the title of the empty list.
       const neighbour = this.list.children[Math.min(focused, spans.length - 1)];
-      (neighbour?.querySelector('button:last-of-type') ?? this.list.closest('details').querySelector('summary')).focus();
+      const next = neighbour?.querySelector('button:not([hidden]), input') ?? this.list.closest('details').querySelector('summary');
+      (this.list.contains(active) ? active : next).focus();
     }
   }
 

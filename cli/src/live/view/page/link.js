@@ -56,8 +56,8 @@ export class Link {
       }
     };
     socket.onclose = () => {
-      this.handlers.state(this.over ? 'over' : 'lost');
-      if (!opened) this.explain();
+      if (opened || this.over) this.handlers.state(this.over ? 'over' : 'lost');
+      else this.explain(socket);
       // The program may be restarted at the same address.
       setTimeout(() => this.connect(), this.over ? 5000 : this.waits);
       this.waits = Math.min(this.waits * 2, 8000);
@@ -65,12 +65,15 @@ export class Link {
   }
 
   /** Finds out why a connection was refused, which its socket does not report. Another run may have another token. */
-  async explain() {
+  async explain(socket) {
+    let state = 'lost';
     try {
       const answer = await fetch('health.json');
-      if (answer.status === 401) this.handlers.state('locked');
-      else if (answer.ok && (await answer.json()).is_full) this.handlers.state('full');
-    } catch { /* The program does not answer: there is no connection. */ }
+      if (answer.status === 401) state = 'locked';
+      else if (answer.ok && (await answer.json()).is_full) state = 'full';
+    } catch { /* The program does not answer. */ }
+    // The answer is too late if the page has connected again.
+    if (this.socket === socket) this.handlers.state(state);
   }
 
   /** Replaces a connection that sends nothing: a network that is gone closes no socket. */

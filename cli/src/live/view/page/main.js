@@ -11,6 +11,9 @@ import { ProfileView } from './profile.js';
 import { History, Timeline } from './timeline.js';
 
 const $ = id => document.getElementById(id);
+// Browsers may refuse to store anything; choices then last as long as the page.
+const stored = key => { try { return localStorage.getItem(key); } catch { return null; } };
+const store = (key, value) => { try { localStorage.setItem(key, value); } catch { /* It is not kept. */ } };
 const page = window.radome = { pictures: 0, header: null, hello: null, labels: null, playback: null, last: null };
 
 const map = new MapView($('map'), $('echo'), $('pointed'));
@@ -138,7 +141,7 @@ function greet(hello) {
   const chosen = $('channel').value, options = [['"sum"', hello.rx > 1 ? 'mean of all' : 'receiver 1'], ['"network"', 'as the network sees it']];
   if (hello.rx > 1) for (let rx = 0; rx < hello.rx; rx++) options.splice(1 + rx, 0, [JSON.stringify({ rx }), `receiver ${rx + 1}`]);
   $('channel').replaceChildren(...options.map(([value, text]) => new Option(text, value)));
-  const wanted = chosen || localStorage.getItem('channel');
+  const wanted = chosen || stored('channel');
   if (options.some(([value]) => value === wanted)) $('channel').value = wanted;
   look();
 }
@@ -239,8 +242,8 @@ function look() {
 
 /** Applies a new selection and discards the held maxima of the old one. */
 function relook() {
-  localStorage.setItem('channel', $('channel').value);
-  localStorage.setItem('removal', $('removal').value);
+  store('channel', $('channel').value);
+  store('removal', $('removal').value);
   for (const view of [map, partner, profile, doppler]) view.forget();
   look();
 }
@@ -280,9 +283,9 @@ function turn(element, by, round = false) {
   element.dispatchEvent(new Event('change'));
 }
 
-$('removal').value = localStorage.getItem('removal') ?? 'mean';
-$('who').value = localStorage.getItem('who') ?? '';
-$('who').addEventListener('change', () => localStorage.setItem('who', $('who').value));
+$('removal').value = stored('removal') ?? 'mean';
+$('who').value = stored('who') ?? '';
+$('who').addEventListener('change', () => store('who', $('who').value));
 $('channel').addEventListener('change', relook);
 $('removal').addEventListener('change', relook);
 $('over-floor').addEventListener('change', () => { map.overFloor = partner.overFloor = $('over-floor').checked; map.forget(); partner.forget(); look(); });
@@ -334,8 +337,8 @@ const TAPE = {
   ' ': play, ArrowLeft: () => step(-1), ArrowRight: () => step(1), Home: () => seek(page.hello.tape.first_s), End: () => seek(page.hello.tape.last_s),
   '[': () => turn($('speed'), -1), ']': () => turn($('speed'), 1),
 };
-$('shortcuts').checked = localStorage.getItem('shortcuts') !== 'off';
-$('shortcuts').addEventListener('change', () => localStorage.setItem('shortcuts', $('shortcuts').checked ? 'on' : 'off'));
+$('shortcuts').checked = stored('shortcuts') !== 'off';
+$('shortcuts').addEventListener('change', () => store('shortcuts', $('shortcuts').checked ? 'on' : 'off'));
 addEventListener('keydown', event => {
   if (event.ctrlKey || event.metaKey || event.altKey || $('help').open) return;
   // Speech input and trembling hands press single characters without intent.
