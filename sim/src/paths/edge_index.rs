@@ -9,8 +9,8 @@ use crate::lanes::{LANES, Row, Row3, compiled_for_levels, lane};
 
 /// Margin of all distances, because positions are in single precision, as a part of the largest coordinate.
 const MARGIN: f64 = 1e-5;
-/// Coordinate of lanes without an edge, m: far from everything, and its square is finite in single precision.
-const NOWHERE_M: f32 = 1e15;
+/// Place of lanes without an edge, m: far from everything, and its square is finite in single precision.
+const NOWHERE_M: DVec3 = DVec3::splat(1e15);
 
 /// Boxes, one in each lane.
 #[derive(Debug, Clone)]
@@ -54,11 +54,10 @@ impl EdgeIndex {
     /// Builds a tree over edges, which are identified by their numbers.
     pub fn new(edges: &[DiffractingEdge]) -> Self {
         let mut order: Vec<u32> = (0..edges.len() as u32).collect();
-        let ends_of =
-            |edge: u32| edges.get(edge as usize).map_or([DVec3::splat(f64::from(NOWHERE_M)); 2], |edge| edge.ends);
+        let ends_of = |edge: u32| edges.get(edge as usize).map_or([NOWHERE_M; 2], |edge| edge.ends);
         sort_in_space(&mut order, &ends_of);
         let row = |numbers: &[u32]| {
-            let ends = |l: usize| numbers.get(l).map_or([DVec3::splat(f64::from(NOWHERE_M)); 2], |&edge| ends_of(edge));
+            let ends = |l: usize| numbers.get(l).map_or([NOWHERE_M; 2], |&edge| ends_of(edge));
             [0, 1].map(|end| rows(|l| ends(l)[end]))
         };
         let boxes = |numbers: &[u32]| {
@@ -80,7 +79,7 @@ impl EdgeIndex {
         EdgeIndex { order, edges, levels, scale_m, kernel_level: KernelLevel::detect() }
     }
 
-    /// Numbers of all edges that are near a straight segment ([`DiffractingEdge::is_near`]) and of a few more, ascending.
+    /// Finds the numbers of all edges that are near a straight segment ([`DiffractingEdge::is_near`]) and of a few more, ascending.
     pub fn near(&self, from: DVec3, to: DVec3, distance_m: f64, found: &mut Vec<u32>) {
         found.clear();
         let scale_m = self.scale_m.max(from.abs().max_element()).max(to.abs().max_element());
@@ -145,7 +144,7 @@ impl Segment {
 impl Boxes {
     /// Boxes by their corners.
     fn new(corners: &[[DVec3; 2]]) -> Self {
-        let corner = |end: usize, l: usize| corners.get(l).map_or(DVec3::splat(f64::from(NOWHERE_M)), |both| both[end]);
+        let corner = |end: usize, l: usize| corners.get(l).map_or(NOWHERE_M, |both| both[end]);
         Boxes { low: rows(|l| corner(0, l)), high: rows(|l| corner(1, l)) }
     }
 }

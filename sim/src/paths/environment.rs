@@ -172,7 +172,7 @@ impl Environment {
         &self.diffracting_edges
     }
 
-    /// Numbers of the diffracting edges near a straight segment ([`DiffractingEdge::is_near`]) and of a few more, ascending.
+    /// Finds the numbers of the diffracting edges near a straight segment ([`DiffractingEdge::is_near`]) and of a few more, ascending.
     pub(super) fn edges_near(&self, from: DVec3, to: DVec3, distance_m: f64, found: &mut Vec<u32>) {
         self.edge_index.near(from, to, distance_m, found);
     }

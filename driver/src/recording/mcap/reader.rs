@@ -205,8 +205,8 @@ impl McapReader {
         Ok(first.zip(last).map(|(first, last)| Extent { first, last }))
     }
 
-    /// Offset of the last chunk that begins before the target, which the target may be in; the start of the records if there is
-    /// none. The chunk is found by bisection: each step reads one chunk.
+    /// Returns the offset of the last chunk that begins before the target. The target may be in this chunk. Without such a chunk,
+    /// returns the start of the records. The search is a bisection: each step reads one chunk.
     fn offset_before(&mut self, target: SeekTarget) -> Result<u64, RecordingError> {
         let count = self.index.chunks.len() as u64;
         let mut failure = None;
