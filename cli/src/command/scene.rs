@@ -7,6 +7,23 @@ mod people;
 mod preview;
 mod simulate;
 
+use std::path::PathBuf;
+
+use crate::source::DEFAULT_SEED;
+
+/// Scene of a command, and the options that decide who is in it.
+#[derive(clap::Args)]
+struct SceneArgs {
+    /// Scene file
+    scene: PathBuf,
+    /// Seed of all random draws
+    #[arg(long, default_value_t = DEFAULT_SEED)]
+    seed: u64,
+    /// Number of people, instead of the scene's own; a script has at most its own people
+    #[arg(long)]
+    people: Option<usize>,
+}
+
 #[derive(clap::Subcommand)]
 pub enum Action {
     /// Simulate a scene: raw frames with truth

@@ -7,10 +7,10 @@ use glam::DVec3;
 use radome_sim::path_list::{ListedPath, PathKind, PathList, PathListOptions};
 use radome_sim::{Scene, Simulator};
 
+use super::SceneArgs;
 use crate::exit::wrong_use;
 use crate::output_file::{Overwrite, check_is_picture};
 use crate::picture::scene::{DrawnPath, Preview, draw};
-use crate::source::DEFAULT_SEED;
 use crate::{files, output};
 
 /// Text below the options in the help.
@@ -23,20 +23,14 @@ the chirp.";
 #[derive(clap::Args)]
 #[command(after_help = NOTES)]
 pub struct Arguments {
-    /// Scene file
-    scene: PathBuf,
     /// Time since the first frame, s
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
     time: f64,
     /// List only paths that meet the person with this number. People are numbered from 0; messages of `scene pair` number them from 1
     #[arg(long, value_name = "N")]
     person: Option<usize>,
-    /// Number of people, instead of the scene's own; a script has at most its own people
-    #[arg(long)]
-    people: Option<usize>,
-    /// Seed of all random draws
-    #[arg(long, default_value_t = DEFAULT_SEED)]
-    seed: u64,
+    #[command(flatten)]
+    scene: SceneArgs,
     /// Leave out paths that are further below the noise of a map cell than this, dB. Simulations with a tolerance of 0.5 dB use
     /// 10
     #[arg(long, value_name = "DB", default_value_t = 10.0, allow_hyphen_values = true)]
@@ -56,6 +50,7 @@ pub struct Arguments {
 /// # Errors
 /// An argument or the scene is not valid, the person is not there, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let SceneArgs { scene: ref scene_file, seed, people } = arguments.scene;
     if !(0.0..=PathListOptions::LATEST_S).contains(&arguments.time) {
         wrong_use!("--time {} is not within a day\n\nhint: seconds from the first frame on", arguments.time);
     }
@@ -63,14 +58,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         wrong_use!("--margin-db {} is no number of decibels", arguments.margin_db);
     }
     if let Some(path) = &arguments.output {
-        arguments.overwrite.check(path, &[&arguments.scene])?;
+        arguments.overwrite.check(path, &[scene_file])?;
         check_is_picture(path)?;
     }
-    let scene = Scene::load(&arguments.scene)?;
-    Simulator::check_people(&scene, arguments.people)?;
+    let scene = Scene::load(scene_file)?;
+    Simulator::check_people(&scene, people)?;
     let options = PathListOptions {
-        seed: arguments.seed,
-        people: arguments.people,
+        seed,
+        people,
         person: arguments.person,
         time_s: arguments.time,
         margin_db: arguments.margin_db,
@@ -121,7 +116,7 @@ fn draw_preview(arguments: &Arguments, scene: &Scene, list: &PathList, path: &Pa
     /// Level below the strongest path of the same kind at which lines are faintest, dB.
     const RANGE_DB: f64 = 40.0;
     files::check_parent(path)?;
-    let scene = scene.drawn(arguments.seed)?;
+    let scene = scene.drawn(arguments.scene.seed)?;
     let first = list.paths.first().map(|path| path.rx);
     let drawn: Vec<&ListedPath> = list.paths.iter().filter(|path| Some(path.rx) == first).collect();
     let strongest_db = |kind: PathKind| {
@@ -138,8 +133,8 @@ fn draw_preview(arguments: &Arguments, scene: &Scene, list: &PathList, path: &Pa
         .collect();
     let preview = Preview {
         scene: &scene,
-        seed: arguments.seed,
-        people: arguments.people,
+        seed: arguments.scene.seed,
+        people: arguments.scene.people,
         until_s: arguments.time,
         paths: &paths,
     };

@@ -7,8 +7,8 @@ use anyhow::{Context, ensure};
 use radome_sim::people_list::ListedPerson;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
+use super::SceneArgs;
 use crate::output_file::Overwrite;
-use crate::source::DEFAULT_SEED;
 use crate::{files, output};
 
 /// Text below the options in the help.
@@ -21,8 +21,6 @@ range increases, as in maps. The people are those of `radome scene simulate` wit
 #[derive(clap::Args)]
 #[command(after_help = NOTES)]
 pub struct Arguments {
-    /// Scene file
-    scene: PathBuf,
     /// CSV file to write, instead of stdout
     #[arg(short, long, value_name = "FILE.csv")]
     output: Option<PathBuf>,
@@ -31,12 +29,8 @@ pub struct Arguments {
     /// Number of frames
     #[arg(long, default_value_t = 400)]
     frames: u64,
-    /// Seed of all random draws
-    #[arg(long, default_value_t = DEFAULT_SEED)]
-    seed: u64,
-    /// Number of people, instead of the scene's own; a script has at most its own people
-    #[arg(long)]
-    people: Option<usize>,
+    #[command(flatten)]
+    scene: SceneArgs,
     /// Print one JSON object for each person and frame
     #[arg(long, conflicts_with = "output")]
     json: bool,
@@ -51,11 +45,11 @@ const HEADING: &str = "sequence,time_s,person,in_room,x_m,y_m,z_m,velocity_x_m_p
 /// The scene is not valid or has fewer people, the file cannot be written, or the user interrupts.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    let Arguments { frames, seed, people, .. } = *arguments;
+    let Arguments { frames, scene: SceneArgs { scene: ref scene_file, seed, people }, .. } = *arguments;
     if let Some(path) = &arguments.output {
-        arguments.overwrite.check(path, &[&arguments.scene])?;
+        arguments.overwrite.check(path, &[scene_file])?;
     }
-    let scene = Scene::load(&arguments.scene)?;
+    let scene = Scene::load(scene_file)?;
     Simulator::check_people(&scene, people)?;
     let options = SimulateOptions { seed, people, frames: Some(frames), ..SimulateOptions::default() };
     let simulator = Simulator::new(&scene, options)?;

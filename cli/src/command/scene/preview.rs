@@ -6,17 +6,15 @@ use radome_sim::path_list::PathListOptions;
 use radome_sim::{Scene, Simulator};
 use serde_json::json;
 
+use super::SceneArgs;
 use crate::exit::wrong_use;
 use crate::output_file::{Overwrite, check_is_picture};
 use crate::picture::scene::{self, Preview};
-use crate::source::DEFAULT_SEED;
 use crate::{files, output};
 
 /// `radome scene preview`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Scene file
-    scene: PathBuf,
     /// Picture to write: PNG, or SVG if its name ends in .svg
     #[arg(short, long, value_name = "FILE.png")]
     output: PathBuf,
@@ -25,12 +23,8 @@ pub struct Arguments {
     /// Number of frames for which people are drawn
     #[arg(long, default_value_t = 400)]
     frames: u64,
-    /// Seed of all random draws
-    #[arg(long, default_value_t = DEFAULT_SEED)]
-    seed: u64,
-    /// Number of people, instead of the scene's own; a script has at most its own people
-    #[arg(long)]
-    people: Option<usize>,
+    #[command(flatten)]
+    scene: SceneArgs,
     /// Print one JSON object
     #[arg(long)]
     json: bool,
@@ -41,11 +35,11 @@ pub struct Arguments {
 /// # Errors
 /// The scene is not valid, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    arguments.overwrite.check(&arguments.output, &[&arguments.scene])?;
+    let SceneArgs { ref scene, seed, people } = arguments.scene;
+    arguments.overwrite.check(&arguments.output, &[scene])?;
     check_is_picture(&arguments.output)?;
-    let scene = Scene::load(&arguments.scene)?;
-    draw(&scene, arguments.seed, arguments.people, arguments.frames, &arguments.output)?;
-    report(&arguments.scene, arguments.seed, &arguments.output, arguments.json)
+    draw(&Scene::load(scene)?, seed, people, arguments.frames, &arguments.output)?;
+    report(scene, seed, &arguments.output, arguments.json)
 }
 
 /// Draws a scene with the random draws of its seed, and with the people of its first `frames` frames.

@@ -9,20 +9,17 @@ use radome_dsp::{Frame, FrameSource, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde_json::json;
 
-use super::preview;
+use super::{SceneArgs, preview};
 use crate::exit::wrong_use;
 use crate::live::recorder::failure_message;
 use crate::output_file::{Overwrite, check_is_mcap, check_is_picture};
 use crate::shard::Shard;
-use crate::source::{self, DEFAULT_SEED};
-use crate::{output, stored_simulation};
+use crate::{output, source, stored_simulation};
 
 /// `radome scene simulate`
 #[derive(clap::Args)]
 #[command(mut_arg("overwrite", |overwrite| overwrite.help("Replace the output file, at the start, if it exists")))]
 pub struct Arguments {
-    /// Scene file
-    scene: PathBuf,
     /// MCAP file to write. Without it, simulate the frames and only report the time taken
     #[arg(short, long, value_name = "FILE.mcap")]
     output: Option<PathBuf>,
@@ -31,12 +28,8 @@ pub struct Arguments {
     /// Number of frames to simulate
     #[arg(long, default_value_t = 400)]
     frames: u64,
-    /// Seed of all random draws
-    #[arg(long, default_value_t = DEFAULT_SEED)]
-    seed: u64,
-    /// Number of people, instead of the scene's own; a script has at most its own people
-    #[arg(long)]
-    people: Option<usize>,
+    #[command(flatten)]
+    scene: SceneArgs,
     /// Target error of the echoes in the maps, rms over the cells above noise, dB; 0.5 if absent
     #[arg(long, value_name = "DB")]
     tolerance_db: Option<f64>,
@@ -86,13 +79,13 @@ impl Arguments {
         check_is_mcap(&file)?;
         // An existing shard is reused or made again.
         let overwrite = if self.shard.is_some() { Overwrite::yes() } else { self.overwrite };
-        overwrite.check(&file, &[&self.scene])
+        overwrite.check(&file, &[&self.scene.scene])
     }
 
     /// Returns the options of a simulation of the frames up to `end`.
     fn options(&self, end: u64) -> SimulateOptions {
         let tolerance_db = self.tolerance_db.unwrap_or(SimulateOptions::default().tolerance_db);
-        SimulateOptions { seed: self.seed, people: self.people, frames: Some(end), tolerance_db }
+        SimulateOptions { seed: self.scene.seed, people: self.scene.people, frames: Some(end), tolerance_db }
     }
 
     /// Starts the recording, if an output is named.
@@ -115,11 +108,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (first, end) = arguments.range();
     let file = arguments.file();
     let shard_file = file.as_deref().filter(|_| arguments.shard.is_some());
-    let scene = Scene::load(&arguments.scene)?;
+    let SceneArgs { scene: ref scene_file, seed, people } = arguments.scene;
+    let scene = Scene::load(scene_file)?;
     if let Some(path) = &arguments.preview {
-        preview::draw(&scene, arguments.seed, arguments.people, arguments.frames, path)?;
+        preview::draw(&scene, seed, people, arguments.frames, path)?;
         if arguments.output.is_none() {
-            return preview::report(&arguments.scene, arguments.seed, path, arguments.json);
+            return preview::report(scene_file, seed, path, arguments.json);
         }
     }
     let options = arguments.options(end);
@@ -205,7 +199,7 @@ impl Simulated {
         if arguments.json {
             return output::json_line(&json!({
                 "file": file.map(|path| path.display().to_string()),
-                "seed": arguments.seed,
+                "seed": arguments.scene.seed,
                 "frames": frames,
                 "seconds": seconds,
                 "frames_per_second": rate,
@@ -218,7 +212,7 @@ impl Simulated {
         let estimate = estimate_db.map_or_else(String::new, |e| {
             format!(", echoes by the strongest path within {e:.2} dB by its own estimate")
         });
-        let what = file.unwrap_or(&arguments.scene).display();
+        let what = file.unwrap_or(&arguments.scene.scene).display();
         output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
     }
 }
@@ -258,7 +252,9 @@ fn shard_exists(
 fn print_shard(arguments: &Arguments, file: &Path, frames: u64) -> anyhow::Result<()> {
     if arguments.json {
         let file = file.display().to_string();
-        return output::json_line(&json!({ "file": file, "seed": arguments.seed, "frames": frames, "found": true }));
+        return output::json_line(
+            &json!({ "file": file, "seed": arguments.scene.seed, "frames": frames, "found": true }),
+        );
     }
     output::text_line(&format!("{}: {frames} frames", file.display()))
 }
