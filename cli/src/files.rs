@@ -9,7 +9,7 @@ use radome_driver::recording::{Existing, Partial};
 use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
 use serde::de::DeserializeOwned;
 
-use crate::shell;
+use crate::{output, shell};
 
 /// Finds a file under `fixtures/`: from the working directory, beside the executable, or in the source tree.
 ///
@@ -107,6 +107,31 @@ pub fn write_output(
 /// The file exists and is not to be replaced, or cannot be written.
 pub fn write_bytes(path: &Path, existing: Existing, bytes: &[u8]) -> anyhow::Result<()> {
     write_output(path, existing, |file| Ok(file.write_all(bytes)?))
+}
+
+/// Writes lines to a file atomically, as [`write_output`] does. Without a file, writes them to stdout, each at once.
+///
+/// # Errors
+/// A line is an error, the file exists and is not to be replaced, the output cannot be written, or the user interrupts.
+pub fn write_lines(
+    path: Option<&Path>,
+    existing: Existing,
+    lines: impl Iterator<Item = anyhow::Result<String>>,
+) -> anyhow::Result<()> {
+    let Some(path) = path else {
+        for line in lines {
+            output::text_line(&line?)?;
+        }
+        ensure!(!output::interrupted(), "interrupted");
+        return Ok(());
+    };
+    write_output(path, existing, |file| {
+        for line in lines {
+            writeln!(file, "{}", line?).context("cannot write the file")?;
+        }
+        ensure!(!output::interrupted(), "interrupted: nothing is written");
+        Ok(())
+    })
 }
 
 /// Writes an output that has been started.

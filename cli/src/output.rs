@@ -16,8 +16,15 @@ use signal_hook::iterator::Signals;
 /// # Errors
 /// [`StdoutClosed`], or standard output cannot be written.
 pub fn json_line(value: &impl Serialize) -> anyhow::Result<()> {
-    let line = serde_json::to_string(value).context("cannot write the answer as JSON")?;
-    text_line(&line)
+    text_line(&json_text(value)?)
+}
+
+/// Formats a value as JSON on one line.
+///
+/// # Errors
+/// The value has no form in JSON.
+pub fn json_text(value: &impl Serialize) -> anyhow::Result<String> {
+    serde_json::to_string(value).context("cannot write the answer as JSON")
 }
 
 /// Writes a line of text, and flushes it.

@@ -4,7 +4,7 @@ use std::io::IsTerminal;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use crossbeam::channel::{SendTimeoutError, Sender, bounded};
 use radome_dsp::{Gap, Occupancy};
 use serde::Serialize;
@@ -62,7 +62,7 @@ impl Screen {
 
     /// Prints a JSON object on a line of its own.
     fn json_line(&mut self, value: &impl Serialize) -> anyhow::Result<()> {
-        self.print(json_text(value)?)
+        self.print(output::json_text(value)? + "\n")
     }
 
     /// Passes text to the thread, and waits for room unless the source is live.
@@ -111,12 +111,6 @@ impl Screen {
         }
         Ok(())
     }
-}
-
-/// Line of a JSON object.
-fn json_text(value: &impl Serialize) -> anyhow::Result<String> {
-    let line = serde_json::to_string(value).context("cannot write the answer as JSON")?;
-    Ok(line + "\n")
 }
 
 /// Message about lost frames. A gap of 0 frames is one of unknown length.
@@ -184,7 +178,7 @@ impl Sink for Screen {
             message!("{} answers were not printed, because stdout was not read", self.lost_lines);
         }
         if self.json {
-            return self.print_last(json_text(&json!({ "summary": summary }))?);
+            return self.print_last(output::json_text(&json!({ "summary": summary }))? + "\n");
         }
         let unknown_loss = unknown_loss_text(summary.gaps_of_unknown_length);
         // On a terminal the line of the last answer has no end.

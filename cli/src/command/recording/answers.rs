@@ -1,9 +1,8 @@
-use std::io::Write;
 use std::path::PathBuf;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
+use radome_driver::FrameResult;
 use radome_driver::recording::Recording;
-use radome_driver::{FrameResult, RecordingError};
 use radome_dsp::Occupancy;
 
 use crate::output_file::Overwrite;
@@ -55,34 +54,20 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         classifier.max_range_m.map_or_else(String::new, |range_m| format!(", people up to {range_m} m"))
     );
     let mut people = None;
-    let mut selected = results.filter(|result| {
+    let selected = results.filter(|result| {
         let Ok(result) = result else { return true };
         let is_change = people.replace(result.people) != Some(result.people);
         is_change || !arguments.changes
     });
-    match &arguments.output {
-        Some(path) => {
-            arguments.overwrite.check(path, &[&arguments.recording])?;
-            files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, selected))
-        }
-        None if arguments.json => selected.try_for_each(|result| output::json_line(&result?)),
-        None => {
-            output::text_line(HEADING)?;
-            selected.try_for_each(|result| output::text_line(&csv_line(&result?)))
-        }
+    if let Some(path) = &arguments.output {
+        arguments.overwrite.check(path, &[&arguments.recording])?;
     }
-}
-
-fn write_csv(
-    out: &mut impl Write,
-    results: impl Iterator<Item = Result<FrameResult, RecordingError>>,
-) -> anyhow::Result<()> {
-    let cannot = "cannot write the results";
-    writeln!(out, "{HEADING}").context(cannot)?;
-    for result in results {
-        writeln!(out, "{}", csv_line(&result?)).context(cannot)?;
-    }
-    out.flush().context(cannot)
+    let lines = selected.map(|result| match arguments.json {
+        true => output::json_text(&result?),
+        false => Ok(csv_line(&result?)),
+    });
+    let heading = (!arguments.json).then(|| Ok(HEADING.to_owned()));
+    files::write_lines(arguments.output.as_deref(), arguments.overwrite.existing(), heading.into_iter().chain(lines))
 }
 
 fn csv_line(result: &FrameResult) -> String {

@@ -1,9 +1,7 @@
 //! `radome scene people`.
 
-use std::io::Write;
 use std::path::PathBuf;
 
-use anyhow::{Context, ensure};
 use radome_sim::people_list::ListedPerson;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
@@ -53,27 +51,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Simulator::check_people(&scene, people)?;
     let options = SimulateOptions { seed, people, frames: Some(frames), ..SimulateOptions::default() };
     let simulator = Simulator::new(&scene, options)?;
-    let mut people =
-        (0..frames).take_while(|_| !output::interrupted()).flat_map(|frame| simulator.listed_people(frame));
-    if let Some(path) = &arguments.output {
-        return files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, people));
-    }
-    if arguments.json {
-        people.try_for_each(|person| output::json_line(&person))?;
-    } else {
-        output::text_line(HEADING)?;
-        people.try_for_each(|person| output::text_line(&csv_line(&person)))?;
-    }
-    ensure!(!output::interrupted(), "interrupted");
-    Ok(())
-}
-
-fn write_csv(out: &mut impl Write, mut people: impl Iterator<Item = ListedPerson>) -> anyhow::Result<()> {
-    let cannot = "cannot write the people";
-    writeln!(out, "{HEADING}").context(cannot)?;
-    people.try_for_each(|person| writeln!(out, "{}", csv_line(&person))).context(cannot)?;
-    ensure!(!output::interrupted(), "interrupted: nothing is written");
-    out.flush().context(cannot)
+    let people = (0..frames).take_while(|_| !output::interrupted()).flat_map(|frame| simulator.listed_people(frame));
+    let lines = people.map(|person| if arguments.json { output::json_text(&person) } else { Ok(csv_line(&person)) });
+    let heading = (!arguments.json).then(|| Ok(HEADING.to_owned()));
+    files::write_lines(arguments.output.as_deref(), arguments.overwrite.existing(), heading.into_iter().chain(lines))
 }
 
 fn csv_line(listed: &ListedPerson) -> String {
