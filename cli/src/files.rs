@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
 use radome_driver::recording::{Existing, Partial};
-use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parse_toml, read_text};
+use radome_files::{TEXT_LIMIT_BYTES, named_by_spec, parent_folder, parse_toml, read_text};
 use serde::de::DeserializeOwned;
 
 use crate::{output, shell};
@@ -182,7 +182,7 @@ pub fn write_growing_array<W: Write + Seek>(
 /// # Errors
 /// The folder does not exist, or is a file.
 pub fn check_parent(path: &Path) -> anyhow::Result<()> {
-    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let parent = parent_folder(path);
     ensure!(
         parent.is_dir() || !parent.exists(),
         "{} is a file, and no folder for {}\n\nhint: name another place",

@@ -7,6 +7,7 @@ use anyhow::{bail, ensure};
 use radome_driver::recording::text::config_path;
 use radome_driver::recording::{Existing, Format, Partial, RecordingError, infineon, utc};
 use radome_driver::{Recorder, RecorderOptions, RecordingHeader};
+use radome_files::parent_folder;
 
 use crate::exit::wrong_use;
 use crate::{files, labels};
@@ -104,10 +105,7 @@ pub fn check_distinct(path: &Path, other: &Path) -> anyhow::Result<()> {
 
 /// Path of a file with all links resolved. For a file that does not exist yet, those of its folder are resolved.
 fn resolved(path: &Path) -> Option<PathBuf> {
-    let of_new_file = || {
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        Some(folder.canonicalize().ok()?.join(path.file_name()?))
-    };
+    let of_new_file = || Some(parent_folder(path).canonicalize().ok()?.join(path.file_name()?));
     path.canonicalize().ok().or_else(of_new_file)
 }
 

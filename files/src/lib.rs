@@ -189,6 +189,11 @@ pub fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
     path.with_file_name(name)
 }
 
+/// Returns the folder of a file, existing or not: `.` for a name alone.
+pub fn parent_folder(path: &Path) -> &Path {
+    folder_of(path.parent().unwrap_or(Path::new("")))
+}
+
 /// Returns the folder, or the working directory for an empty path.
 fn folder_of(folder: &Path) -> &Path {
     if folder.as_os_str().is_empty() { Path::new(".") } else { folder }
@@ -293,6 +298,13 @@ mod hard_cases {
     fn a_suffix_follows_the_whole_name() {
         for (path, expected) in [("a/set", "a/set.parts"), ("set.old", "set.old.parts"), ("a/set/", "a/set.parts")] {
             assert_eq!(with_suffix(Path::new(path), ".parts"), Path::new(expected));
+        }
+    }
+
+    #[test]
+    fn the_folder_of_a_name_alone_is_the_working_directory() {
+        for (path, expected) in [("a/set", "a"), ("/set", "/"), ("set", "."), ("a/set/", "a"), ("", ".")] {
+            assert_eq!(parent_folder(Path::new(path)), Path::new(expected));
         }
     }
 

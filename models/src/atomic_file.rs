@@ -7,11 +7,13 @@ use std::io::Write;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use radome_files::parent_folder;
+
 /// Writes a file under a temporary name beside it, syncs it to the disk, and renames it. After a kill or a power cut, `path` is
 /// the old file or the new one. A temporary file may remain; the next writer of `path` removes it.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     static WRITTEN: AtomicU64 = AtomicU64::new(0);
-    let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = parent_folder(path);
     let mut name = path.file_name().unwrap_or_default().to_owned();
     name.push(".partial-");
     remove_leftovers(folder, &name);

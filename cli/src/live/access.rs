@@ -14,6 +14,7 @@ use std::time::Duration;
 use anyhow::{Context, bail, ensure};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
+use radome_files::parent_folder;
 use sha2::{Digest, Sha256};
 
 /// Random bytes of a token: 128 bits.
@@ -115,9 +116,8 @@ fn random_text() -> anyhow::Result<String> {
 fn make_token_file(path: &Path) -> anyhow::Result<String> {
     let text = random_text()?;
     let cannot = || format!("cannot make the token file {}", path.display());
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // Only its owner may read a temporary file. It gets its name when it is whole, and replaces no file or link.
-    let mut file = tempfile::NamedTempFile::new_in(folder).with_context(cannot)?;
+    let mut file = tempfile::NamedTempFile::new_in(parent_folder(path)).with_context(cannot)?;
     file.write_all(format!("{text}\n").as_bytes()).and_then(|()| file.as_file().sync_all()).with_context(cannot)?;
     match file.persist_noclobber(path) {
         Ok(_) => {}

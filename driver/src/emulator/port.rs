@@ -9,6 +9,7 @@ use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use radome_files::parent_folder;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, inotify, open};
 use rustix::io::{Errno, retry_on_intr};
@@ -351,7 +352,7 @@ fn make_raw(terminal: &OwnedFd) -> io::Result<()> {
 /// [`EmulatorError`] if another board has it, or the folder does not exist.
 pub(super) fn claim(link: &Path) -> Result<OwnedFd, EmulatorError> {
     let failed = |source: io::Error| EmulatorError::Line { what: format!("the link {}", link.display()), source };
-    let folder = link.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = parent_folder(link);
     let folder = folder.canonicalize().or_else(|_| std::path::absolute(folder)).map_err(failed)?;
     let path = folder.join(link.file_name().unwrap_or_default());
     let bytes = path.as_os_str().as_bytes();

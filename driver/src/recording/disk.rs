@@ -9,6 +9,7 @@ use std::io::{self, Seek, SeekFrom, Write};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 
+use radome_files::parent_folder;
 use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustix::io::Errno;
 
@@ -88,18 +89,14 @@ pub(super) fn sync(file: &File, path: &Path) -> io::Result<()> {
 pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
     #[cfg(test)]
     trial::before(path, || trial::Change::SyncFolder)?;
-    File::open(folder(path))?.sync_all()
-}
-
-fn folder(path: &Path) -> &Path {
-    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+    File::open(parent_folder(path))?.sync_all()
 }
 
 /// Creates an empty file without a name, for writing and reading, in the folder of `path`. If `file`, which has that
 /// path, is a device or a pipe, the new file is among the system's temporary files. It vanishes when it is closed or
 /// its process ends.
 pub(super) fn unnamed(file: &File, path: &Path) -> io::Result<File> {
-    if file.metadata()?.is_file() { tempfile::tempfile_in(folder(path)) } else { tempfile::tempfile() }
+    if file.metadata()?.is_file() { tempfile::tempfile_in(parent_folder(path)) } else { tempfile::tempfile() }
 }
 
 /// Renames a file and replaces a file of the new name.

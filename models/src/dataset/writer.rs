@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use npyz::WriterBuilder;
 use radome_dsp::{Rdm, RdmShape};
-use radome_files::with_suffix;
+use radome_files::{parent_folder, with_suffix};
 use sha2::{Digest, Sha256};
 
 use super::error::DatasetError;
@@ -184,7 +184,7 @@ impl DatasetWriter {
         // Removed after renaming, so that a temporary folder always has its lock file. A lock file that stays in the dataset does no
         // harm.
         let _ = fs::remove_file(self.target.join(LOCK_FILE));
-        let parent = self.target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let parent = parent_folder(&self.target);
         sync_folder(parent).map_err(DatasetError::io(parent, "writing"))?;
         self.finished = true;
         Ok(())

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use radome_driver::Recorder;
+use radome_files::parent_folder;
 use radome_models::ModelCard;
 use serde::Serialize;
 use serde_json::json;
@@ -97,8 +98,7 @@ pub fn write(path: &Path, parts: &[(&'static str, Vec<u8>)]) -> anyhow::Result<(
     }
     let bytes = archive.finish().context("cannot pack the archive")?.into_inner();
     let context = || format!("cannot write {}", path.display());
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(folder).with_context(context)?;
+    let mut file = tempfile::NamedTempFile::new_in(parent_folder(path)).with_context(context)?;
     file.write_all(&bytes).with_context(context)?;
     file.as_file().sync_all().with_context(context)?;
     match file.persist_noclobber(path) {
