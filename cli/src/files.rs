@@ -109,6 +109,17 @@ pub fn write_bytes(path: &Path, existing: Existing, bytes: &[u8]) -> anyhow::Res
     write_output(path, existing, |file| Ok(file.write_all(bytes)?))
 }
 
+/// Creates a file that only its owner may read. It gets its name when it is on the disk, and replaces no file or link.
+///
+/// # Errors
+/// [`io::ErrorKind::AlreadyExists`] if the name is taken, and other errors of the system.
+pub fn create_private(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = tempfile::NamedTempFile::new_in(parent_folder(path))?;
+    file.write_all(bytes)?;
+    file.as_file().sync_all()?;
+    file.persist_noclobber(path).map(drop).map_err(|error| error.error)
+}
+
 /// Writes lines to a file atomically, as [`write_output`] does. Without a file, writes them to stdout, each at once.
 ///
 /// # Errors

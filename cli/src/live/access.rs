@@ -5,7 +5,7 @@
 //! requests, DNS rebinding). A token distinguishes other clients on the network and other users of this machine.
 
 use std::fs::File;
-use std::io::{ErrorKind, Read, Write};
+use std::io::{ErrorKind, Read};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
@@ -14,8 +14,9 @@ use std::time::Duration;
 use anyhow::{Context, bail, ensure};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
-use radome_files::parent_folder;
 use sha2::{Digest, Sha256};
+
+use crate::files;
 
 /// Random bytes of a token: 128 bits.
 const TOKEN_BYTES: usize = 16;
@@ -115,15 +116,10 @@ fn random_text() -> anyhow::Result<String> {
 
 fn make_token_file(path: &Path) -> anyhow::Result<String> {
     let text = random_text()?;
-    let cannot = || format!("cannot make the token file {}", path.display());
-    // Only its owner may read a temporary file. It gets its name when it is whole, and replaces no file or link.
-    let mut file = tempfile::NamedTempFile::new_in(parent_folder(path)).with_context(cannot)?;
-    file.write_all(format!("{text}\n").as_bytes()).and_then(|()| file.as_file().sync_all()).with_context(cannot)?;
-    match file.persist_noclobber(path) {
-        Ok(_) => {}
+    match files::create_private(path, format!("{text}\n").as_bytes()) {
         // Another process has made it meanwhile.
-        Err(error) if error.error.kind() == ErrorKind::AlreadyExists => return read_token_file(path),
-        Err(error) => return Err(error.error).with_context(cannot),
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => return read_token_file(path),
+        created => created.with_context(|| format!("cannot make the token file {}", path.display()))?,
     }
     message!("a new token is in {}", path.display());
     Ok(text)

@@ -1,11 +1,10 @@
 //! Archive for a bug report. Tokens replace names of people, machines and networks.
 
-use std::io::{Cursor, Write};
+use std::io::{Cursor, ErrorKind, Write};
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
 use radome_driver::Recorder;
-use radome_files::parent_folder;
 use radome_models::ModelCard;
 use serde::Serialize;
 use serde_json::json;
@@ -97,16 +96,11 @@ pub fn write(path: &Path, parts: &[(&'static str, Vec<u8>)]) -> anyhow::Result<(
         archive.write_all(bytes).context("cannot pack the archive")?;
     }
     let bytes = archive.finish().context("cannot pack the archive")?.into_inner();
-    let context = || format!("cannot write {}", path.display());
-    let mut file = tempfile::NamedTempFile::new_in(parent_folder(path)).with_context(context)?;
-    file.write_all(&bytes).with_context(context)?;
-    file.as_file().sync_all().with_context(context)?;
-    match file.persist_noclobber(path) {
-        Ok(_) => Ok(()),
-        Err(error) if error.error.kind() == std::io::ErrorKind::AlreadyExists => {
+    match files::create_private(path, &bytes) {
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
             bail!("{} exists and is not written over\n\n{EXISTS_HINT}", path.display())
         }
-        Err(error) => Err(error.error).with_context(context),
+        created => created.with_context(|| format!("cannot write {}", path.display())),
     }
 }
 
