@@ -16,7 +16,7 @@ use radome_files::TEXT_LIMIT_BYTES;
 
 use super::input::{self, open_file, read_text};
 use super::vendor_config::read_waveform;
-use super::{Extent, Position, RecordingError, first_index, time_ns, warn_once};
+use super::{RecordingError, warn_once};
 
 pub(super) use writer::InfineonWriter;
 
@@ -128,7 +128,7 @@ impl InfineonReader {
     }
 
     /// Time of a frame from the start of the acquisition, ns.
-    fn time_ns(&self, index: u64) -> u64 {
+    pub(super) fn time_ns(&self, index: u64) -> u64 {
         frame_time_ns(self.series.timestamps_ns.as_deref(), &self.waveform, index)
     }
 
@@ -141,25 +141,6 @@ impl InfineonReader {
         let offset = self.data_offset + self.next.min(self.whole_frames()) * self.bytes.len() as u64;
         self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::cannot_read(&self.data))?;
         Ok(())
-    }
-
-    /// Seeks the first frame taken at or after this time from the start of the acquisition, s.
-    ///
-    /// # Errors
-    /// [`RecordingError::Io`].
-    pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
-        let time_ns = time_ns(time_s);
-        self.seek_frame(first_index(self.frames, |index| self.time_ns(index) >= time_ns))
-    }
-
-    /// First and last whole frame: see [`Recording::extent`](super::Recording::extent).
-    ///
-    /// # Errors
-    /// [`RecordingError::Io`].
-    pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
-        self.seek_frame(0)?;
-        let at = |sequence| Position { sequence, time_ns: self.time_ns(sequence) };
-        Ok(self.whole_frames().checked_sub(1).map(|last| Extent { first: at(0), last: at(last) }))
     }
 
     fn read_next(&mut self, frame: &mut Frame) -> Result<SourceEvent, RecordingError> {

@@ -7,7 +7,7 @@ use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use super::infineon::InfineonReader;
 use super::mcap::{LabelSpan, McapReader, RecordingHeader, Results};
 use super::text::TextReader;
-use super::{Extent, Format, RecordingError};
+use super::{Extent, Format, Position, RecordingError, first_index, time_ns};
 
 /// Open recording.
 ///
@@ -139,7 +139,11 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the recording cannot be read.
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
-        with_reader!(self, reader => reader.seek_time_s(time_s))
+        if let Recording::Mcap(reader) = self {
+            return reader.seek_time_s(time_s);
+        }
+        let (count, target_ns) = (self.frame_count().unwrap_or(0), time_ns(time_s));
+        self.seek_frame(first_index(count, |index| self.time_of_numbered_ns(index) >= target_ns))
     }
 
     /// Finds the first and the last readable frame, without reading the frames between; `None` if there is none. The
@@ -148,7 +152,20 @@ impl Recording {
     /// # Errors
     /// [`RecordingError`] if the recording cannot be read.
     pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
-        with_reader!(self, reader => reader.extent())
+        if let Recording::Mcap(reader) = self {
+            return reader.extent();
+        }
+        self.seek_frame(0)?;
+        let at = |sequence| Position { sequence, time_ns: self.time_of_numbered_ns(sequence) };
+        Ok(self.whole_frames().checked_sub(1).map(|last| Extent { first: at(0), last: at(last) }))
+    }
+
+    /// Time of a frame of the vendor's formats, ns. They number frames from 0 without gaps.
+    fn time_of_numbered_ns(&self, sequence: u64) -> u64 {
+        match self {
+            Recording::Infineon(reader) => reader.time_ns(sequence),
+            Recording::Mcap(_) | Recording::Text(_) => self.waveform().frame_time_ns(sequence),
+        }
     }
 }
 

@@ -15,7 +15,7 @@ use super::input::open_file;
 use super::mcap::RecordingHeader;
 use super::partial::Partial;
 use super::vendor_config::{read_waveform, write_waveform};
-use super::{Existing, Extent, Position, RecordingError, Tally, WriteReport, disk, first_index, time_ns};
+use super::{Existing, RecordingError, Tally, WriteReport, disk};
 
 /// Characters of a value: `0.123456`.
 const VALUE_BYTES: usize = 8;
@@ -131,25 +131,6 @@ impl TextReader {
         let offset = self.next * self.frame_bytes() as u64;
         self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::cannot_read(&self.path))?;
         Ok(())
-    }
-
-    /// Seeks the first frame at or after this time by the frame interval, s.
-    ///
-    /// # Errors
-    /// [`RecordingError::Io`].
-    pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
-        let time_ns = time_ns(time_s);
-        self.seek_frame(first_index(self.whole_frames(), |index| self.waveform.frame_time_ns(index) >= time_ns))
-    }
-
-    /// First and last whole frame: see [`Recording::extent`](super::Recording::extent).
-    ///
-    /// # Errors
-    /// [`RecordingError::Io`].
-    pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
-        self.seek_frame(0)?;
-        let at = |sequence| Position { sequence, time_ns: self.waveform.frame_time_ns(sequence) };
-        Ok(self.whole_frames().checked_sub(1).map(|last| Extent { first: at(0), last: at(last) }))
     }
 
     fn read_next(&mut self, frame: &mut Frame) -> Result<SourceEvent, RecordingError> {
