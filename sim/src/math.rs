@@ -44,13 +44,26 @@ pub fn wrapped(angle_rad: f64) -> f64 {
     (angle_rad + PI).rem_euclid(TAU) - PI
 }
 
-/// Median of the values; zero for an empty list.
+/// Median of the values, the larger of the two middle ones for an even count; zero for an empty list.
 pub fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
     if values.is_empty() {
         return 0.0;
     }
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Median of `(value, weight)` pairs: the first value at which the sum of weights exceeds half of the total. With equal
+/// weights it is the [`median`]. `None` for an empty list.
+pub fn weighted_median(mut values: Vec<(f64, f64)>) -> Option<f64> {
+    values.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let half_of_sum = 0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>();
+    let mut sum = 0.0;
+    let is_reached = |&(_, weight): &(f64, f64)| {
+        sum += weight;
+        sum > half_of_sum
+    };
+    values.into_iter().find(is_reached).map(|(value, _)| value)
 }
 
 /// Values below and above a position from 0 to 1 among evenly spaced values, and the fraction of the interval between
@@ -90,6 +103,16 @@ impl DisjointSets {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn weighted_medians_with_equal_weights_are_medians() {
+        for values in [vec![3.0], vec![2.0, 1.0], vec![5.0, 1.0, 3.0], vec![4.0, 2.0, 8.0, 6.0]] {
+            let weighted = values.iter().map(|&value| (value, 1.0)).collect();
+            assert_eq!(weighted_median(weighted), Some(median(values)));
+        }
+        assert_eq!(weighted_median(vec![(9.0, 1.0), (1.0, 4.0), (5.0, 2.0)]), Some(1.0));
+        assert_eq!(weighted_median(Vec::new()), None);
+    }
 
     #[test]
     fn values_are_interpolated_between_their_neighbours() {

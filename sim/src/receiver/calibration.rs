@@ -29,7 +29,7 @@ use realfft::RealToComplex;
 use thiserror::Error;
 
 use super::{Receiver, RxChannel};
-use crate::math::median;
+use crate::math::{median, weighted_median};
 use leakage::{ChirpModel, fit_chirp_model};
 
 /// Least number of frames for a fit.
@@ -322,19 +322,6 @@ impl Calibration {
     }
 }
 
-/// Median of `(value, weight)` pairs: the first value at which the sum of weights exceeds half of the total. `None` for
-/// an empty list.
-fn weighted_median(mut values: Vec<(f64, f64)>) -> Option<f64> {
-    values.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let half_of_sum = 0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>();
-    let mut sum = 0.0;
-    let is_reached = |&(_, weight): &(f64, f64)| {
-        sum += weight;
-        sum > half_of_sum
-    };
-    values.into_iter().find(is_reached).map(|(value, _)| value)
-}
-
 /// Variance of jitter: half of the variance of the steps between values. A few large steps hardly change it.
 fn step_variance(values: &[f64]) -> f64 {
     let steps = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
@@ -463,16 +450,6 @@ mod tests {
         let found = fit(&frames(&receiver, 160)).expect("a fit").receiver.clutter;
         assert!((0.002..0.008).contains(&found.leakage_jitter), "{found:?}");
         assert!(found.leakage_drift_per_10s < 0.02, "{found:?}");
-    }
-
-    #[test]
-    fn weighted_medians_with_equal_weights_are_medians() {
-        for values in [vec![3.0], vec![2.0, 1.0], vec![5.0, 1.0, 3.0], vec![4.0, 2.0, 8.0, 6.0]] {
-            let weighted = values.iter().map(|&value| (value, 1.0)).collect();
-            assert_eq!(weighted_median(weighted), Some(median(values)));
-        }
-        assert_eq!(weighted_median(vec![(9.0, 1.0), (1.0, 4.0), (5.0, 2.0)]), Some(1.0));
-        assert_eq!(weighted_median(Vec::new()), None);
     }
 
     #[test]

@@ -5,6 +5,8 @@
 
 use serde::Serialize;
 
+use crate::math::weighted_median;
+
 /// Range below which bins contain leakage, m.
 pub const LEAST_RANGE_M: f64 = 0.5;
 /// Least power ratio of static echoes to noise and to moving echoes.
@@ -49,7 +51,7 @@ pub fn fit_gain(bins: &[Bin]) -> GainFit {
         let least_power = LEAST_OVER_NOISE * bin.noise;
         bin.measured >= least_power && bin.simulated >= least_power && bin.measured >= LEAST_OVER_NOISE * bin.moving
     };
-    let mut weighted_gains_db: Vec<(f64, f64)> = (far_bins.clone().filter(is_usable))
+    let weighted_gains_db: Vec<(f64, f64)> = (far_bins.clone().filter(is_usable))
         .map(|bin| {
             // Noise adds to interference: 8.7 dB over the root of twice the power ratio, for each of the two.
             let noise_db2 = 37.7 * bin.noise * (1.0 / bin.measured + 1.0 / bin.simulated);
@@ -60,14 +62,8 @@ pub fn fit_gain(bins: &[Bin]) -> GainFit {
     if bins < LEAST_BINS {
         return GainFit { bins, of, ..GainFit::default() };
     }
-    weighted_gains_db.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
-    let half_of_sum = 0.5 * weighted_gains_db.iter().map(|(_, weight)| weight).sum::<f64>();
-    let mut weight_sum = 0.0;
-    let median = weighted_gains_db.iter().find(|(_, weight)| {
-        weight_sum += weight;
-        weight_sum >= half_of_sum
-    });
-    GainFit { gain_db: median.map(|(db, _)| *db), error_db: Some(BIN_SIGMA_DB / (bins as f64).sqrt()), bins, of }
+    let error_db = Some(BIN_SIGMA_DB / (bins as f64).sqrt());
+    GainFit { gain_db: weighted_median(weighted_gains_db), error_db, bins, of }
 }
 
 #[cfg(test)]
