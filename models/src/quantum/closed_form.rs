@@ -153,26 +153,14 @@ fn widen(rows: &[[f32; 2]]) -> [[f64; 2]; LANES] {
     wide
 }
 
-/// Compiles a function of slices a second time for AVX2, and calls that version where the processor has AVX2. Multiply
-/// and add are not fused, so both versions give the same result.
+/// Compiles a function of slices once for each instruction set, and calls the version of the widest one that the processor
+/// has. Multiply and add are not fused, so all versions give the same result.
 macro_rules! vectorised {
     ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $type:ty),* $(,)?) $(-> $ret:ty)? $body:block) => {
         $(#[$doc])*
         $vis fn $name($($arg: $type),*) $(-> $ret)? {
-            #[inline(always)]
-            fn plain($($arg: $type),*) $(-> $ret)? $body
-            #[cfg(target_arch = "x86_64")]
-            {
-                #[target_feature(enable = "avx2")]
-                fn avx2($($arg: $type),*) $(-> $ret)? {
-                    plain($($arg),*)
-                }
-                if is_x86_feature_detected!("avx2") {
-                    // SAFETY: the processor has AVX2.
-                    return unsafe { avx2($($arg),*) };
-                }
-            }
-            plain($($arg),*)
+            $crate::kernel::level::for_each_level! { fn at_level($($arg: $type),*) $(-> $ret)? $body }
+            at_level($crate::kernel::KernelLevel::detect(), $($arg),*)
         }
     };
 }
