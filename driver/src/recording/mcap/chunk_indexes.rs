@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use mcap::records::{ChunkIndex, op};
 
-use super::encode::{chunk_index_body, record};
+use super::encode::{body_of, record};
 use super::records::RECORD_HEADER;
 use crate::recording::disk;
 
@@ -36,7 +36,7 @@ impl ChunkIndexes {
 
     /// Adds the entry of a chunk.
     pub fn push(&mut self, index: &ChunkIndex) -> io::Result<()> {
-        let body = chunk_index_body(index);
+        let body = body_of(index);
         if self.buffer.len() + RECORD_HEADER as usize + body.len() > MAX_BUFFERED_BYTES {
             disk::append(&self.file, &self.path, self.stored, &self.buffer)?;
             self.stored += self.buffer.len() as u64;

@@ -1,10 +1,11 @@
 //! Encoders of records: chunks with their message indexes, and the summary.
 
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::io::{self, Cursor, Write};
 
+use binrw::{BinWrite, Endian};
 use crc32fast::Hasher;
-use mcap::records::{ChunkIndex, MessageHeader, Statistics, op};
+use mcap::records::{ChunkHeader, ChunkIndex, MessageHeader, MessageIndex, MessageIndexEntry, SummaryOffset, op};
 
 /// Compression level of chunks: fast enough for the frames of a board.
 const COMPRESSION_LEVEL: i32 = 1;
@@ -19,92 +20,12 @@ pub(super) fn record(out: &mut Vec<u8>, opcode: u8, body: &[u8]) {
     out.extend_from_slice(body);
 }
 
-/// Appends a length and a text.
-pub(super) fn string(out: &mut Vec<u8>, text: &str) {
-    out.extend((text.len() as u32).to_le_bytes());
-    out.extend_from_slice(text.as_bytes());
-}
-
-/// Appends a map from channels to numbers.
-fn channel_map(out: &mut Vec<u8>, entries: &BTreeMap<u16, u64>) {
-    out.extend((10 * entries.len() as u32).to_le_bytes());
-    for (key, value) in entries {
-        out.extend(key.to_le_bytes());
-        out.extend(value.to_le_bytes());
-    }
-}
-
-/// Body of a header record: no profile, and the program that writes the file.
-pub(super) fn header_body(library: &str) -> Vec<u8> {
-    let mut out = Vec::new();
-    string(&mut out, "");
-    string(&mut out, library);
-    out
-}
-
-pub(super) fn metadata_body(name: &str, fields: &BTreeMap<String, String>) -> Vec<u8> {
-    let mut pairs = Vec::new();
-    for (key, value) in fields {
-        string(&mut pairs, key);
-        string(&mut pairs, value);
-    }
-    let mut out = Vec::new();
-    string(&mut out, name);
-    out.extend((pairs.len() as u32).to_le_bytes());
-    out.extend(pairs);
-    out
-}
-
-/// Body of the record that holds the position of metadata.
-pub(super) fn metadata_index_body(offset: u64, length: u64, name: &str) -> Vec<u8> {
-    let mut out = [offset.to_le_bytes(), length.to_le_bytes()].concat();
-    string(&mut out, name);
-    out
-}
-
-pub(super) fn schema_body(id: u16, name: &str, encoding: &str, data: &str) -> Vec<u8> {
-    let mut out = id.to_le_bytes().to_vec();
-    string(&mut out, name);
-    string(&mut out, encoding);
-    string(&mut out, data);
-    out
-}
-
-/// Body of a channel record; schema 0 stands for none.
-pub(super) fn channel_body(id: u16, schema: u16, topic: &str, encoding: &str) -> Vec<u8> {
-    let mut out = [id.to_le_bytes(), schema.to_le_bytes()].concat();
-    string(&mut out, topic);
-    string(&mut out, encoding);
-    // The channel has no metadata.
-    out.extend([0u8; 4]);
-    out
-}
-
-pub(super) fn statistics_body(statistics: &Statistics) -> Vec<u8> {
-    let mut out = statistics.message_count.to_le_bytes().to_vec();
-    out.extend(statistics.schema_count.to_le_bytes());
-    for count in
-        [statistics.channel_count, statistics.attachment_count, statistics.metadata_count, statistics.chunk_count]
-    {
-        out.extend(count.to_le_bytes());
-    }
-    out.extend(statistics.message_start_time.to_le_bytes());
-    out.extend(statistics.message_end_time.to_le_bytes());
-    channel_map(&mut out, &statistics.channel_message_counts);
-    out
-}
-
-pub(super) fn chunk_index_body(index: &ChunkIndex) -> Vec<u8> {
-    let mut out = Vec::new();
-    for number in [index.message_start_time, index.message_end_time, index.chunk_start_offset, index.chunk_length] {
-        out.extend(number.to_le_bytes());
-    }
-    channel_map(&mut out, &index.message_index_offsets);
-    out.extend(index.message_index_length.to_le_bytes());
-    string(&mut out, &index.compression);
-    out.extend(index.compressed_size.to_le_bytes());
-    out.extend(index.uncompressed_size.to_le_bytes());
-    out
+/// Encodes the body of a record.
+pub(super) fn body_of<T: BinWrite<Args<'static> = ()>>(record: &T) -> Vec<u8> {
+    let mut out = Cursor::new(Vec::new());
+    // Writing to memory does not fail.
+    let _ = record.write_options(&mut out, Endian::Little, ());
+    out.into_inner()
 }
 
 /// Chunk that compresses its records as they come.
@@ -115,8 +36,8 @@ pub(super) struct Chunk {
     length: u64,
     /// Log times of the first and the last message.
     times: Option<(u64, u64)>,
-    /// Entries of the message index of each channel: log time and offset, as bytes.
-    messages: BTreeMap<u16, Vec<u8>>,
+    /// Entries of the message index of each channel.
+    messages: BTreeMap<u16, Vec<MessageIndexEntry>>,
 }
 
 impl Chunk {
@@ -148,9 +69,8 @@ impl Chunk {
     /// Adds a message.
     pub fn message(&mut self, header: &MessageHeader, data: &[u8]) -> io::Result<()> {
         let MessageHeader { channel_id, sequence, log_time, publish_time } = *header;
-        let entries = self.messages.entry(channel_id).or_default();
-        entries.extend(log_time.to_le_bytes());
-        entries.extend(self.length.to_le_bytes());
+        let entry = MessageIndexEntry { log_time, offset: self.length };
+        self.messages.entry(channel_id).or_default().push(entry);
         let (first, last) = self.times.unwrap_or((log_time, log_time));
         self.times = Some((first.min(log_time), last.max(log_time)));
         let (id, number) = (channel_id.to_le_bytes(), sequence.to_le_bytes());
@@ -167,11 +87,14 @@ impl Chunk {
         let Chunk { encoder, crc, length, times, messages } = self;
         let compressed = encoder.finish()?;
         let (first, last) = times.unwrap_or((0, 0));
-        let mut header = [first.to_le_bytes(), last.to_le_bytes(), length.to_le_bytes()].concat();
-        header.extend(crc.finalize().to_le_bytes());
-        string(&mut header, COMPRESSION);
-        header.extend((compressed.len() as u64).to_le_bytes());
-
+        let header = body_of(&ChunkHeader {
+            message_start_time: first,
+            message_end_time: last,
+            uncompressed_size: length,
+            uncompressed_crc: crc.finalize(),
+            compression: COMPRESSION.to_owned(),
+            compressed_size: compressed.len() as u64,
+        });
         let chunk_start_offset = start + out.len() as u64;
         out.push(op::CHUNK);
         out.extend(((header.len() + compressed.len()) as u64).to_le_bytes());
@@ -179,12 +102,9 @@ impl Chunk {
         out.extend_from_slice(&compressed);
         let chunk_end = start + out.len() as u64;
         let mut message_index_offsets = BTreeMap::new();
-        for (channel, entries) in messages {
-            message_index_offsets.insert(channel, start + out.len() as u64);
-            let mut body = channel.to_le_bytes().to_vec();
-            body.extend((entries.len() as u32).to_le_bytes());
-            body.extend(entries);
-            record(out, op::MESSAGE_INDEX, &body);
+        for (channel_id, records) in messages {
+            message_index_offsets.insert(channel_id, start + out.len() as u64);
+            record(out, op::MESSAGE_INDEX, &body_of(&MessageIndex { channel_id, records }));
         }
         Ok(ChunkIndex {
             message_start_time: first,
@@ -209,15 +129,6 @@ pub(super) fn is_intact(mut crc: Hasher, footer: &[u8]) -> bool {
     rest.first_chunk::<4>().is_some_and(|stated| *stated == [0; 4] || *stated == crc.finalize().to_le_bytes())
 }
 
-/// Records of one kind in a summary.
-struct RecordGroup {
-    opcode: u8,
-    /// Offset in the file.
-    start: u64,
-    /// Length, bytes.
-    length: u64,
-}
-
 /// Layout of a summary: positions of its records, kind by kind, and their CRC. It holds no record itself.
 pub(super) struct SummaryLayout {
     /// Offset of the first record in the file.
@@ -225,7 +136,7 @@ pub(super) struct SummaryLayout {
     /// Offset of the next record.
     end: u64,
     /// Records of each kind.
-    groups: Vec<RecordGroup>,
+    groups: Vec<SummaryOffset>,
     crc: Hasher,
 }
 
@@ -246,9 +157,11 @@ impl SummaryLayout {
     pub fn add(&mut self, opcode: u8, records: &[u8]) {
         let length = records.len() as u64;
         self.crc.update(records);
-        match self.groups.last_mut().filter(|group| group.opcode == opcode) {
-            Some(group) => group.length += length,
-            None => self.groups.push(RecordGroup { opcode, start: self.end, length }),
+        match self.groups.last_mut().filter(|group| group.group_opcode == opcode) {
+            Some(group) => group.group_length += length,
+            None => {
+                self.groups.push(SummaryOffset { group_opcode: opcode, group_start: self.end, group_length: length })
+            }
         }
         self.end += length;
     }
@@ -257,9 +170,8 @@ impl SummaryLayout {
     pub fn finish(self, out: &mut Vec<u8>) -> Vec<u8> {
         let SummaryLayout { start, end, groups, mut crc } = self;
         let offsets_start = out.len();
-        for RecordGroup { opcode, start, length } in groups {
-            let body = [&[opcode][..], &start.to_le_bytes(), &length.to_le_bytes()].concat();
-            record(out, op::SUMMARY_OFFSET, &body);
+        for group in groups {
+            record(out, op::SUMMARY_OFFSET, &body_of(&group));
         }
         crc.update(out.get(offsets_start..).unwrap_or(&[]));
         // The CRC covers the footer too, up to the CRC itself.

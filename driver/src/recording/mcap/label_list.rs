@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use crc32fast::Hasher;
 use mcap::records::{MessageHeader, Record, Statistics, op};
 
-use super::encode::{Chunk, SummaryLayout, chunk_index_body, is_intact, record, statistics_body};
+use super::encode::{Chunk, SummaryLayout, body_of, is_intact, record};
 use super::index::{FOOTER, summary_start};
 use super::lengths::parse_record;
 use super::records::{DATA_END_BYTES, MAX_RECORD, Next, RECORD_HEADER, Records, Topic, topic};
@@ -253,7 +253,7 @@ impl<'a> Summary<'a> {
         chunk.record(op::CHANNEL, &[channel])?;
         chunk.message(&MessageHeader { channel_id: id, sequence: 0, log_time: time, publish_time: time }, json)?;
         let mut tail = Vec::new();
-        let new_index = chunk_index_body(&chunk.finish(&mut tail, end)?);
+        let new_index = body_of(&chunk.finish(&mut tail, end)?);
         // The record has no CRC, because the data were not read.
         record(&mut tail, op::DATA_END, &[0; 4]);
 
@@ -261,7 +261,7 @@ impl<'a> Summary<'a> {
         statistics.message_count += 1;
         statistics.chunk_count += 1;
         *statistics.channel_message_counts.entry(id).or_default() += 1;
-        let statistics = statistics_body(&statistics);
+        let statistics = body_of(&statistics);
         // The new entry goes behind the last record of its kind, or behind all records.
         let last = self.records.iter().rposition(|(opcode, _)| *opcode == op::CHUNK_INDEX);
         let insert_position = last.map_or(self.records.len(), |last| last + 1);

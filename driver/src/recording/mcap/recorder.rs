@@ -6,14 +6,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use crc32fast::Hasher;
-use mcap::records::{MessageHeader, Statistics, op};
+use mcap::records::{Channel, Header, MessageHeader, Metadata, MetadataIndex, SchemaHeader, Statistics, op};
 use radome_dsp::{Frame, FrameShape, Gap};
 
 use super::chunk_indexes::ChunkIndexes;
-use super::encode::{
-    Chunk, SummaryLayout, channel_body, header_body, metadata_body, metadata_index_body, record, schema_body,
-    statistics_body,
-};
+use super::encode::{Chunk, SummaryLayout, body_of, record};
 use super::syncer::{Failure, SyncOptions, Syncer};
 use super::{
     FORMAT_VERSION, FRAME_LAYOUT, FRAMES, FrameResult, GAPS, LABELS, LabelSpan, METADATA_NAME, RESULTS,
@@ -129,25 +126,36 @@ fn metadata(header: &RecordingHeader) -> serde_json::Result<BTreeMap<String, Str
 
 /// Encodes the bytes before the first chunk, and the body of the summary's record with the position of the metadata.
 fn head(header: &RecordingHeader) -> serde_json::Result<(Vec<u8>, Vec<u8>)> {
-    let metadata = metadata_body(METADATA_NAME, &metadata(header)?);
+    let metadata = Metadata { name: METADATA_NAME.to_owned(), metadata: metadata(header)? };
+    let library = concat!("radome ", env!("CARGO_PKG_VERSION")).to_owned();
     let mut bytes = mcap::MAGIC.to_vec();
-    record(&mut bytes, op::HEADER, &header_body(concat!("radome ", env!("CARGO_PKG_VERSION"))));
+    record(&mut bytes, op::HEADER, &body_of(&Header { profile: String::new(), library }));
     let start = bytes.len();
-    record(&mut bytes, op::METADATA, &metadata);
-    let length = bytes.len() - start;
-    Ok((bytes, metadata_index_body(start as u64, length as u64, METADATA_NAME)))
+    record(&mut bytes, op::METADATA, &body_of(&metadata));
+    let length = (bytes.len() - start) as u64;
+    Ok((bytes, body_of(&MetadataIndex { offset: start as u64, length, name: metadata.name })))
 }
 
 /// The schema and the channels of a recording, opcode and body.
 fn definitions(takes_results: bool) -> Vec<(u8, Vec<u8>)> {
+    let header =
+        SchemaHeader { id: FRAME_SCHEMA, name: FRAME_ENCODING.to_owned(), encoding: LAYOUT_ENCODING.to_owned() };
+    let mut schema = body_of(&header);
+    schema.extend((FRAME_LAYOUT.len() as u32).to_le_bytes());
+    schema.extend_from_slice(FRAME_LAYOUT.as_bytes());
+    // Schema 0 stands for none.
+    let channel = |id, schema_id, topic: &str, encoding: &str| {
+        let (topic, message_encoding) = (topic.to_owned(), encoding.to_owned());
+        (op::CHANNEL, body_of(&Channel { id, schema_id, topic, message_encoding, metadata: BTreeMap::new() }))
+    };
     let mut definitions = vec![
-        (op::SCHEMA, schema_body(FRAME_SCHEMA, FRAME_ENCODING, LAYOUT_ENCODING, FRAME_LAYOUT)),
-        (op::CHANNEL, channel_body(FRAME_CHANNEL, FRAME_SCHEMA, FRAMES, FRAME_ENCODING)),
-        (op::CHANNEL, channel_body(GAP_CHANNEL, 0, GAPS, "json")),
-        (op::CHANNEL, channel_body(LABEL_CHANNEL, 0, LABELS, "json")),
+        (op::SCHEMA, schema),
+        channel(FRAME_CHANNEL, FRAME_SCHEMA, FRAMES, FRAME_ENCODING),
+        channel(GAP_CHANNEL, 0, GAPS, "json"),
+        channel(LABEL_CHANNEL, 0, LABELS, "json"),
     ];
     if takes_results {
-        definitions.push((op::CHANNEL, channel_body(RESULT_CHANNEL, 0, RESULTS, "json")));
+        definitions.push(channel(RESULT_CHANNEL, 0, RESULTS, "json"));
     }
     definitions
 }
@@ -479,7 +487,7 @@ impl Recorder {
         for (opcode, body) in &self.definitions {
             summary.record(&mut self.pending, *opcode, body);
         }
-        summary.record(&mut self.pending, op::STATISTICS, &statistics_body(&self.statistics));
+        summary.record(&mut self.pending, op::STATISTICS, &body_of(&self.statistics));
         loop {
             let start = self.pending.len();
             let read = self.chunk_indexes.read(&mut self.pending);
