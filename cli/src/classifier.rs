@@ -103,12 +103,12 @@ pub enum Model {
 }
 
 /// Model prepared for frames of one waveform. Receives frames in order.
-pub struct FrameClassifier(Kind);
+pub struct FrameClassifier<'m>(Kind<'m>);
 
 // A program holds one instance, so its size does not matter.
 #[allow(clippy::large_enum_variant)]
-enum Kind {
-    Network { classifier: Box<Classifier>, processor: RdmProcessor, map: Rdm, mean: EvidenceMean },
+enum Kind<'m> {
+    Network { classifier: &'m mut Classifier, processor: RdmProcessor, map: Rdm, mean: EvidenceMean },
     Cfar(Box<CfarCounter>),
 }
 
@@ -245,7 +245,11 @@ impl Model {
     ///
     /// # Errors
     /// The model cannot classify frames of the waveform, or its maps cannot be limited to this range.
-    pub fn for_waveform(self, waveform: &Waveform, max_range_m: Option<f64>) -> anyhow::Result<FrameClassifier> {
+    pub fn for_waveform(
+        &mut self,
+        waveform: &Waveform,
+        max_range_m: Option<f64>,
+    ) -> anyhow::Result<FrameClassifier<'_>> {
         self.check_waveform(waveform)?;
         if let Some(range_m) = max_range_m {
             let takes_any_waveform = self.network().is_none_or(|network| network.rdm_spec().physical_axes.is_some());
@@ -334,7 +338,7 @@ fn note_once(losses: &[String]) {
     }
 }
 
-impl FrameClassifier {
+impl FrameClassifier<'_> {
     /// Newest map: the network's input, or the moving echoes that the detector sees.
     pub fn map(&self) -> &Rdm {
         match &self.0 {
@@ -346,7 +350,7 @@ impl FrameClassifier {
     /// Returns the network, for predictions on modified maps; `None` for the detector, which uses frames.
     pub fn network(&mut self) -> Option<&mut Classifier> {
         match &mut self.0 {
-            Kind::Network { classifier, .. } => Some(classifier.as_mut()),
+            Kind::Network { classifier, .. } => Some(classifier),
             Kind::Cfar(_) => None,
         }
     }
@@ -417,14 +421,6 @@ impl FrameClassifier {
             }
         }
     }
-
-    /// Returns the model, for frames of another source.
-    pub fn into_model(self) -> Model {
-        match self.0 {
-            Kind::Network { classifier, .. } => Model::Network(classifier),
-            Kind::Cfar(_) => Model::Cfar,
-        }
-    }
 }
 
 #[cfg(test)]
@@ -472,8 +468,8 @@ mod tests {
         let of = waveform(|_| ());
         let length = of.request.samples_per_chirp * of.request.chirps_per_frame;
         for name in [CFAR, BUILT_IN] {
-            let mut classifier =
-                Model::open(Path::new(name)).expect("a model").for_waveform(&of, None).expect("its waveform");
+            let mut model = Model::open(Path::new(name)).expect("a model");
+            let mut classifier = model.for_waveform(&of, None).expect("its waveform");
             let mut frame = Frame::zeroed(of.shape());
             assert!(matches!(classifier.classify(&frame).expect("classified"), Prediction::NoSignal), "{name}");
             frame.sequence = 1;

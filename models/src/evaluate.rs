@@ -24,7 +24,7 @@ pub(crate) fn evaluate_changed(
     indices: &[usize],
     change: impl Fn(usize, &mut [f32]),
 ) -> Result<Metrics, ClassifyError> {
-    classifier.check_maps(&dataset.header().rdm_spec, &dataset.header().waveform)?;
+    classifier.card().check_maps(&dataset.header().rdm_spec, &dataset.header().waveform)?;
     let mut pairs = Vec::with_capacity(indices.len());
     for &index in indices {
         let mut map = dataset.map(index)?;

@@ -243,12 +243,12 @@ fn checkpoints_of_another_training_and_damaged_ones_are_refused() {
 #[test]
 fn maps_of_another_spec_or_waveform_are_refused() {
     let (set, spec) = brief();
-    let classifier = Classifier::new(train(&set, &spec, &mut |_| {}).expect("training").model);
+    let card = train(&set, &spec, &mut |_| {}).expect("training").model.card;
     let header = set.header();
-    classifier.check_maps(&header.rdm_spec, &header.waveform).expect("its own");
+    card.check_maps(&header.rdm_spec, &header.waveform).expect("its own");
     let another = RdmSpec { floor_db: header.rdm_spec.floor_db - 10.0, ..header.rdm_spec };
     let refused = |spec: &RdmSpec, waveform: &Waveform| {
-        let error = classifier.check_maps(spec, waveform).expect_err("refused");
+        let error = card.check_maps(spec, waveform).expect_err("refused");
         assert!(matches!(error, ClassifyError::OtherMaps { .. }), "{error}");
         error.to_string()
     };

@@ -85,11 +85,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Completion> {
     arguments.check_access()?;
     let broker = arguments.integrations.broker()?;
     let output = arguments.new_recording()?;
-    let model = Model::open(&arguments.model)?;
+    let mut model = Model::open(&arguments.model)?;
     let description = model.description(&arguments.model, arguments.delays(), arguments.max_range_m)?;
     let background = arguments.background.as_deref().map(|path| Background::load(path, &description)).transpose()?;
     let source = arguments.open_source(&model)?;
-    let mut classifier = arguments.classifier(model, background, &source, started)?;
+    let mut classifier = arguments.classifier(&mut model, background, &source, started)?;
     // Opened before anything is written, so that a page that cannot be served leaves files unchanged.
     let has_failed = Arc::<AtomicBool>::default();
     let recording = output.as_ref().map(|output| (output.path(), has_failed.clone()));
@@ -187,13 +187,13 @@ impl Arguments {
     }
 
     /// Prepares the classifier for the frames of the source.
-    fn classifier(
+    fn classifier<'m>(
         &self,
-        model: Model,
+        model: &'m mut Model,
         background: Option<Background>,
         source: &Source,
         started: Instant,
-    ) -> anyhow::Result<LiveClassifier> {
+    ) -> anyhow::Result<LiveClassifier<'m>> {
         let waveform = source.frames.waveform();
         if let (Some(background), Some(path)) = (&background, &self.background) {
             background.check_waveform(path, waveform)?;

@@ -24,8 +24,8 @@ const LONGEST_MEMORY_S: f64 = 5.0;
 const MEMORIES: f64 = 3.0;
 
 /// Classifies frames one after the other.
-pub struct LiveClassifier {
-    frame_classifier: FrameClassifier,
+pub struct LiveClassifier<'m> {
+    frame_classifier: FrameClassifier<'m>,
     filter: OccupancyFilter,
     background: Option<Background>,
     outage: Outage,
@@ -49,14 +49,14 @@ pub struct LiveClassifier {
     unfiltered: Confusion,
 }
 
-impl LiveClassifier {
+impl<'m> LiveClassifier<'m> {
     /// Creates a classifier for a waveform; refuses one that the model does not support. People farther away than `max_range_m`, if
     /// given, do not count.
     ///
     /// # Errors
     /// The model does not take the waveform, or its maps cannot be limited to a range.
     pub fn new(
-        model: Model,
+        model: &'m mut Model,
         waveform: &Waveform,
         delays: Delays,
         max_range_m: Option<f64>,
@@ -380,8 +380,9 @@ mod tests {
         Waveform::realise(WaveformRequest::paper()).expect("a valid waveform")
     }
 
-    fn classifier() -> LiveClassifier {
-        LiveClassifier::new(Model::Cfar, &waveform(), Delays::default(), None, Instant::now()).expect("a classifier")
+    fn classifier() -> LiveClassifier<'static> {
+        let model = Box::leak(Box::new(Model::Cfar));
+        LiveClassifier::new(model, &waveform(), Delays::default(), None, Instant::now()).expect("a classifier")
     }
 
     /// Sink that runs a given function for each answer, and counts how often it is ended.

@@ -12,7 +12,7 @@ use super::onnx_runtime::{OnnxError, OnnxSession};
 use crate::dataset::{DatasetError, ManifestRow, network_input};
 use crate::kernel::depthwise::transposed;
 use crate::layer::softmax;
-use crate::network::{Inference, Network};
+use crate::network::Inference;
 
 /// Model that classifies maps one by one: a network of this crate, or an ONNX file in onnxruntime.
 ///
@@ -29,34 +29,34 @@ use crate::network::{Inference, Network};
 ///     Ok(one + two)
 /// }
 /// ```
-pub struct Classifier {
-    card: ModelCard,
-    engine: Engine,
-}
+pub struct Classifier(Engine);
 
 // A program has one classifier, so the size does not matter.
 #[allow(clippy::large_enum_variant)]
 enum Engine {
     Native {
-        network: Network,
+        model: Model,
         /// Prepared network, made at the first map.
         inference: Option<Inference>,
     },
-    Onnx(OnnxSession),
+    Onnx {
+        card: ModelCard,
+        session: OnnxSession,
+    },
 }
 
 impl Engine {
     /// Logits of one standardised map `[row][column]`.
     fn logits(&mut self, map: &[f32], rows: usize, columns: usize) -> Result<Vec<f32>, ClassifyError> {
         match self {
-            Engine::Native { network, inference } => {
+            Engine::Native { model, inference } => {
                 let inference = match inference {
                     Some(inference) => inference,
-                    None => inference.insert(Inference::new(network)?),
+                    None => inference.insert(Inference::new(&model.network)?),
                 };
                 Ok(inference.logits(map, [1, rows, columns])?.to_vec())
             }
-            Engine::Onnx(session) => Ok(session.logits(map)?),
+            Engine::Onnx { session, .. } => Ok(session.logits(map)?),
         }
     }
 }
@@ -121,71 +121,45 @@ impl Classifier {
         let card = read_card(path, &data)?;
         let [_, rows, columns] = card.input_shape;
         let session = OnnxSession::new(path, &data, rows, columns)?;
-        Ok(Classifier { card, engine: Engine::Onnx(session) })
+        Ok(Classifier(Engine::Onnx { card, session }))
     }
 
     /// Makes a classifier of a model.
     pub fn new(model: Model) -> Self {
-        let Model { card, network } = model;
-        Classifier { card, engine: Engine::Native { network, inference: None } }
+        Classifier(Engine::Native { model, inference: None })
     }
 
     /// Waveform that maps must come from, or with physical axes the nominal one ([`ModelCard::waveform`]).
     pub fn waveform(&self) -> &Waveform {
-        &self.card.waveform
+        &self.card().waveform
     }
 
     /// Settings by which maps must be made.
     pub fn rdm_spec(&self) -> &RdmSpec {
-        &self.card.rdm_spec
-    }
-
-    /// Checks that `spec` makes the same kind of maps of the frames of `waveform` as the model was trained on. They may end at a nearer
-    /// range ([`RdmSpec::max_range_m`]): people beyond it then do not count.
-    ///
-    /// # Errors
-    /// [`ClassifyError::OtherMaps`] if a setting differs, or the waveform does not fit.
-    pub fn check_maps(&self, spec: &RdmSpec, waveform: &Waveform) -> Result<(), ClassifyError> {
-        let expected = RdmSpec { max_range_m: spec.max_range_m, ..self.card.rdm_spec };
-        if *spec != expected {
-            let what = format!("the maps were made with {}", differences(spec, &expected));
-            return Err(ClassifyError::OtherMaps { what });
-        }
-        let checked = spec.check_compatible(waveform, &self.card.waveform);
-        checked.map_err(|mismatch| ClassifyError::OtherMaps { what: mismatch.to_string() })
+        &self.card().rdm_spec
     }
 
     /// Everything about the model but its numbers.
     pub fn card(&self) -> &ModelCard {
-        &self.card
-    }
-
-    /// The network; `None` for ONNX files.
-    pub(crate) fn network(&self) -> Option<&Network> {
-        match &self.engine {
-            Engine::Native { network, .. } => Some(network),
-            Engine::Onnx(_) => None,
+        match &self.0 {
+            Engine::Native { model, .. } => &model.card,
+            Engine::Onnx { card, .. } => card,
         }
     }
 
-    /// Input of the network for a map without a label.
-    pub(crate) fn unlabelled_input(
-        &self,
-        db: &[f32],
-        shape: RdmShape,
-        sequence: u64,
-    ) -> Result<Vec<f32>, ClassifyError> {
-        if self.card.standardisation.needs_labels() {
-            return Err(ClassifyError::NeedsLabels);
+    /// The model; `None` for ONNX files.
+    pub fn model(&self) -> Option<&Model> {
+        match &self.0 {
+            Engine::Native { model, .. } => Some(model),
+            Engine::Onnx { .. } => None,
         }
-        self.input(db, shape, sequence, None)
     }
 
     /// Returns the model; `None` for ONNX files.
     pub fn into_model(self) -> Option<Model> {
-        match self.engine {
-            Engine::Native { network, .. } => Some(Model { card: self.card, network }),
-            Engine::Onnx(_) => None,
+        match self.0 {
+            Engine::Native { model, .. } => Some(model),
+            Engine::Onnx { .. } => None,
         }
     }
 
@@ -195,7 +169,7 @@ impl Classifier {
     /// [`ClassifyError`] if the model needs labels, the map has another shape or a cell that is not finite, or the network fails or
     /// puts out a number that is not finite.
     pub fn classify(&mut self, map: &Rdm) -> Result<[f32; 3], ClassifyError> {
-        let input = self.unlabelled_input(&map.db, map.shape, map.sequence)?;
+        let input = self.card().unlabelled_input(&map.db, map.shape, map.sequence)?;
         self.run(&map.db, &input)
     }
 
@@ -205,43 +179,19 @@ impl Classifier {
     /// # Errors
     /// Those of [`Classifier::classify`], except [`ClassifyError::NeedsLabels`].
     pub fn classify_row(&mut self, db: &[f32], shape: RdmShape, row: &ManifestRow) -> Result<[f32; 3], ClassifyError> {
-        let input = self.input(db, shape, row.frame, Some((&row.scene, row.label)))?;
+        let input = self.card().input(db, shape, row.frame, Some((&row.scene, row.label)))?;
         self.run(db, &input)
     }
 
     /// Probabilities of a map from the network's input, `db` being its cells for the error.
     fn run(&mut self, db: &[f32], input: &[f32]) -> Result<[f32; 3], ClassifyError> {
-        let [_, rows, columns] = self.card.input_shape;
-        let logits = self.engine.logits(input, rows, columns)?;
-        let probabilities = softmax(&logits, self.card.temperature);
+        let [_, rows, columns] = self.card().input_shape;
+        let logits = self.0.logits(input, rows, columns)?;
+        let probabilities = softmax(&logits, self.card().temperature);
         match probabilities.as_slice() {
             &[p, q, r] if [p, q, r].iter().all(|v| v.is_finite()) => Ok([p as f32, q as f32, r as f32]),
             _ => Err(ClassifyError::Diverged { largest_db: db.iter().fold(0.0, |m, v| m.max(v.abs())) }),
         }
-    }
-
-    /// Input of the network for a map: standardised, `[range][doppler]` or transposed by the card.
-    fn input(
-        &self,
-        db: &[f32],
-        got: RdmShape,
-        sequence: u64,
-        scene_and_class: Option<(&str, Occupancy)>,
-    ) -> Result<Vec<f32>, ClassifyError> {
-        let card = &self.card;
-        let [_, rows, columns] = card.input_shape;
-        let (range, doppler) = if card.is_transposed() { (columns, rows) } else { (rows, columns) };
-        let expected = RdmShape { rx: 1, doppler, range };
-        let raw_input = Some(got).filter(|got| *got == expected).and_then(|shape| network_input(db, shape, 0));
-        let Some(mut input) = raw_input else {
-            return Err(ClassifyError::Shape { expected, got, cells: db.len() });
-        };
-        if let Some(first) = db.iter().position(|v| !v.is_finite()) {
-            let cells = db.iter().filter(|v| !v.is_finite()).count();
-            return Err(ClassifyError::NonFinite { sequence, cells, first });
-        }
-        card.standardisation.apply(&mut input, doppler, scene_and_class);
-        Ok(if card.is_transposed() { transposed(&input, doppler) } else { input })
     }
 }
 
@@ -254,5 +204,56 @@ impl ModelCard {
     pub fn load(path: &Path) -> Result<Self, ModelError> {
         let data = read(path)?;
         if is_onnx(path) { read_card(path, &data) } else { Self::of_safetensors(path, &data) }
+    }
+
+    /// Checks that `spec` makes the same kind of maps of the frames of `waveform` as the model was trained on. They may end at a nearer
+    /// range ([`RdmSpec::max_range_m`]): people beyond it then do not count.
+    ///
+    /// # Errors
+    /// [`ClassifyError::OtherMaps`] if a setting differs, or the waveform does not fit.
+    pub fn check_maps(&self, spec: &RdmSpec, waveform: &Waveform) -> Result<(), ClassifyError> {
+        let expected = RdmSpec { max_range_m: spec.max_range_m, ..self.rdm_spec };
+        if *spec != expected {
+            let what = format!("the maps were made with {}", differences(spec, &expected));
+            return Err(ClassifyError::OtherMaps { what });
+        }
+        let checked = spec.check_compatible(waveform, &self.waveform);
+        checked.map_err(|mismatch| ClassifyError::OtherMaps { what: mismatch.to_string() })
+    }
+
+    /// Input of the network for a map without a label.
+    pub(crate) fn unlabelled_input(
+        &self,
+        db: &[f32],
+        shape: RdmShape,
+        sequence: u64,
+    ) -> Result<Vec<f32>, ClassifyError> {
+        if self.standardisation.needs_labels() {
+            return Err(ClassifyError::NeedsLabels);
+        }
+        self.input(db, shape, sequence, None)
+    }
+
+    /// Input of the network for a map: standardised, `[range][doppler]` or transposed by the card.
+    fn input(
+        &self,
+        db: &[f32],
+        got: RdmShape,
+        sequence: u64,
+        scene_and_class: Option<(&str, Occupancy)>,
+    ) -> Result<Vec<f32>, ClassifyError> {
+        let [_, rows, columns] = self.input_shape;
+        let (range, doppler) = if self.is_transposed() { (columns, rows) } else { (rows, columns) };
+        let expected = RdmShape { rx: 1, doppler, range };
+        let raw_input = Some(got).filter(|got| *got == expected).and_then(|shape| network_input(db, shape, 0));
+        let Some(mut input) = raw_input else {
+            return Err(ClassifyError::Shape { expected, got, cells: db.len() });
+        };
+        if let Some(first) = db.iter().position(|v| !v.is_finite()) {
+            let cells = db.iter().filter(|v| !v.is_finite()).count();
+            return Err(ClassifyError::NonFinite { sequence, cells, first });
+        }
+        self.standardisation.apply(&mut input, doppler, scene_and_class);
+        Ok(if self.is_transposed() { transposed(&input, doppler) } else { input })
     }
 }

@@ -31,8 +31,8 @@ use radome_dsp::{Rdm, RdmShape};
 
 use crate::dataset::{Dataset, Split, sequence_hash};
 use crate::metrics::CLASSES;
-use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
-use crate::network::{Layer, Mode, Network, Value, names};
+use crate::model::{Adapted, BeforeAfter, ClassifyError, Model, Scores};
+use crate::network::{Layer, Mode, Value, names};
 use adapted_layers::{AdaptedLayers, BIAS_STRENGTH, Confusions, last_node, shift_strength};
 use recording::{MOST_FRAMES, learnable_classes};
 
@@ -86,7 +86,7 @@ pub struct Fit {
 
 /// Adaptation of a model.
 pub struct Adapter {
-    classifier: Classifier,
+    model: Model,
     /// Input of the adapted layers.
     input: Value,
     /// Parameters of the model before the adaptation.
@@ -112,20 +112,15 @@ impl Adapter {
         };
         let is_linear = last_node(&model.network).is_some_and(|node| matches!(node.layer, Layer::Linear { .. }));
         let input = input.filter(|_| is_linear).ok_or(AdaptError::Network { network: kind })?;
-        let mut adapter = Adapter {
-            classifier: Classifier::new(model),
-            input,
-            prior: Vec::new(),
-            simulated: Vec::new(),
-            sequences: BTreeSet::new(),
-        };
+        let mut adapter =
+            Adapter { model, input, prior: Vec::new(), simulated: Vec::new(), sequences: BTreeSet::new() };
         adapter.prior = adapter.adapted_layers()?.numbers()?;
         Ok(adapter)
     }
 
     fn adapted_layers(&self) -> Result<AdaptedLayers<'_>, AdaptError> {
-        let card = self.classifier.card();
-        let layers = AdaptedLayers::new(self.network()?, self.input, card.temperature);
+        let Model { card, network } = &self.model;
+        let layers = AdaptedLayers::new(network, self.input, card.temperature);
         layers.ok_or(AdaptError::Network { network: card.network })
     }
 
@@ -138,16 +133,12 @@ impl Adapter {
     }
 
     fn features_of_cells(&self, db: &[f32], shape: RdmShape, sequence: u64) -> Result<Vec<f32>, AdaptError> {
-        let input = self.classifier.unlabelled_input(db, shape, sequence)?;
-        let [_, rows, columns] = self.classifier.card().input_shape;
+        let Model { card, network } = &self.model;
+        let input = card.unlabelled_input(db, shape, sequence)?;
+        let [_, rows, columns] = card.input_shape;
         let input = Tensor::from_vec(input, (1, rows, columns), &Device::Cpu)?;
-        let features = self.network()?.run(&input, self.input, Mode::Evaluation)?.take(self.input)?;
+        let features = network.run(&input, self.input, Mode::Evaluation)?.take(self.input)?;
         Ok(features.flatten_all()?.to_vec1()?)
-    }
-
-    fn network(&self) -> Result<&Network, AdaptError> {
-        let network = self.classifier.card().network;
-        self.classifier.network().ok_or(AdaptError::Network { network })
     }
 
     /// Mixes in the maps of a dataset's training split, at most 2,000. Returns their number. The rule of the split is
@@ -159,12 +150,12 @@ impl Adapter {
     /// cannot be read.
     pub fn mix(&mut self, dataset: &Dataset) -> Result<usize, AdaptError> {
         let header = dataset.header();
-        let checked = self.classifier.check_maps(&header.rdm_spec, &header.waveform);
+        let checked = self.model.card.check_maps(&header.rdm_spec, &header.waveform);
         checked.map_err(|error| match error {
             ClassifyError::OtherMaps { what } => AdaptError::Simulated { what },
             other => AdaptError::Simulated { what: other.to_string() },
         })?;
-        let splits = dataset.splits(&self.classifier.card().split_rule(dataset))?;
+        let splits = dataset.splits(&self.model.card.split_rule(dataset))?;
         let rows = dataset.rows().iter().zip(&splits).enumerate();
         let training: Vec<usize> = rows
             .filter(|(_, (row, split))| **split == Split::Train && !row.transition)
@@ -198,8 +189,7 @@ impl Adapter {
             self.fit(recordings)?;
         let is_simulated = self.is_simulated();
         self.adapted_layers()?.set(&numbers)?;
-        let network = self.classifier.card().network;
-        let Some(mut model) = self.classifier.into_model() else { return Err(AdaptError::Network { network }) };
+        let mut model = self.model;
         model.card.adapted = Some(adapted.clone());
         let seen = &mut model.card.training.seen_sequences;
         // An empty list stays empty: without the sequences of the training it would be incomplete.
@@ -286,7 +276,7 @@ impl Adapter {
         is_labelled: [bool; CLASSES],
         strengths: &[f64],
     ) -> Result<(Vec<Option<Fold>>, [bool; CLASSES]), AdaptError> {
-        let card = self.classifier.card();
+        let card = &self.model.card;
         let mut is_measured = [false; CLASSES];
         let mut folds: Vec<Option<Fold>> = recordings.iter().map(|_| None).collect();
         let parts = recordings.len().min(MOST_FOLDS);
@@ -323,7 +313,7 @@ impl Adapter {
     /// # Errors
     /// [`AdaptError::Operation`] if features or parameters are not those of this model.
     pub fn scores(&self, fit: Option<&Fit>, recordings: &[AdaptRecording]) -> Result<Scores, AdaptError> {
-        let (layers, card) = (self.adapted_layers()?, self.classifier.card());
+        let (layers, card) = (self.adapted_layers()?, &self.model.card);
         let numbers = fit.map_or(&self.prior, |fit| &fit.numbers);
         let evaluate = |recording: &AdaptRecording| layers.confusions(numbers, recording, card);
         let confusions = recordings.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;

@@ -83,22 +83,21 @@ pub(crate) fn train_on(
         validation: Metrics::from_predictions([]),
         test: None,
     };
-    let mut card = card(dataset, spec, &data.standardisation, &network, temperature, training);
+    let card = card(dataset, spec, &data.standardisation, &network, temperature, training);
     let mut warnings = data.warnings.clone();
     warnings.extend(weights.iter().flat_map(TorchvisionWeights::warnings));
     // Scores are computed by the same code as in live use.
-    let mut classifier = Classifier::new(Model { card: card.clone(), network });
+    let mut classifier = Classifier::new(Model { card, network });
     let validation = evaluate(&mut classifier, dataset, &data.validation.indices)?;
     let test = match data.test.as_slice() {
         [] => None,
         indices => Some(evaluate(&mut classifier, dataset, indices)?),
     };
-    card.training.validation = validation.clone();
-    card.training.test = test.clone();
-    let Some(Model { network, .. }) = classifier.into_model() else {
+    let Some(mut model) = classifier.into_model() else {
         return Err(candle_core::Error::Msg("a trained network is no ONNX file".to_owned()).into());
     };
-    let model = Model { card, network };
+    model.card.training.validation = validation.clone();
+    model.card.training.test = test.clone();
     Ok(TrainOutcome { model, history, validation, test, warnings })
 }
 

@@ -163,7 +163,7 @@ const FRAMES: usize = 20;
 const TIME_LIMIT: Duration = Duration::from_secs(20);
 
 /// Checks whether a source opens, delivers frames, and can be classified.
-pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>) {
+pub fn source(spec: &str, mut model: Option<Model>) -> (Vec<Check>, Option<Examined>) {
     let options = SourceOptions {
         model_waveform: model.as_ref().and_then(|model| model.waveform().cloned()),
         seed: source::DEFAULT_SEED,
@@ -178,7 +178,7 @@ pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>
     let mut checks = vec![Check::ok("source", format!("{}, {}", opened.description, waveform.shape()))];
     let header = opened.header(None);
     let mut examined = Examined { description: opened.description, header, frames: Vec::new() };
-    let mut classifier = match model.map(|model| model.for_waveform(&waveform, None)) {
+    let mut classifier = match model.as_mut().map(|model| model.for_waveform(&waveform, None)) {
         Some(Ok(classifier)) => {
             checks.push(Check::ok("fit", "the model takes these frames"));
             Some(classifier)

@@ -44,7 +44,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let [source, waveform] = arguments.source.inputs();
     arguments.overwrite.check(&arguments.output, &[source, waveform, &arguments.model])?;
-    let model = Model::open(&arguments.model)?;
+    let mut model = Model::open(&arguments.model)?;
     let description = model.description(&arguments.model, Default::default(), arguments.max_range_m)?;
     let mut options = arguments.source.options()?;
     options.model_waveform = model.waveform().cloned();

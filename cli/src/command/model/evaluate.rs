@@ -308,9 +308,7 @@ impl<'a> Evaluation<'a> {
         let false_alarms = FalseAlarms::of(&self.scores);
         let mut ablated = Vec::new();
         if arguments.ablate {
-            let (model, rows) = ablation::ablate_recordings(candidate.take()?, &self.accepted, arguments.max_range_m)?;
-            candidate.put_back(model);
-            ablated = rows;
+            ablated = ablation::ablate_recordings(&mut candidate.model, &self.accepted, arguments.max_range_m)?;
         }
         let thermal = evaluate_under_noise(candidate, &self.accepted, arguments)?;
         if arguments.json {
@@ -442,7 +440,7 @@ fn classify_recording(
             None => run.predict(&frame, truth)?,
         }
     }
-    Ok(Ok(candidate.end_run(run)))
+    Ok(Ok(run.predictions))
 }
 
 fn evaluate_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments) -> anyhow::Result<()> {

@@ -148,7 +148,7 @@ mod tests {
     /// Classifier of frames of an empty room, with the sink that receives its answers.
     struct Room {
         waveform: Waveform,
-        classifier: LiveClassifier,
+        classifier: LiveClassifier<'static>,
         sink: LatestSink,
         noise: u32,
     }
@@ -157,8 +157,9 @@ mod tests {
         fn new() -> Self {
             let waveform = Waveform::realise(WaveformRequest::paper()).expect("a valid waveform");
             let started = Instant::now();
+            let model = Box::leak(Box::new(Model::Cfar));
             let classifier =
-                LiveClassifier::new(Model::Cfar, &waveform, Delays::default(), None, started).expect("a classifier");
+                LiveClassifier::new(model, &waveform, Delays::default(), None, started).expect("a classifier");
             Room { waveform, classifier, sink: LatestSink(Latest::new(started, Duration::from_secs(600))), noise: 1 }
         }
 

@@ -1,6 +1,5 @@
 //! Features of the frames that a model is adapted to.
 
-use anyhow::Context;
 use radome_dsp::{Frame, FrameSource, Occupancy};
 use radome_models::train::{AdaptFrame, AdaptRecording, Adapter};
 
@@ -9,8 +8,7 @@ use crate::source;
 
 /// Computes the features of recordings with one model.
 pub struct FeatureReader<'a> {
-    /// Model, which is absent while in use and after an error.
-    model: Option<Model>,
+    model: Model,
     adapter: &'a Adapter,
     /// Greatest range at which people count, m.
     max_range_m: Option<f64>,
@@ -18,20 +16,19 @@ pub struct FeatureReader<'a> {
 
 impl<'a> FeatureReader<'a> {
     pub fn new(model: Model, adapter: &'a Adapter, max_range_m: Option<f64>) -> Self {
-        FeatureReader { model: Some(model), adapter, max_range_m }
+        FeatureReader { model, adapter, max_range_m }
     }
 
     /// Reads features of all frames of a source, and their labels by `truth`.
     ///
     /// # Errors
-    /// The source cannot be read, the model does not take its waveform, or an earlier call has failed.
+    /// The source cannot be read, or the model does not take its waveform.
     pub fn read(
         &mut self,
         source: &mut dyn FrameSource,
         truth: impl Fn(&Frame) -> Option<Occupancy>,
     ) -> anyhow::Result<AdaptRecording> {
-        let model = self.model.take().context("an earlier recording has failed")?;
-        let mut classifier = model.for_waveform(source.waveform(), self.max_range_m)?;
+        let mut classifier = self.model.for_waveform(source.waveform(), self.max_range_m)?;
         let mut frame = Frame::zeroed(source.waveform().shape());
         let mut frames = Vec::new();
         while source::next_frame_noting_gaps(source, &mut frame, || classifier.reset())? {
@@ -40,7 +37,6 @@ impl<'a> FeatureReader<'a> {
                 frames.push(AdaptFrame { time_s: frame.time_s(), features, label: truth(&frame) });
             }
         }
-        self.model = Some(classifier.into_model());
         Ok(AdaptRecording { frame_interval_s: source.waveform().frame_interval_s(), frames })
     }
 }

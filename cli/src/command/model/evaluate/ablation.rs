@@ -26,16 +26,16 @@ pub struct Row {
     confusion: Confusion,
 }
 
-/// Scores a network on the single labelled frames of recordings, with people up to a range or in the whole room. Returns the network with the scores.
+/// Scores a network on the single labelled frames of recordings, with people up to a range or in the whole room.
 ///
 /// # Errors
 /// A recording cannot be read, or the model does not take its waveform.
 pub fn ablate_recordings(
-    mut model: Model,
+    model: &mut Model,
     recordings: &[&LabelledRecording],
     max_range_m: Option<f64>,
-) -> anyhow::Result<(Model, Vec<Row>)> {
-    let Model::Network(classifier) = &model else { bail!("{CFAR} has no maps of which parts can be replaced") };
+) -> anyhow::Result<Vec<Row>> {
+    let Model::Network(classifier) = &*model else { bail!("{CFAR} has no maps of which parts can be replaced") };
     let mut scores = AblationScores::new(classifier.card());
     let bar = output::progress(recordings.len() as u64, "ablation");
     for recording in recordings {
@@ -54,11 +54,10 @@ pub fn ablate_recordings(
                 }
             }
         }
-        model = frame_classifier.into_model();
         bar.inc(1);
     }
     bar.finish_and_clear();
-    Ok((model, rows(&scores)))
+    Ok(rows(&scores))
 }
 
 /// Scores a network on the maps of a dataset.

@@ -17,14 +17,13 @@ pub struct Candidate {
     path: PathBuf,
     /// Greatest range at which people count, m.
     max_range_m: Option<f64>,
-    /// Model, which is absent while in use and after it refused a recording. It is then opened again.
-    model: Option<Model>,
+    pub model: Model,
 }
 
 impl Candidate {
     /// Creates a candidate that counts people up to a range, or in the whole room.
     pub fn new(path: PathBuf, model: Model, max_range_m: Option<f64>) -> Self {
-        Candidate { path, max_range_m, model: Some(model) }
+        Candidate { path, max_range_m, model }
     }
 
     /// Returns the path of the model as it was given.
@@ -32,51 +31,31 @@ impl Candidate {
         &self.path
     }
 
-    /// Takes the model out.
-    ///
-    /// # Errors
-    /// It has to be opened again and cannot be.
-    pub fn take(&mut self) -> anyhow::Result<Model> {
-        match self.model.take() {
-            Some(model) => Ok(model),
-            None => Model::open(&self.path),
-        }
-    }
-
-    pub fn put_back(&mut self, model: Model) {
-        self.model = Some(model);
-    }
-
     /// Starts the model on the frames of a recording.
     ///
     /// # Errors
-    /// The model refuses the waveform. It can classify other recordings afterwards.
-    pub fn start_run(&mut self, waveform: &Waveform) -> anyhow::Result<Run> {
-        let model = self.take()?;
-        let filter = OccupancyFilter::new(model.smoothing(), waveform.frame_interval_s());
-        let classifier = model.for_waveform(waveform, self.max_range_m)?;
+    /// The model refuses the waveform.
+    pub fn start_run(&mut self, waveform: &Waveform) -> anyhow::Result<Run<'_>> {
         let frame_interval_s = waveform.frame_interval_s();
+        let filter = OccupancyFilter::new(self.model.smoothing(), frame_interval_s);
+        let classifier = self.model.for_waveform(waveform, self.max_range_m)?;
         Ok(Run {
             classifier,
             filter,
             predictions: Predictions { filtered: Vec::new(), single_frames: Vec::new(), frame_interval_s },
         })
     }
-
-    pub fn end_run(&mut self, run: Run) -> Predictions {
-        self.model = Some(run.classifier.into_model());
-        run.predictions
-    }
 }
 
 /// Model running on a recording.
-pub struct Run {
-    classifier: FrameClassifier,
+pub struct Run<'m> {
+    classifier: FrameClassifier<'m>,
     filter: OccupancyFilter,
-    predictions: Predictions,
+    /// Predictions for the frames so far.
+    pub predictions: Predictions,
 }
 
-impl Run {
+impl Run<'_> {
     /// Predicts the next frame, whose label is `truth`.
     ///
     /// # Errors

@@ -133,9 +133,9 @@ impl Simulation {
         if let Some(recorder) = recorder {
             recorder.finish()?;
         }
-        for ((candidate, run), scores) in candidates.iter_mut().zip(runs).zip(scores.iter_mut()) {
+        for (run, scores) in runs.into_iter().zip(scores) {
             if let Some(run) = run {
-                scores.add(&self.name, &candidate.end_run(run));
+                scores.add(&self.name, &run.predictions);
             }
         }
         Ok(())
