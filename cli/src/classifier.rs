@@ -11,10 +11,10 @@ use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::detect::CfarCounter;
 use radome_dsp::rdm::{AxesCoverage, PhysicalAxes, SlowTime};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, ReceiverFault, Waveform};
-use radome_files::read;
+use radome_models::Classifier;
 use radome_models::evidence_mean::EvidenceMean;
+use radome_models::model::{BUILT_IN, is_built_in, read};
 use radome_models::occupancy_filter::Smoothing;
-use radome_models::{Classifier, MODEL_LIMIT_BYTES};
 use sha2::{Digest, Sha256};
 
 use crate::panics::lock;
@@ -22,15 +22,10 @@ use crate::panics::lock;
 /// Name that selects the classical detector instead of a model file.
 pub const CFAR: &str = "cfar";
 
-/// Default model. It is built into the program and accepts nearly any waveform.
-pub const BUILT_IN: &str = "room-hqnn";
-
 /// Velocity resolution beyond which the shipped models mostly count two people as one, m/s. `room-hqnn` was tested on
 /// frames of simulated rooms (seeds 731033 to 731038) with two people. It called 67 % of them `two` at 0.10 m/s, 16 %
 /// at 0.26 m/s and none at 0.52 m/s.
 const COUNTING_RESOLUTION_M_PER_S: f64 = 0.25;
-
-static BUILT_IN_FILE: &[u8] = include_bytes!("../../fixtures/models/room-hqnn.safetensors");
 
 /// Probabilities of the classes empty, one and two for each number of people that the detector counts, `[counted][class]`.
 /// Missing a person who is hidden or turned away is more likely than counting noise as a person. Chosen on simulated
@@ -42,32 +37,23 @@ const COUNT_TO_PROBABILITIES: [[f32; 3]; 3] = [[0.70, 0.20, 0.10], [0.05, 0.60, 
 /// # Errors
 /// The file cannot be read or is no model, or is an ONNX file.
 pub fn network(name: &Path) -> anyhow::Result<radome_models::Model> {
-    Ok(if is_built_in(name) {
-        radome_models::Model::from_bytes(name, BUILT_IN_FILE)?
-    } else {
-        check_exists(name)?;
-        ensure!(
-            !name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")),
-            "{}: an ONNX file can only judge\n\nhint: name the .safetensors file that it was exported from",
-            name.display()
-        );
-        radome_models::Model::load(name)?
-    })
+    check_exists(name)?;
+    ensure!(
+        !name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")),
+        "{}: an ONNX file can only judge\n\nhint: name the .safetensors file that it was exported from",
+        name.display()
+    );
+    Ok(radome_models::Model::load(name)?)
 }
 
 fn check_exists(name: &Path) -> anyhow::Result<()> {
     ensure!(
-        name.exists(),
+        is_built_in(name) || name.exists(),
         "{}: there is no such model\n\nhint: name a model's file, such as fixtures/models/room-linear.safetensors, or {BUILT_IN}, which is built in; \
          live also takes cfar",
         name.display()
     );
     Ok(())
-}
-
-/// Returns whether a name is that of the built-in model, with no file of that name.
-pub fn is_built_in(name: &Path) -> bool {
-    name == Path::new(BUILT_IN) && !name.exists()
 }
 
 fn is_cfar(name: &Path) -> bool {
@@ -165,9 +151,6 @@ impl Model {
         if is_cfar(name) {
             return Ok(Model::Cfar);
         }
-        if is_built_in(name) {
-            return Ok(Model::Network(Box::new(Classifier::new(network(name)?))));
-        }
         check_exists(name)?;
         Ok(Model::Network(Box::new(Classifier::load(name)?)))
     }
@@ -193,14 +176,7 @@ impl Model {
         let model_hash = match self {
             // The detector is identified by the program's version.
             Model::Cfar => format!("radome {}", env!("CARGO_PKG_VERSION")),
-            Model::Network(_) => {
-                let bytes = if is_built_in(path) {
-                    BUILT_IN_FILE.to_vec()
-                } else {
-                    read(path, MODEL_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?
-                };
-                format!("{:x}", Sha256::digest(&bytes))
-            }
+            Model::Network(_) => format!("{:x}", Sha256::digest(read(path)?)),
         };
         let Delays { on_s: on_delay_s, off_s: off_delay_s } = delays;
         Ok(Judge { version: RESULTS_VERSION, model, model_hash, on_delay_s, off_delay_s, max_range_m })

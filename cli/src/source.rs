@@ -26,9 +26,10 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
+use radome_models::ModelCard;
+use radome_models::model::{BUILT_IN, is_built_in};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-use crate::classifier::{self, BUILT_IN};
 use crate::exit::wrong_use;
 use crate::panics::PanicGuard;
 
@@ -451,11 +452,8 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
         return Ok(Waveform::realise(radome_dsp::WaveformRequest::paper())?);
     }
     let path = Path::new(spec);
-    if classifier::is_built_in(path) {
-        return Ok(classifier::network(path)?.card.waveform);
-    }
-    if path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
-        return Ok(radome_models::ModelCard::load(path)?.waveform);
+    if is_built_in(path) || path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
+        return Ok(ModelCard::load(path)?.waveform);
     }
     if path.is_dir() || path.is_file() {
         match Recording::open(path) {

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::sync::Mutex;
 
 use pyo3::prelude::*;
+use radome_models::Classifier;
 use radome_models::train::{self, AdaptFrame, AdaptRecording, Adaptation};
 use serde_json::json;
 
@@ -12,7 +13,7 @@ use crate::error::{Outcome, detached, lock, to_python};
 use crate::fork;
 use crate::frame::occupancy;
 use crate::map::Map;
-use crate::model::{Model, network};
+use crate::model::Model;
 
 /// Model to adapt, and the recordings so far.
 struct Work {
@@ -44,7 +45,7 @@ impl Adapter {
     fn new(py: Python<'_>, model: PathBuf) -> PyResult<Self> {
         let adapter = detached(py, || {
             fork::check_pools("adapting")?;
-            Ok(train::Adapter::new(network(&model)?)?)
+            Ok(train::Adapter::new(radome_models::Model::load(&model)?)?)
         })?;
         Ok(Adapter { work: Mutex::new(Some(Work { adapter, recordings: Vec::new() })) })
     }
@@ -92,6 +93,6 @@ impl Adapter {
             "recordings_by_class": recordings_by_class,
             "is_measured": is_measured,
         });
-        Ok((Model::of(model), to_python(py, &scores)?))
+        Ok((Model::of(Classifier::new(model)), to_python(py, &scores)?))
     }
 }

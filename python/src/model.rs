@@ -11,47 +11,23 @@ use radome_driver::recording::{Existing, Partial};
 use radome_dsp::RdmProcessor;
 use radome_models::evaluate::evaluate;
 use radome_models::evidence_mean::EvidenceMean;
+use radome_models::model::BUILT_IN;
 use radome_models::occupancy_filter::OccupancyFilter;
 use radome_models::{Classifier, ModelCard, onnx};
 
 use crate::dataset::Dataset;
-use crate::error::{Failure, Outcome, detached, lock, to_exception, to_python};
+use crate::error::{Outcome, detached, lock, to_exception, to_python};
 use crate::fork::CreatorProcess;
 use crate::frame::Frame;
 use crate::map::{Map, next_map};
 use crate::waveform::Waveform;
 
-/// Name and file of the model that is part of the package.
-const BUILT_IN: &str = "room-hqnn";
-static BUILT_IN_FILE: &[u8] = include_bytes!("../../fixtures/models/room-hqnn.safetensors");
-
 /// Probabilities of the classes empty, one and two.
 type Probabilities = [f32; 3];
 
-/// Loads a network from its file, or the built-in one by its name.
-///
-/// # Errors
-/// The file cannot be read or is not a model.
-pub fn network(name: &Path) -> Outcome<radome_models::Model> {
-    if is_built_in(name) {
-        return Ok(radome_models::Model::from_bytes(name, BUILT_IN_FILE)?);
-    }
-    Ok(radome_models::Model::load(name)?)
-}
-
-/// Returns whether a name means the built-in model and not a file.
-pub fn is_built_in(name: &Path) -> bool {
-    name == Path::new(BUILT_IN) && !name.exists()
-}
-
-fn is_onnx(name: &Path) -> bool {
-    name.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
-}
-
 /// State that one thread at a time may use.
 struct Work {
-    /// Network; absent after an error that left it unusable.
-    classifier: Option<Classifier>,
+    classifier: Classifier,
     /// Processor for the waveform of the last frame.
     maps: Option<(Arc<radome_dsp::Waveform>, RdmProcessor)>,
     /// Mean of the evidence of past frames.
@@ -67,21 +43,15 @@ struct Work {
 pub struct Model {
     work: Mutex<Work>,
     card: ModelCard,
-    is_native: bool,
     creator: CreatorProcess,
 }
 
 impl Model {
-    /// Wraps a model.
-    pub fn of(model: radome_models::Model) -> Self {
-        Self::of_classifier(Classifier::new(model), true)
-    }
-
-    fn of_classifier(classifier: Classifier, is_native: bool) -> Self {
+    /// Wraps a classifier.
+    pub fn of(classifier: Classifier) -> Self {
         let card = classifier.card().clone();
         let mean = EvidenceMean::new(card.memory_s);
-        let work = Mutex::new(Work { classifier: Some(classifier), maps: None, mean });
-        Model { work, card, is_native, creator: CreatorProcess::current() }
+        Model { work: Mutex::new(Work { classifier, maps: None, mean }), card, creator: CreatorProcess::current() }
     }
 
     fn lock(&self) -> Outcome<MutexGuard<'_, Work>> {
@@ -90,10 +60,8 @@ impl Model {
     }
 
     fn classify(&self, map: &Map) -> Outcome<Probabilities> {
-        let mut work = self.lock()?;
-        let classifier = work.classifier.as_mut().ok_or_else(model_lost_error)?;
-        classifier.check_maps(&map.spec, &map.waveform)?;
-        Ok(classifier.classify(&map.inner)?)
+        self.card.check_maps(&map.spec, &map.waveform)?;
+        Ok(self.lock()?.classifier.classify(&map.inner)?)
     }
 
     /// Probabilities for the next frame; `None` while a window over frames fills, and for frames without a signal.
@@ -110,7 +78,6 @@ impl Model {
             processor.reset();
             return Ok(None);
         }
-        let classifier = classifier.as_mut().ok_or_else(model_lost_error)?;
         let map = next_map(processor, &frame.inner)?;
         let Some(map) = map else { return Ok(None) };
         Ok(Some(mean.update(frame.inner.time_s(), classifier.classify(&map)?)))
@@ -118,22 +85,14 @@ impl Model {
 
     /// Runs `work` on the network and its card.
     fn with_network<T>(&self, work: impl FnOnce(&radome_models::Model) -> Outcome<T>) -> Outcome<T> {
-        if !self.is_native {
+        let guard = self.lock()?;
+        let Some(model) = guard.classifier.model() else {
             return Err(
                 "the model is an ONNX file\n\nhint: open the .safetensors file that it was exported from".into()
             );
-        }
-        let mut guard = self.lock()?;
-        let classifier = guard.classifier.take().ok_or_else(model_lost_error)?;
-        let model = classifier.into_model().ok_or_else(model_lost_error)?;
-        let result = work(&model);
-        guard.classifier = Some(Classifier::new(model));
-        result
+        };
+        work(model)
     }
-}
-
-fn model_lost_error() -> Failure {
-    "the model was lost to an earlier error\n\nhint: open it again".into()
 }
 
 fn check_free(path: &Path, overwrite: bool) -> Outcome<()> {
@@ -148,12 +107,7 @@ impl Model {
     #[new]
     #[pyo3(signature = (name=PathBuf::from(BUILT_IN)))]
     fn new(py: Python<'_>, name: PathBuf) -> PyResult<Self> {
-        detached(py, || {
-            if is_onnx(&name) {
-                return Ok(Self::of_classifier(Classifier::load(&name)?, false));
-            }
-            Ok(Self::of(network(&name)?))
-        })
+        detached(py, || Ok(Self::of(Classifier::load(&name)?)))
     }
 
     /// Probabilities of empty, one and two, `[class]`, float32, of the next frame or of a map; `None` as the class says.
@@ -240,10 +194,7 @@ impl Model {
         indices: Vec<usize>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let dataset = &dataset.get().inner;
-        let metrics = detached(py, || {
-            let mut work = self.lock()?;
-            Ok(evaluate(work.classifier.as_mut().ok_or_else(model_lost_error)?, dataset, &indices)?)
-        })?;
+        let metrics = detached(py, || Ok(evaluate(&mut self.lock()?.classifier, dataset, &indices)?))?;
         to_python(py, &metrics)
     }
 

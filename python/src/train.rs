@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 
 use pyo3::prelude::*;
 use radome_files::{named_by_spec, parse_toml};
-use radome_models::{CheckpointLock, EpochReport, NetworkSpec, TrainOutcome, TrainSpec, train_with_checkpoint};
+use radome_models::{
+    CheckpointLock, Classifier, EpochReport, NetworkSpec, TrainOutcome, TrainSpec, train_with_checkpoint,
+};
 use serde_json::json;
 
 use crate::dataset::Dataset;
@@ -94,7 +96,7 @@ pub fn train<'py>(
     })?;
     let TrainOutcome { model, history, validation, test, warnings } = outcome;
     let scores = json!({ "history": history, "validation": validation, "test": test, "warnings": warnings });
-    Ok((Model::of(model), to_python(py, &scores)?))
+    Ok((Model::of(Classifier::new(model)), to_python(py, &scores)?))
 }
 
 /// Exception that stopped a training; resumes any other panic.

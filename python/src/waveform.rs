@@ -11,9 +11,9 @@ use radome_driver::protocol::mcu7::SliceLayout;
 use radome_driver::recording::Recording;
 use radome_dsp::{FrameSource, WaveformRequest};
 use radome_models::ModelCard;
+use radome_models::model::is_built_in;
 
 use crate::error::{Outcome, detached, from_python, read_text_file, to_exception, to_python};
-use crate::model;
 
 /// Waveform as the chip realises it. Keyword arguments are the keys of a waveform in scene files:
 /// `start_frequency_hz`, `end_frequency_hz`, `samples_per_chirp`, `chirps_per_frame`, `sample_rate_hz`, `chirp_interval_s`,
@@ -35,11 +35,8 @@ fn load(path: &Path) -> Outcome<radome_dsp::Waveform> {
     if path == Path::new("paper") {
         return Ok(radome_dsp::Waveform::realise(WaveformRequest::paper())?);
     }
-    if model::is_built_in(path) {
-        return Ok(model::network(path)?.card.waveform);
-    }
     let path_text = path.display();
-    if path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
+    if is_built_in(path) || path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
         return Ok(ModelCard::load(path)?.waveform);
     }
     if path.extension().is_some_and(|e| e == "toml") {

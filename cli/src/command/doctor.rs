@@ -9,12 +9,14 @@ mod wire;
 use std::path::{Path, PathBuf};
 
 use anyhow::ensure;
+use radome_models::ModelCard;
+use radome_models::model::BUILT_IN;
 use serde_json::json;
 
 use self::check::{Check, Outcome};
 use self::checks::Examined;
 use self::redact::{Kind, Redactor};
-use crate::classifier::{self, BUILT_IN};
+use crate::classifier;
 use crate::live::integrations::broker::{self, Broker, BrokerArguments, Secret};
 use crate::output;
 pub use wire::WireLog;
@@ -129,7 +131,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => checks::devices().into_iter().try_for_each(|check| report.add(check))?,
     }
     // Without a model or a source, the waveform is that of the default model.
-    let waveform = waveform.map_or_else(|| Ok(classifier::network(Path::new(BUILT_IN))?.card.waveform), anyhow::Ok)?;
+    let waveform = waveform.map_or_else(|| Ok(ModelCard::load(Path::new(BUILT_IN))?.waveform), anyhow::Ok)?;
     checks::disk(&arguments.record_to, &waveform).into_iter().try_for_each(|check| report.add(check))?;
     if let Some(path) = &arguments.bundle {
         pack(path, &report.checks, examined.as_ref(), arguments, &broker)?;

@@ -5,8 +5,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use radome_driver::{RecorderOptions, RecordingHeader};
+use radome_models::model::BUILT_IN;
 
-use crate::classifier::{BUILT_IN, Delays, Model};
+use crate::classifier::{Delays, Model};
 use crate::exit::{Completion, wrong_use};
 use crate::live::background::Background;
 use crate::live::classify::{LiveClassifier, run as run_classifier};

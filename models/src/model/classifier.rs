@@ -108,7 +108,8 @@ fn differences(got: &RdmSpec, expected: &RdmSpec) -> String {
 }
 
 impl Classifier {
-    /// Loads a model file: safetensors, or ONNX if its name ends in `.onnx`, which needs onnxruntime.
+    /// Loads a model file: safetensors, or ONNX if its name ends in `.onnx`, which needs onnxruntime. The name of the built-in model
+    /// loads that.
     ///
     /// # Errors
     /// [`ModelError`] if the file cannot be read, is damaged, has no card or contradicts it, and [`ModelError::Onnx`] if
@@ -196,7 +197,7 @@ impl Classifier {
 }
 
 impl ModelCard {
-    /// The card of a model file, safetensors or ONNX, without its numbers.
+    /// The card of a model file, safetensors or ONNX, without its numbers, or of the built-in model by its name.
     ///
     /// # Errors
     /// [`ModelError`] if the file cannot be read, has more than [`MODEL_LIMIT_BYTES`](crate::MODEL_LIMIT_BYTES), is damaged, has no

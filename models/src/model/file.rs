@@ -1,5 +1,6 @@
-//! Model files: safetensors with a card in the metadata.
+//! Model files, safetensors with a card in the metadata, and the built-in model.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -12,6 +13,10 @@ use crate::atomic_file;
 use crate::kernel::KernelLevel;
 use crate::layer::{DESCRIPTORS, EARLIER_DESCRIPTORS};
 use crate::network::Network;
+
+/// Name of the built-in model. It accepts frames of nearly any waveform.
+pub const BUILT_IN: &str = "room-hqnn";
+static BUILT_IN_FILE: &[u8] = include_bytes!("../../../fixtures/models/room-hqnn.safetensors");
 
 /// A network with its card.
 pub struct Model {
@@ -26,12 +31,21 @@ pub(crate) fn is_onnx(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
 }
 
-pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
-    radome_files::read(path, MODEL_LIMIT_BYTES).map_err(|source| ModelError::Io {
-        path: path.to_owned(),
-        action: "reading",
-        source,
-    })
+/// Returns whether a name is that of the built-in model, with no file of that name.
+pub fn is_built_in(name: &Path) -> bool {
+    name == Path::new(BUILT_IN) && !name.exists()
+}
+
+/// Reads the bytes of a model file, or of the built-in model by its name.
+///
+/// # Errors
+/// [`ModelError::Io`] if the file cannot be read or has more than [`MODEL_LIMIT_BYTES`].
+pub fn read(path: &Path) -> Result<Cow<'static, [u8]>, ModelError> {
+    if is_built_in(path) {
+        return Ok(Cow::Borrowed(BUILT_IN_FILE));
+    }
+    let data = radome_files::read(path, MODEL_LIMIT_BYTES);
+    data.map(Cow::Owned).map_err(|source| ModelError::Io { path: path.to_owned(), action: "reading", source })
 }
 
 impl Model {
@@ -72,7 +86,7 @@ impl Model {
         safetensors::serialize(views, Some(metadata)).map_err(|e| not_safetensors(path, 0, e))
     }
 
-    /// Reads a model and checks that it is complete and consistent.
+    /// Reads a model file, or the built-in model by its name, and checks that it is complete and consistent.
     ///
     /// # Errors
     /// [`ModelError::Io`] if the file cannot be read or has more than [`MODEL_LIMIT_BYTES`], and those of [`Model::from_bytes`].

@@ -11,4 +11,4 @@ pub use adapted::{Adapted, BeforeAfter, Scores};
 pub use card::{MODEL_FORMAT_VERSION, ModelCard, ModelError, TrainingSummary};
 pub(crate) use card::{input_axes, input_shape};
 pub use classifier::{Classifier, ClassifyError};
-pub use file::Model;
+pub use file::{BUILT_IN, Model, is_built_in, read};

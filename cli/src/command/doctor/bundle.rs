@@ -14,7 +14,7 @@ use super::check::Check;
 use super::checks::Examined;
 use super::redact::{Kind, Redactor};
 use super::wire::WireLog;
-use crate::{classifier, files};
+use crate::files;
 
 const EXISTS_HINT: &str = "hint: choose another name for --bundle, or remove that file";
 
@@ -71,18 +71,11 @@ pub fn parts(
         parts.push(("registers.txt", registers.collect::<String>().into_bytes()));
         parts.push(("frames.mcap", recording(examined, redactor)?));
     }
-    if let Some(card) = model.and_then(card) {
+    // The classical detector has no card, and neither has a file that cannot be read.
+    if let Some(card) = model.and_then(|model| ModelCard::load(model).ok()) {
         parts.push(("model.json", redacted(&card, redactor)?));
     }
     Ok(parts)
-}
-
-/// Card of a model; `None` of the classical detector, which has none, and of a file that cannot be read.
-fn card(model: &Path) -> Option<ModelCard> {
-    if classifier::is_built_in(model) {
-        return Some(classifier::network(model).ok()?.card);
-    }
-    ModelCard::load(model).ok()
 }
 
 /// Writes the archive atomically, and never over another file. Only its owner may read it.

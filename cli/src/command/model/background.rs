@@ -1,9 +1,10 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
+use radome_models::model::BUILT_IN;
 use serde_json::json;
 
-use crate::classifier::{BUILT_IN, Model, Prediction};
+use crate::classifier::{Model, Prediction};
 use crate::exit::wrong_use;
 use crate::live::background::{Background, Capture, LEAST_FRAMES};
 use crate::live::pipeline::Items;
