@@ -11,7 +11,6 @@
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
 use std::ffi::{OsStr, OsString};
-use std::fmt::Display;
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -21,8 +20,8 @@ use radome_driver::chip::RegisterList;
 use radome_driver::recording::mcap::RecordingHeader;
 use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
-    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Judge, Outage,
-    Pace, Player, RealTime, Reconnect, StartedBoard, Transport, candidates,
+    BoardIdentity, EmulatedSource, EmulatorOptions, Feed, Judge, Outage, Pace, Player, RealTime, Reconnect,
+    StartedBoard, Transport, start_board,
 };
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 use radome_files::{TEXT_LIMIT_BYTES, parse_toml, read_text};
@@ -175,6 +174,12 @@ pub struct Source {
 }
 
 impl Source {
+    /// Creates the source of a board, which cannot wait for slow consumers.
+    fn of_board(board: StartedBoard) -> Self {
+        let StartedBoard { frames, description, identity, registers, outage } = board;
+        Source { is_live: true, board: identity, registers, outage, ..Source::without_board(frames, description) }
+    }
+
     fn without_board(frames: Box<dyn FrameSource>, description: String) -> Self {
         Source {
             frames,
@@ -246,17 +251,11 @@ fn open_unguarded(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
     if let Some(inner) = spec.strip_prefix("emulated:") {
         return emulated(inner, options);
     }
-    if let Some(port) = spec.strip_prefix("serial:") {
-        return board_at(&Address::Serial(port.into()), options);
-    }
-    if let Some(device) = spec.strip_prefix("usb:") {
-        return board_at(&Address::Usb(device.parse()?), options);
-    }
-    if let Some(port) = spec.strip_prefix("deepcraft:") {
-        return board(Detected::Deepcraft(Box::new(DeepcraftBoard::open(Path::new(port))?)), port, options);
-    }
-    if spec == "auto" {
-        return board_at(&only_board()?, options);
+    // Boards may disconnect by accident; frames lost meanwhile are a gap.
+    let default = Reconnect::default();
+    let reconnect = Reconnect { give_up_after: options.give_up_after.unwrap_or(default.give_up_after), ..default };
+    if let Some(board) = start_board(spec, options.waveform.as_ref(), options.model_waveform.as_ref(), reconnect)? {
+        return Ok(Source::of_board(board));
     }
     let path = Path::new(spec);
     ensure!(
@@ -360,60 +359,15 @@ fn playback(path: &Path, speed: f64) -> anyhow::Result<Source> {
     Ok(Source { playback: Some(playback), ..Source::of_recording(Box::new(player), path, header) })
 }
 
-fn board_at(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
-    board(Detected::open(address, options.waveform.as_ref())?, address, options)
-}
-
-/// Starts a board with the waveform of the options, or else with its own.
-fn board(detected: Detected, at: impl Display, options: &SourceOptions) -> anyhow::Result<Source> {
-    let wanted = options.waveform.as_ref().or(options.model_waveform.as_ref());
-    let hint = match &detected {
-        Detected::Deepcraft(_) => "FILE.toml",
-        _ => "paper or --waveform FILE.toml",
-    };
-    let waveform = wanted.cloned().or_else(|| detected.waveform());
-    let waveform = waveform
-        .with_context(|| format!("{}\n\nhint: name one with --waveform {hint}", detected.lack_of_waveform()))?;
-    // Boards may disconnect by accident; frames lost meanwhile are a gap.
-    let default = Reconnect::default();
-    let reconnect = Reconnect { give_up_after: options.give_up_after.unwrap_or(default.give_up_after), ..default };
-    let StartedBoard { frames, name, identity, registers, outage } = detected.start(&waveform, reconnect)?;
-    let description = format!("{name} on {at}");
-    Ok(Source { is_live: true, board: identity, registers, outage, ..Source::without_board(frames, description) })
-}
-
-/// Returns the only board that discovery finds.
-fn only_board() -> anyhow::Result<Address> {
-    let mut boards: Vec<Address> = candidates().iter().filter_map(Candidate::address).collect();
-    match (boards.pop(), boards.is_empty()) {
-        (Some(board), true) => Ok(board),
-        (Some(_), false) => {
-            bail!("more than one board is attached\n\nhint: name one with serial:PORT; radome board list lists them")
-        }
-        (None, _) => {
-            bail!(
-                "no board is attached\n\nhint: radome board list says what was found; emulated:SCENE.toml needs no board"
-            )
-        }
-    }
-}
-
 /// Opens the same frames through an emulated board and the wire protocol.
 fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let source = open_unguarded(inner, &SourceOptions { speed: None, as_playback: false, ..options.clone() })?;
     let speed = options.speed.filter(|speed| *speed > 0.0);
     let pace = speed.map_or(Pace::AsFastAsRead, Pace::RealTime);
-    let emulated = EmulatedSource::start(
-        Box::new(PanicGuard::new(source.frames)),
-        EmulatorOptions { pace, ..Default::default() },
-    )?;
-    let identity = emulated.identity().clone();
-    let path = emulated.board().path().display().to_string();
-    let description = format!("{} emulated on {path}, fed by a {}", identity.name, source.description);
-    let registers = emulated.stream().registers().clone();
-    let is_live = speed.is_some();
-    let source = Source::without_board(Box::new(emulated), description);
-    Ok(Source { is_live, board: Some(identity), registers, ..source })
+    let frames = Box::new(PanicGuard::new(source.frames));
+    let board = EmulatedSource::start(frames, EmulatorOptions { pace, ..Default::default() })?.into_board();
+    let description = format!("{}, fed by a {}", board.description, source.description);
+    Ok(Source { is_live: speed.is_some(), description, ..Source::of_board(board) })
 }
 
 /// Parses an argument that is a finite number of 0 or more.

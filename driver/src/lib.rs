@@ -46,6 +46,7 @@ pub mod chip;
 pub mod discover;
 pub mod emulator;
 mod error_text;
+mod named_board;
 // Known frames for the tests within modules; the tests of the public API use the same.
 #[cfg(test)]
 #[path = "../tests/common/pattern.rs"]
@@ -65,6 +66,7 @@ pub use discover::{Candidate, candidates};
 pub use emulator::{
     EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, FaultError, Feed, Kind, Pace,
 };
+pub use named_board::start_board;
 pub use player::{Player, Transport};
 pub use recording::RecordingError;
 pub use recording::infineon::InfineonReader;

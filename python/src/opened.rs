@@ -1,14 +1,13 @@
 //! The program's SOURCE grammar without the program: opens the frames that a string refers to.
 
-use std::fmt::Display;
 use std::path::Path;
 use std::time::Duration;
 
 use pyo3::prelude::*;
 use radome_driver::recording::Recording;
 use radome_driver::{
-    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, LabelSpan, Pace,
-    RealTime, Reconnect, StartedBoard, candidates,
+    Address, BoardIdentity, EmulatedSource, EmulatorOptions, LabelSpan, Pace, RealTime, Reconnect, StartedBoard,
+    candidates, start_board,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -47,8 +46,13 @@ pub struct Opened {
 }
 
 impl Opened {
-    fn new(frames: Box<dyn FrameSource>, is_live: bool, description: String) -> Self {
-        Opened { frames, is_live, description, board: None, labels: Vec::new() }
+    fn of_file(frames: Box<dyn FrameSource>, description: String) -> Self {
+        Opened { frames, is_live: false, description, board: None, labels: Vec::new() }
+    }
+
+    fn of_board(board: StartedBoard) -> Self {
+        let StartedBoard { frames, description, identity, .. } = board;
+        Opened { frames, is_live: true, description, board: identity, labels: Vec::new() }
     }
 }
 
@@ -120,17 +124,8 @@ fn open_unlimited(spec: &str, options: &Options) -> Outcome<Opened> {
     if let Some(inner) = spec.strip_prefix("emulated:") {
         return emulated(inner, options);
     }
-    if let Some(port) = spec.strip_prefix("serial:") {
-        return board_at(&Address::Serial(port.into()), options);
-    }
-    if let Some(device) = spec.strip_prefix("usb:") {
-        return board_at(&Address::Usb(device.parse()?), options);
-    }
-    if let Some(port) = spec.strip_prefix("deepcraft:") {
-        return board(Detected::Deepcraft(Box::new(DeepcraftBoard::open(Path::new(port))?)), port, options);
-    }
-    if spec == "auto" {
-        return board_at(&only_board()?, options);
+    if let Some(board) = start_board(spec, options.waveform.as_ref(), None, options.reconnect()?)? {
+        return Ok(Opened::of_board(board));
     }
     let mut opened = file(Path::new(spec), options)?;
     if let Some(speed) = options.speed() {
@@ -156,7 +151,7 @@ fn file(path: &Path, options: &Options) -> Outcome<Opened> {
         .into());
     }
     let (labels, board) = (recording.labels()?, recording.header().board);
-    let opened = Opened::new(Box::new(recording), false, format!("recording {}", path.display()));
+    let opened = Opened::of_file(Box::new(recording), format!("recording {}", path.display()));
     Ok(Opened { labels, board, ..opened })
 }
 
@@ -168,46 +163,17 @@ fn simulation(path: &Path, options: &Options) -> Outcome<Opened> {
     };
     let simulator = Simulator::new(&scene, options.simulate())?.on_own_threads()?;
     let description = format!("simulation of {} with seed {}", path.display(), options.seed);
-    Ok(Opened::new(Box::new(simulator), false, description))
+    Ok(Opened::of_file(Box::new(simulator), description))
 }
 
 /// Opens a file and sends its frames through an emulated board and the wire protocol.
 fn emulated(inner: &str, options: &Options) -> Outcome<Opened> {
     let opened = file(Path::new(inner), options)?;
     let pace = options.speed().map_or(Pace::AsFastAsRead, Pace::RealTime);
-    let source = EmulatedSource::start(opened.frames, EmulatorOptions { pace, ..EmulatorOptions::default() })?;
-    let identity = source.identity().clone();
-    let path = source.board().path().display().to_string();
-    let description = format!("{} emulated on {path}, fed by a {}", identity.name, opened.description);
-    let emulated = Opened::new(Box::new(source), options.speed().is_some(), description);
-    Ok(Opened { board: Some(identity), ..emulated })
-}
-
-fn board_at(address: &Address, options: &Options) -> Outcome<Opened> {
-    board(Detected::open(address, options.waveform.as_ref())?, address, options)
-}
-
-/// Starts a board with the waveform of the options, or else with its own.
-fn board(detected: Detected, at: impl Display, options: &Options) -> Outcome<Opened> {
-    let waveform = options.waveform.clone().or_else(|| detected.waveform()).ok_or_else(|| {
-        let lack = detected.lack_of_waveform();
-        format!("{lack}\n\nhint: give open() a waveform, such as radome.Waveform.load('paper')")
-    })?;
-    let StartedBoard { frames, name, identity, .. } = detected.start(&waveform, options.reconnect()?)?;
-    let description = format!("{name} on {at}");
-    Ok(Opened { board: identity, ..Opened::new(frames, true, description) })
-}
-
-/// Address of the only board that discovery finds.
-fn only_board() -> Outcome<Address> {
-    let mut found: Vec<Address> = candidates().iter().filter_map(Candidate::address).collect();
-    match (found.pop(), found.is_empty()) {
-        (Some(address), true) => Ok(address),
-        (Some(_), false) => Err("more than one board is attached\n\nhint: name one of radome.boards()".into()),
-        (None, _) => {
-            Err("no board is attached\n\nhint: without one, open a recording, a scene or 'emulated:SCENE.toml'".into())
-        }
-    }
+    let emulator = EmulatorOptions { pace, ..EmulatorOptions::default() };
+    let board = EmulatedSource::start(opened.frames, emulator)?.into_board();
+    let description = format!("{}, fed by a {}", board.description, opened.description);
+    Ok(Opened { is_live: options.speed().is_some(), description, ..Opened::of_board(board) })
 }
 
 /// Boards that may be attached: pairs of a SOURCE to open and a dict of what the system says about the device.

@@ -48,8 +48,8 @@ pub enum Detected {
 pub struct StartedBoard {
     /// Frames of the board, which is opened again if it is lost.
     pub frames: Box<dyn FrameSource>,
-    /// Name that the board reports, or that of its kind.
-    pub name: String,
+    /// Name that the board reports, or that of its kind; [`start_board`](crate::start_board) adds the address.
+    pub description: String,
     /// Identity; `None` of a board that only prints.
     pub identity: Option<BoardIdentity>,
     /// Registers that the chip was programmed with; empty if the host does not program it.
@@ -65,8 +65,8 @@ impl StartedBoard {
         registers: RegisterList,
         outage: Outage,
     ) -> Self {
-        let name = identity.name.clone();
-        StartedBoard { frames: Box::new(frames), name, identity: Some(identity), registers, outage }
+        let description = identity.name.clone();
+        StartedBoard { frames: Box::new(frames), description, identity: Some(identity), registers, outage }
     }
 }
 
@@ -103,18 +103,25 @@ impl Detected {
     }
 
     /// Error of a board whose [`Detected::waveform`] is `None`, where the user names none either.
-    pub fn lack_of_waveform(&self) -> &'static str {
-        match self {
-            Detected::Deepcraft(_) => "the board is set to no waveform that radome understands",
-            Detected::Mcu7(..) | Detected::Esp32(_) => "the board has not been told a waveform",
-        }
+    fn lack_of_waveform(&self) -> BoardError {
+        let (lack, example) = match self {
+            Detected::Deepcraft(_) => ("the board is set to no waveform that radome understands", "FILE.toml"),
+            Detected::Mcu7(..) | Detected::Esp32(_) => {
+                ("the board has not been told a waveform", "paper or --waveform FILE.toml")
+            }
+        };
+        BoardError::NoWaveform { lack, example }
     }
 
-    /// Programs the board with a waveform and starts its frames. A board that prints its frames keeps its own waveform.
+    /// Programs the board with a waveform, or else with the one that it has already, and starts its frames. A board that prints its
+    /// frames keeps its own waveform.
     ///
     /// # Errors
-    /// [`BoardError`] if the chip cannot hold the waveform, or the board does not take it or does not answer.
-    pub fn start(self, waveform: &Waveform, reconnect: Reconnect) -> Result<StartedBoard, BoardError> {
+    /// [`BoardError::NoWaveform`] if there is no waveform, another [`BoardError`] if the chip cannot hold it, or the board does not take
+    /// it or does not answer.
+    pub fn start(self, waveform: Option<&Waveform>, reconnect: Reconnect) -> Result<StartedBoard, BoardError> {
+        let own = self.waveform();
+        let waveform = waveform.or(own.as_ref()).ok_or_else(|| self.lack_of_waveform())?;
         Ok(match self {
             Detected::Mcu7(board, _) => {
                 let identity = board.identity().clone();
@@ -130,8 +137,9 @@ impl Detected {
             }
             Detected::Esp32(stream) => {
                 let stream = stream.with_reconnect(reconnect);
-                let (name, outage) = ("ESP32".to_owned(), stream.outage());
-                StartedBoard { frames: Box::new(stream), name, identity: None, registers: RegisterList::new(), outage }
+                let (description, outage) = ("ESP32".to_owned(), stream.outage());
+                let registers = RegisterList::new();
+                StartedBoard { frames: Box::new(stream), description, identity: None, registers, outage }
             }
         })
     }

@@ -11,8 +11,8 @@ use thiserror::Error;
 use crate::chip::ChipError;
 use crate::protocol::ascii::LineError;
 use crate::protocol::mcu7::{PayloadError, Status};
-use crate::transport::UsbAddress;
 use crate::transport::usb::OpenError;
+use crate::transport::{UsbAddress, UsbAddressError};
 
 /// Errors of a board and its connection.
 #[derive(Debug, Error)]
@@ -85,6 +85,20 @@ pub enum BoardError {
     /// The board sends lines, but none is a frame of the waveform.
     #[error("{path}: no frame among its lines")]
     Line { path: PathBuf, source: LineError },
+    /// No board is attached.
+    #[error("no board is attached\n\nhint: radome board list says what was found; emulated:SCENE.toml needs no board")]
+    NoneAttached,
+    /// More than one board is attached.
+    #[error(
+        "more than one board is attached\n\nhint: name one with serial:PORT; radome board list and, in Python, radome.boards() list them"
+    )]
+    SeveralAttached,
+    /// A text is not the address of a USB device.
+    #[error(transparent)]
+    UsbAddress(#[from] UsbAddressError),
+    /// The board has no waveform yet, and the caller gave none.
+    #[error("{lack}\n\nhint: name one with --waveform {example}, in Python with waveform=")]
+    NoWaveform { lack: &'static str, example: &'static str },
     /// The board does not state its waveform, and the caller gave none.
     #[error(
         "{path}: the board does not say what it measures\n\nhint: name the waveform that it was built for, with --waveform paper or --waveform FILE.toml"
@@ -141,6 +155,10 @@ impl BoardError {
             | BoardError::Ambiguous { .. }
             | BoardError::Chip(_)
             | BoardError::Line { .. }
+            | BoardError::NoneAttached
+            | BoardError::SeveralAttached
+            | BoardError::UsbAddress(_)
+            | BoardError::NoWaveform { .. }
             | BoardError::WaveformUnknown { .. }
             | BoardError::WaveformStated { .. }
             | BoardError::Stopped => false,

@@ -7,7 +7,7 @@ use crossbeam::channel::{Receiver, Sender, unbounded};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
 
 use super::{EmulatedBoard, EmulatorError, EmulatorOptions};
-use crate::board::{BoardError, BoardIdentity, Mcu7Board, Mcu7Stream};
+use crate::board::{BoardError, BoardIdentity, Mcu7Board, Mcu7Stream, Outage, StartedBoard};
 
 /// Emulated board with a client attached. It ends with its source. The ground truth of the source's frames, which the
 /// protocol cannot carry, bypasses the board and is put back by sequence number.
@@ -82,14 +82,17 @@ impl EmulatedSource {
         }
     }
 
+    /// Returns the frames as those of a board, with a description that names the terminal of the emulated board.
+    pub fn into_board(self) -> StartedBoard {
+        let (identity, registers) = (self.identity.clone(), self.stream.registers().clone());
+        let description = format!("{} emulated on {}", identity.name, self.board.path().display());
+        let outage = Outage::default();
+        StartedBoard { frames: Box::new(self), description, identity: Some(identity), registers, outage }
+    }
+
     /// Returns the emulated board.
     pub fn board(&self) -> &EmulatedBoard {
         &self.board
-    }
-
-    /// Returns the stream of the client.
-    pub fn stream(&self) -> &Mcu7Stream {
-        &self.stream
     }
 
     /// Returns the identity that the emulated board reports.
