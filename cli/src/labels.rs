@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use radome_driver::LabelSpan;
 use radome_driver::recording::label_text::{self, LabelTextError};
 use radome_driver::recording::mcap::LabelEditor;
@@ -74,6 +74,20 @@ pub fn read_file(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let parse = codec(path)?.parse;
     let text = read_text(path, LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
     parse(&text).with_context(|| format!("{} cannot be understood", path.display()))
+}
+
+/// Reads a file of labels that is named in place of a recording's own.
+///
+/// # Errors
+/// Those of [`read_file`], or no label of the file is a class.
+pub fn read_replacing(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
+    let spans = read_file(path)?;
+    ensure!(
+        spans.iter().any(|span| span.occupancy().is_some()),
+        "{}: no label in it is empty, one or two\n\nhint: name a file that labels the recording, or none to take the recording's own labels",
+        path.display()
+    );
+    Ok(spans)
 }
 
 /// Writes a file of labels atomically. Says which parts of the labels it does not hold.

@@ -123,6 +123,30 @@ fn proposed_truth_is_replaced_whole_and_keeps_transitions() {
     success(command!("model evaluate cfar", path("session")));
 }
 
+/// Regression test: a file of labels that is empty, and labels of which none is a class, were replaced by the truth that a simulator
+/// wrote, without a word.
+#[test]
+fn labels_without_a_class_are_not_replaced_by_truth() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let scene = fixture("scenes/corridor.toml");
+    simulate(&scene, "--frames 20 --people 1", &path("run.mcap"));
+    let none = write_file(folder.path(), "none.txt", "");
+    let spec = |more: &str| {
+        let text = format!("format = 1\n[map]\n[[recorded]]\nrecording = \"run.mcap\"\n{more}");
+        write_file(folder.path(), "maps.toml", text)
+    };
+    let refused = ["none.txt: no label in it is empty, one or two", "hint: "];
+    fails_with(command!("dataset build", spec("label_file = \"none.txt\"\n"), "-o", path("maps")), &refused);
+    assert!(!path("maps.parts").exists());
+    fails_with(command!("scene pair", path("run.mcap"), &scene, "--labels", none, "-o", path("pair")), &refused);
+
+    success(command!("recording label --span 0:2=person", path("run.mcap")));
+    fails_with(command!("dataset build", spec(""), "-o", path("maps")), &["no source gave a map"]);
+    fails_with(command!("model evaluate cfar", path("run.mcap")), &["no label says of any of its frames"]);
+    fails_with(command!("scene pair", path("run.mcap"), &scene, "-o", path("pair")), &["no frame has a label"]);
+}
+
 /// Regression test: labels beyond the end of a recording were counted as if nothing were wrong.
 #[test]
 fn labels_beyond_a_recording_are_refused_wherever_they_are_read() {

@@ -242,6 +242,10 @@ impl UnitList<'_> {
             if let Some(file) = &source.label_file {
                 self.fingerprints.add_file(file)?;
             }
+            if let Some(file) = &label_file {
+                // The unit reads the file again: this finds its faults before any unit is made.
+                crate::labels::read_replacing(file)?;
+            }
             return self.add_recording(source, found, &recording.display().to_string(), source.label, label_file, None);
         }
         let Some(folders) = &source.folders else { return Ok(()) };

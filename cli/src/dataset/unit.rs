@@ -120,8 +120,8 @@ fn recording(
     sink: &mut MapSink,
 ) -> anyhow::Result<()> {
     check_spans(spans, None)?;
-    // As in `model evaluate`, the truth that a simulator wrote counts only if there are no labels.
-    let has_labels = spans.iter().any(|span| span.occupancy().is_some());
+    // As in `model evaluate`, the truth that a simulator wrote counts only if there are no labels, not even free text.
+    let has_labels = !spans.is_empty();
     let waveform = frames.waveform().clone();
     let mut map = processor.processor.empty_map();
     let mut frame = Frame::zeroed(waveform.shape());

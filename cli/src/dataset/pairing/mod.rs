@@ -210,11 +210,14 @@ impl<'a> Pairing<'a> {
         EchoFinder::new(&self.waveform, &self.baselines)
     }
 
-    /// Returns the class of a frame of the recording: by its labels, by its own truth, or from the settings.
+    /// Returns the class of a frame of the recording: by its labels, or by the simulator's truth if it has no labels; for other
+    /// frames from the settings.
     fn truth(&self, spans: &[LabelSpan], frame: &Frame) -> Option<Truth> {
         let given_class = self.settings.people.and_then(|n| Occupancy::from_index(usize::from(n)));
         let given_truth = given_class.map(|occupancy| Truth { occupancy, transition: false });
-        labels::truth_of_frame(spans, frame, &self.waveform).or(frame.truth).or(given_truth)
+        let own_truth =
+            if spans.is_empty() { frame.truth } else { labels::truth_of_frame(spans, frame, &self.waveform) };
+        own_truth.or(given_truth)
     }
 
     /// Reads the recording: finds its echoes and stores its maps.
@@ -381,7 +384,7 @@ impl RecordingEchoes {
 /// Reads the labels from the file that the settings name, or else from the recording.
 fn spans(settings: &Settings) -> anyhow::Result<Vec<LabelSpan>> {
     let spans = match (&settings.labels, Path::new(&settings.recording)) {
-        (Some(file), _) => labels::read_file(file)?,
+        (Some(file), _) => labels::read_replacing(file)?,
         (None, path) if path.exists() && Recording::open(path).is_ok() => labels::of_recording(path)?,
         _ => Vec::new(),
     };

@@ -44,7 +44,7 @@ impl LabelledRecording {
     }
 
     /// Parses `RECORDING=empty`, `=one` or `=two`, `RECORDING=LABELS.txt` or `.label`, or `RECORDING`. The latter uses
-    /// the labels in the recording: spans, or, without any, the truth that a simulator wrote with its frames.
+    /// the labels in the recording: spans, or, without any, not even free text, the truth that a simulator wrote with its frames.
     ///
     /// # Errors
     /// If there is something else behind `=`, or if labels cannot be read, contradict each other or lie outside of the
@@ -69,7 +69,7 @@ impl LabelledRecording {
             _ => {
                 let path = PathBuf::from(input);
                 let spans = labels::of_recording(&path)?;
-                if spans.iter().all(|span| span.occupancy().is_none()) {
+                if spans.is_empty() {
                     return Ok(LabelledRecording { path, labels: Labels::InFrames });
                 }
                 (path, spans)
