@@ -177,6 +177,11 @@ impl Simulator {
         self.inner.truth(index)
     }
 
+    /// Ground truth of a frame that begins at any time of the scene, as [`frame_at`](Simulator::frame_at) simulates it.
+    pub fn truth_at(&self, start_s: f64) -> Truth {
+        self.inner.truth_at(start_s)
+    }
+
     /// Returns the people and their places in the middle of a frame, including people outside the room.
     pub fn people(&self, index: u64) -> Vec<PersonState> {
         self.inner.people(index)

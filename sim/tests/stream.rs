@@ -66,6 +66,20 @@ fn twenty_seconds_of_the_corridor_contain_all_three_classes() {
     assert!(complete >= 18, "{complete} of 20");
 }
 
+/// The frames are those in which people enter and leave.
+#[test]
+fn the_truth_of_any_time_is_that_of_its_frame() {
+    let simulator = simulator(&scene("corridor"), 3, None);
+    let ends = (1..300).filter(|i| simulator.truth(*i) != simulator.truth(i - 1));
+    let mut compared = 0;
+    for index in ends.take(8) {
+        let start_s = 0.1 * index as f64 - 0.037;
+        assert_eq!(Some(simulator.truth_at(start_s)), simulator.frame_at(index, start_s).truth, "{start_s} s");
+        compared += 1;
+    }
+    assert_eq!(compared, 8);
+}
+
 #[test]
 fn people_walk_at_human_speed_and_hip_height() {
     for name in ["corridor", "room"] {

@@ -301,6 +301,42 @@ fn a_real_recording_is_paired_up_to_its_end() {
 mod hard_cases {
     use super::*;
 
+    /// Regression test: maps of a mirror with one person had the label of its recording with two. The second person of this mirror
+    /// leaves the room, which the labels do not say.
+    #[test]
+    fn frames_whose_mirror_has_other_people_than_the_labels_are_left_out_of_both_parts() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let scene = scene(folder.path(), "scenes/corridor.toml", &[&[([5.0, 1.2], 0.0), ([2.0, 0.8], 1.1)]]);
+        let recording = record(&scene, 30, 1);
+        let labels = write_file(folder.path(), "labels.txt", "0.0\t3.0\ttwo\n");
+        let [stands, leaves, left] = [(0.0, 11.0), (1.0, 11.0), (2.0, 12.7)]
+            .map(|(time_s, x)| format!("{{ time_s = {time_s:?}, position_m = [{x:?}, 1.0] }}"));
+        let points = format!("[[person]]\npoint = []\n[[person]]\npoint = [{stands}, {leaves}, {left}]\n");
+        let points = write_file(folder.path(), "points.toml", points);
+        let set = folder.path().join("set");
+        let mut command = pair_command(&recording, &scene, &set);
+        let said = json_lines(command.arg("--labels").arg(labels).arg("--waypoints").arg(points)).remove(0);
+        // The person is in the doorway at 1.8 s.
+        let agreeing = said["labels_agree"].as_u64().expect("a number");
+        assert!((15..25).contains(&agreeing), "{said}");
+        assert_eq!(said["maps"], 2 * agreeing);
+        let manifest = std::fs::read_to_string(set.join("manifest.jsonl")).expect("a manifest");
+        let rows: Vec<Value> = manifest.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+        let simulator = radome_sim::Simulator::new(
+            &radome_sim::Scene::load(&set.join("mirror.toml")).expect("a scene"),
+            radome_sim::SimulateOptions { seed: 1, ..Default::default() },
+        );
+        let simulator = simulator.expect("a simulator");
+        for row in &rows {
+            let truth = simulator.truth(row["frame"].as_u64().expect("a number"));
+            assert_eq!(row["label"], truth.occupancy.name(), "{row}");
+            assert_eq!(row["transition"], truth.transition, "{row}");
+        }
+        assert!(rows.iter().any(|row| row["transition"] == true));
+        let verified = json_lines(command!("dataset verify --json", &set)).remove(0);
+        assert_eq!(verified["unpaired"], Value::Array(Vec::new()));
+    }
+
     #[test]
     fn an_empty_recording_is_paired_with_a_scene_without_people() {
         let folder = tempfile::tempdir().expect("a folder");

@@ -14,7 +14,10 @@ const TRUTH_TIMES: usize = 5;
 
 impl FrameSimulator {
     pub(crate) fn truth(&self, index: u64) -> Truth {
-        let start_s = self.start_s(index);
+        self.truth_at(self.start_s(index))
+    }
+
+    pub(crate) fn truth_at(&self, start_s: f64) -> Truth {
         let motions = self.motions(start_s);
         self.truth_of(&motions, start_s, |person, time| {
             Some(motions.get(person)?.body(self.truth_time_s(start_s, time)))

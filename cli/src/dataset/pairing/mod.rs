@@ -3,7 +3,8 @@
 //! People in the recording are tracked by range, speed and the angle between receivers ([`tracking`], [`smooth`]). Their
 //! trajectories become scripts ([`script`]) in a scene file ([`mirror`]), which is simulated at the times of the
 //! recording's frames. Tracking the people of the mirror gives the errors of the trajectories, which are subtracted
-//! ([`bias`]). Maps of both are stored as one dataset, under one pair and one sequence, with the recording's labels.
+//! ([`bias`]). Maps of both are stored as one dataset, under one pair and one sequence, with the recording's labels. Frames in
+//! which the mirror has another number of people than the labels say are left out of both.
 
 mod bias;
 mod detections;
@@ -33,7 +34,7 @@ use self::mirror::SceneTemplate;
 pub use self::report::Report;
 use self::script::{PersonTrack, WayPoints};
 use self::smooth::Sensor;
-use self::store::Store;
+use self::store::{Store, WaitingMaps};
 use crate::exit::wrong_use;
 use crate::map_preset::MapPreset;
 use crate::output::Interrupted;
@@ -118,7 +119,7 @@ pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
         scene: source_name(&settings.scene),
         subject: settings.subject.clone(),
     };
-    let recording = pairing.read_recording(source, &spans, &mut store)?;
+    let (recording, maps) = pairing.read_recording(source, &spans)?;
 
     // Trajectories of the people.
     let labelled = recording.frames.iter().filter_map(|info| info.truth).map(|truth| truth.occupancy.index()).max();
@@ -136,7 +137,15 @@ pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
         bias::correct(&mut tracks, &tracked, &tracking::track_people(&mirror_detections, people, &pairing.sensor));
         (text, simulator) = pairing.mirror(&mut tracks, &recording.detections, &points)?;
     }
-    let (mirrored, agreeing_frames) = pairing.store_mirror(&simulator, &recording, &mut store)?;
+    let truths = recording.common_truths(&simulator);
+    let agreeing_frames = truths.iter().flatten().count();
+    ensure!(
+        agreeing_frames > 0,
+        "{}: in no frame does the mirror have as many people as the labels say\n\nhint: correct the labels, or say where people are \
+         with --waypoints",
+        settings.recording
+    );
+    let mirrored = pairing.store_maps(&simulator, &recording, maps, &truths, &mut store)?;
 
     let maps = store.writer.maps();
     store.writer.add_file(MIRROR, text.as_bytes())?;
@@ -220,13 +229,12 @@ impl<'a> Pairing<'a> {
         own_truth.or(given_truth)
     }
 
-    /// Reads the recording: finds its echoes and stores its maps.
+    /// Reads the recording: finds its echoes and makes the maps of its labelled frames.
     fn read_recording(
         &self,
         mut source: Source,
         spans: &[LabelSpan],
-        store: &mut Store,
-    ) -> anyhow::Result<RecordingEchoes> {
+    ) -> anyhow::Result<(RecordingEchoes, WaitingMaps)> {
         if !self.sensor.measures_direction() {
             message!("no two receivers side by side: people are taken to move along the boresight");
         }
@@ -239,6 +247,7 @@ impl<'a> Pairing<'a> {
         let mut map = processor.empty_map();
         let mut frame = Frame::zeroed(self.waveform.shape());
         let mut frames: Vec<FrameInfo> = Vec::new();
+        let mut maps = WaitingMaps::new(radome_files::parent_folder(&self.settings.output))?;
         let mut unlabelled = 0u64;
         let bar = output::progress(source.frames.frame_count().unwrap_or(0), "following");
         while self.settings.frames.is_none_or(|most| (frames.len() as u64) < most) {
@@ -257,7 +266,7 @@ impl<'a> Pairing<'a> {
             echo_finder.add_frame(&frame)?;
             if processor.process(&frame, &mut map)? == MapStatus::Ready {
                 match truth {
-                    Some(truth) => store.push(Domain::Real, &map, &info, truth, None)?,
+                    Some(_) => maps.push(frames.len(), &map)?,
                     None => unlabelled += 1,
                 }
             }
@@ -271,7 +280,7 @@ impl<'a> Pairing<'a> {
         }
         let times_s: Vec<f64> = frames.iter().map(|info| (info.time_ns - first_ns) as f64 * 1e-9).collect();
         let detections = echo_finder.finish(&times_s, &frames, &self.waveform);
-        Ok(RecordingEchoes { frames, start_s: first_ns as f64 * 1e-9, times_s, detections })
+        Ok((RecordingEchoes { frames, start_s: first_ns as f64 * 1e-9, times_s, detections }, maps))
     }
 
     /// Refuses a recording without frames or labels, times that do not increase, and labels beyond its end. If the settings cut the
@@ -331,34 +340,51 @@ impl<'a> Pairing<'a> {
         ))
     }
 
-    /// Stores the maps of the mirror. Returns its echoes, and the number of its frames that have as many people as the
-    /// recording's.
-    fn store_mirror(
+    /// Stores the maps of both sides, of the frames that have a common truth. Returns the echoes of the mirror.
+    fn store_maps(
         &self,
         simulator: &Simulator,
         recording: &RecordingEchoes,
+        maps: WaitingMaps,
+        truths: &[Option<Truth>],
         store: &mut Store,
-    ) -> anyhow::Result<(Vec<Detections>, usize)> {
+    ) -> anyhow::Result<Vec<Detections>> {
         let mut echo_finder = self.echo_finder();
         let mut processor = RdmProcessor::new(&self.spec, &self.waveform)?;
         let mut map = processor.empty_map();
-        let mut agreeing_frames = 0usize;
+        maps.for_each(&mut map, |frame, map| match (recording.frames.get(frame), truths.get(frame)) {
+            (Some(info), Some(Some(truth))) => store.push(Domain::Real, map, info, *truth, None),
+            _ => Ok(()),
+        })?;
+        let mut truths = truths.iter();
         recording.simulate(simulator, "mirroring", |info, frame| {
             if info.after_gap {
                 processor.reset();
             }
             echo_finder.add_frame(frame)?;
-            agreeing_frames += usize::from(frame.truth.map(|t| t.occupancy) == info.truth.map(|t| t.occupancy));
-            match (processor.process(frame, &mut map)?, info.truth) {
-                (MapStatus::Ready, Some(truth)) => store.push(Domain::Sim, &map, info, truth, Some(self.settings.seed)),
+            match (processor.process(frame, &mut map)?, truths.next()) {
+                (MapStatus::Ready, Some(Some(truth))) => {
+                    store.push(Domain::Sim, &map, info, *truth, Some(self.settings.seed))
+                }
                 _ => Ok(()),
             }
         })?;
-        Ok((echo_finder.finish(&recording.times_s, &recording.frames, &self.waveform), agreeing_frames))
+        Ok(echo_finder.finish(&recording.times_s, &recording.frames, &self.waveform))
     }
 }
 
 impl RecordingEchoes {
+    /// Returns the truth that each frame shares with its mirror: the class by the labels if the mirror has it too, and a transition if
+    /// either side is one. `None` for frames without a label, and for those whose mirror is of another class.
+    fn common_truths(&self, simulator: &Simulator) -> Vec<Option<Truth>> {
+        let common = |(info, time_s): (&FrameInfo, &f64)| {
+            let (own, mirror) = (info.truth?, simulator.truth_at(*time_s));
+            let transition = own.transition || mirror.transition;
+            (own.occupancy == mirror.occupancy).then_some(Truth { transition, ..own })
+        };
+        self.frames.iter().zip(&self.times_s).map(common).collect()
+    }
+
     /// Simulates a frame at the time of each frame of the recording, in order.
     fn simulate(
         &self,

@@ -59,7 +59,8 @@ struct Person {
 pub struct Report {
     frames: usize,
     people: Vec<Person>,
-    /// Number of frames of the mirror in which as many people are in the room as the recording's labels state.
+    /// Number of frames of the mirror in which as many people are in the room as the recording's labels state. Maps of the others
+    /// are left out.
     labels_agree: usize,
     tells_direction: bool,
 }
@@ -93,8 +94,9 @@ impl Report {
                 "labels_agree": self.labels_agree, "tells_direction": self.tells_direction, "people": self.people,
             }));
         }
+        let left_out = if self.labels_agree < self.frames { "; the other frames are left out" } else { "" };
         output::text_line(&format!(
-            "{}: {maps} maps of {} frames and their mirror, which has as many people as the labels say in {}",
+            "{}: {maps} maps of {} frames and their mirror, which has as many people as the labels say in {}{left_out}",
             folder.display(),
             self.frames,
             self.labels_agree
