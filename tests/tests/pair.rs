@@ -390,6 +390,22 @@ mod hard_cases {
             pair_command(&recording, &scene_file, &set).arg("--waypoints").arg(&order),
             &["1 s comes after 2 s"],
         );
+        for (point, said) in [
+            ("{ time_s = 0.5, position_m = [nan, 1.0] }", "point 1 of person 1: expected a finite time and position"),
+            ("{ time_s = inf, position_m = [5.0, 1.0] }", "point 1 of person 1: expected a finite time and position"),
+            (
+                "{ time_s = 0.5, position_m = [500.0, 1.0] }",
+                "point 1 of person 1 is at [500.0, 1.0] m, outside of the scene's room",
+            ),
+            (
+                "{ time_s = 1e9, position_m = [5.0, 1.0] }",
+                "point 1 of person 1 is at 1000000000 s, expected a time of the recording",
+            ),
+        ] {
+            let points = write("points.toml", &format!("[[person]]\npoint = [{point}]\n"));
+            let mut command = pair_command(&recording, &scene_file, &set);
+            fails_with(command.arg("--waypoints").arg(points), &["points.toml: ", said]);
+        }
         let other = write("other.toml", "[[person]]\nplaces = 3\n");
         fails_with(pair_command(&recording, &scene_file, &set).arg("--waypoints").arg(&other), &["no way-points"]);
         let late = write("late.txt", "0.0\t99.0\tone\n");

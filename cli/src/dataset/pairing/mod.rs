@@ -15,6 +15,7 @@ mod script;
 mod smooth;
 mod store;
 mod tracking;
+mod way_points;
 
 use std::path::{Path, PathBuf};
 
@@ -25,6 +26,7 @@ use radome_driver::recording::span_check::check_spans;
 use radome_dsp::detect::Baseline;
 use radome_dsp::{Frame, MapStatus, Occupancy, RdmProcessor, RdmSpec, Truth, Waveform};
 use radome_models::dataset::{DatasetHeader, DatasetWriter, Domain};
+use radome_sim::scene_file::StepFile;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use rayon::prelude::*;
 
@@ -32,9 +34,10 @@ use self::detections::Detections;
 use self::echo_finder::{EchoFinder, FrameInfo};
 use self::mirror::SceneTemplate;
 pub use self::report::Report;
-use self::script::{PersonTrack, WayPoints};
+use self::script::{PersonTrack, ScriptError};
 use self::smooth::Sensor;
 use self::store::{Store, WaitingMaps};
+use self::way_points::WayPoints;
 use crate::exit::wrong_use;
 use crate::map_preset::MapPreset;
 use crate::output::Interrupted;
@@ -108,9 +111,11 @@ pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
     if !(0.5..=2.5).contains(&settings.height_m) {
         wrong_use!("--height-m is {}, expected 0.5 to 2.5 m", settings.height_m);
     }
-    let points = settings.waypoints.as_deref().map_or(Ok(WayPoints::default()), read_waypoints)?;
+    let points = settings.waypoints.as_deref().map_or(Ok(WayPoints::default()), WayPoints::read)?;
+    let of_points = || settings.waypoints.as_deref().unwrap_or(Path::new("")).display().to_string();
     let source = open(settings)?;
     let pairing = Pairing::new(settings, source.frames.waveform().clone())?;
+    points.check_positions(&pairing.template.scene.file().room).with_context(of_points)?;
     let spans = spans(settings)?;
     let header = DatasetHeader::new(pairing.waveform.clone(), pairing.spec)?;
     let mut store = Store {
@@ -120,6 +125,9 @@ pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
         subject: settings.subject.clone(),
     };
     let (recording, maps) = pairing.read_recording(source, &spans)?;
+    // As labels may, way-points may go on where the settings cut the recording.
+    let end_s = if settings.frames.is_some() { f64::INFINITY } else { recording.end_s(&pairing.waveform) };
+    points.check_times(recording.start_s, end_s).with_context(of_points)?;
 
     // Trajectories of the people.
     let labelled = recording.frames.iter().filter_map(|info| info.truth).map(|truth| truth.occupancy.index()).max();
@@ -129,13 +137,13 @@ pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
     // Way-points use the recording's clock; the mirror begins with its first frame.
     let points = points.shifted(-recording.start_s);
     let tracked = tracks.clone();
-    let (mut text, mut simulator) = pairing.mirror(&mut tracks, &recording.detections, &points)?;
+    let (mut text, mut simulator) = pairing.mirror(&mut tracks, &recording, &points)?;
     for _ in 0..if tracks.iter().all(|track| track.tracklets.is_empty()) { 0 } else { settings.corrections } {
         let mut echo_finder = pairing.echo_finder();
         recording.simulate(&simulator, "checking", |_, frame| echo_finder.add_frame(frame))?;
         let mirror_detections = echo_finder.finish(&recording.times_s, &recording.frames, &pairing.waveform);
         bias::correct(&mut tracks, &tracked, &tracking::track_people(&mirror_detections, people, &pairing.sensor));
-        (text, simulator) = pairing.mirror(&mut tracks, &recording.detections, &points)?;
+        (text, simulator) = pairing.mirror(&mut tracks, &recording, &points)?;
     }
     let truths = recording.common_truths(&simulator);
     let agreeing_frames = truths.iter().flatten().count();
@@ -313,22 +321,29 @@ impl<'a> Pairing<'a> {
     fn mirror(
         &self,
         tracks: &mut [PersonTrack],
-        detections: &[Detections],
+        recording: &RecordingEchoes,
         points: &WayPoints,
     ) -> anyhow::Result<(String, Simulator)> {
-        script::complete(tracks, detections, self.template.scene.file(), points)
+        let scripts = script::complete(tracks, &recording.detections, self.template.scene.file(), points)
+            .and_then(|()| self.scripts(tracks))
+            // Scripts begin with the first frame, and way-points use the recording's clock.
+            .map_err(|error| error.shifted(recording.start_s))
             .with_context(|| format!("{} cannot be mirrored as it is", self.settings.recording))?;
-        let scene = Scene::parse(&self.mirror_text(&self.template.table, tracks)?, &self.settings.scene)?;
+        let scene = Scene::parse(&self.mirror_text(&self.template.table, &scripts)?, &self.settings.scene)?;
         let options = SimulateOptions { seed: self.settings.seed, ..SimulateOptions::default() };
-        Ok((self.mirror_text(&self.template.stored, tracks)?, Simulator::new(&scene, options)?))
+        Ok((self.mirror_text(&self.template.stored, &scripts)?, Simulator::new(&scene, options)?))
     }
 
-    fn mirror_text(&self, table: &toml::Table, tracks: &[PersonTrack]) -> anyhow::Result<String> {
+    /// Returns start time and steps of each person who is there at all.
+    fn scripts(&self, tracks: &[PersonTrack]) -> Result<Vec<(f64, Vec<StepFile>)>, ScriptError> {
         let radar = self.template.scene.radar_position().truncate();
-        let mut scripts = Vec::new();
-        for (person, track) in tracks.iter().enumerate() {
-            scripts.extend(script::steps(person, &track.path, radar, self.settings.seated)?);
-        }
+        let steps = |(person, track): (usize, &PersonTrack)| {
+            script::steps(person, &track.path, radar, self.settings.seated).transpose()
+        };
+        tracks.iter().enumerate().filter_map(steps).collect()
+    }
+
+    fn mirror_text(&self, table: &toml::Table, scripts: &[(f64, Vec<StepFile>)]) -> anyhow::Result<String> {
         let recording = shell::word(&self.settings.recording);
         let scene = shell::word(&self.settings.scene.to_string_lossy());
         let output = shell::word(&self.settings.output.to_string_lossy());
@@ -336,7 +351,7 @@ impl<'a> Pairing<'a> {
         Ok(format!(
             "# The scene that mirrors a recording, from its first frame on. Made by:\n#     {command}\n# Schema: \
              sim/src/scene_file/mod.rs.\n{}",
-            SceneTemplate::with_scripts(table, &format!("{}-mirror", self.name), self.settings.height_m, &scripts)?
+            SceneTemplate::with_scripts(table, &format!("{}-mirror", self.name), self.settings.height_m, scripts)?
         ))
     }
 
@@ -374,6 +389,11 @@ impl<'a> Pairing<'a> {
 }
 
 impl RecordingEchoes {
+    /// Returns the end of the last frame by the recording's clock, s.
+    fn end_s(&self, waveform: &Waveform) -> f64 {
+        self.start_s + self.times_s.last().copied().unwrap_or(0.0) + waveform.frame_interval_s()
+    }
+
     /// Returns the truth that each frame shares with its mirror: the class by the labels if the mirror has it too, and a transition if
     /// either side is one. `None` for frames without a label, and for those whose mirror is of another class.
     fn common_truths(&self, simulator: &Simulator) -> Vec<Option<Truth>> {
@@ -416,19 +436,4 @@ fn spans(settings: &Settings) -> anyhow::Result<Vec<LabelSpan>> {
     };
     check_spans(&spans, None)?;
     Ok(spans)
-}
-
-fn read_waypoints(path: &Path) -> anyhow::Result<WayPoints> {
-    let text = radome_files::read_text(path, radome_files::TEXT_LIMIT_BYTES)
-        .with_context(|| format!("{} cannot be read", path.display()))?;
-    let points: WayPoints = radome_files::parse_toml(&text).with_context(|| {
-        format!(
-            "{} holds no way-points\n\nhint: for each person [[person]] with point = [{{ time_s = 1.5, position_m = [2.0, 1.0] }}, ...]",
-            path.display()
-        )
-    })?;
-    if points.person.len() > 2 {
-        bail!("{}: way-points of {} people, expected two at most", path.display(), points.person.len());
-    }
-    Ok(points)
 }

@@ -5,12 +5,12 @@
 
 use glam::DVec2;
 use radome_sim::scene_file::{DoorFile, RoomFile, SceneFile, StepFile};
-use serde::Deserialize;
 use thiserror::Error;
 
 use super::detections::Detections;
 use super::smooth::PersonState;
 use super::tracking::Tracklet;
+use super::way_points::{OUTSIDE_M, WayPoint, WayPoints};
 
 /// Longest gap that is bridged, s.
 pub const BRIDGE_S: f64 = 1.5;
@@ -18,8 +18,7 @@ pub const BRIDGE_S: f64 = 1.5;
 const FASTEST_M_PER_S: f64 = 2.5;
 /// Range of speeds in scripts, m/s (sim/src/scene/check.rs).
 const SPEEDS_M_PER_S: [f64; 2] = [0.05, 5.0];
-/// Distance beyond a door at which a body is out of the room, and distance from it at which a body counts as in the doorway, m.
-const OUTSIDE_M: f64 = 0.75;
+/// Distance from a door at which a body counts as in the doorway, m.
 const DOORWAY_M: f64 = 0.3;
 /// Largest deviation of the steps from the trajectory, m.
 const PATH_TOLERANCE_M: f64 = 0.03;
@@ -41,37 +40,7 @@ pub struct PersonTrack {
     pub path: Vec<PathPoint>,
 }
 
-/// File of way-points. For each person it has `[[person]]` with `point = [{ time_s = 1.5, position_m = [2.0, 1.0] },
-/// ...]`. Times are by the recording's clock and in order.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct WayPoints {
-    #[serde(default)]
-    pub person: Vec<WayPointPerson>,
-}
-
-impl WayPoints {
-    /// Returns the way-points by another clock.
-    pub fn shifted(mut self, by_s: f64) -> Self {
-        self.person.iter_mut().flat_map(|p| &mut p.point).for_each(|point| point.time_s += by_s);
-        self
-    }
-}
-
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct WayPointPerson {
-    pub point: Vec<WayPoint>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct WayPoint {
-    pub time_s: f64,
-    pub position_m: [f64; 2],
-}
-
-/// Error of a script: time without a known position, a speed that is too high, or unordered way-points.
+/// Error of a script: time without a known position, or a speed that is too high.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ScriptError {
     /// The person was not tracked, and there are no way-points.
@@ -89,17 +58,22 @@ pub enum ScriptError {
     /// The person would move faster than scripts allow.
     #[error("person {person} would have to go {speed_m_per_s:.1} m/s from {from_s:.2} to {to_s:.2} s, more than {most} m/s; correct the way-points", most = SPEEDS_M_PER_S[1])]
     TooFast { person: usize, speed_m_per_s: f64, from_s: f64, to_s: f64 },
-    /// Way-points are out of order.
-    #[error("way-points of person {person}: {time_s} s comes after {before_s} s, expected times that rise")]
-    Order { person: usize, time_s: f64, before_s: f64 },
 }
 
 impl ScriptError {
+    /// Returns the error by another clock.
+    pub fn shifted(mut self, by_s: f64) -> Self {
+        let (ScriptError::Unknown { from_s, to_s, .. } | ScriptError::TooFast { from_s, to_s, .. }) = &mut self;
+        *from_s += by_s;
+        *to_s += by_s;
+        self
+    }
+
     /// Time without a known position, s; infinite for other errors, which are mended first.
     fn missing_s(&self) -> f64 {
         match self {
             ScriptError::Unknown { from_s, to_s, .. } => to_s - from_s,
-            ScriptError::TooFast { .. } | ScriptError::Order { .. } => f64::INFINITY,
+            ScriptError::TooFast { .. } => f64::INFINITY,
         }
     }
 }
@@ -145,7 +119,7 @@ fn tracked_others(tracks: &[PersonTrack], person: usize, frame: usize) -> usize 
 ///
 /// # Errors
 /// [`ScriptError::Unknown`] if a person's position is unknown for a time; among several people, for the one who is missing
-/// longest. [`ScriptError::Order`] if way-points are out of order.
+/// longest.
 pub fn complete(
     tracks: &mut [PersonTrack],
     detections: &[Detections],
@@ -184,20 +158,9 @@ pub fn complete(
 }
 
 /// Returns the way-points of a person.
-///
-/// # Errors
-/// [`ScriptError::Order`] where they are out of order.
-fn way_points_of(points: &WayPoints, person: usize) -> Result<Vec<PathPoint>, ScriptError> {
-    let points = points.person.get(person).map_or(&[] as &[WayPoint], |p| p.point.as_slice());
-    for pair in points.windows(2) {
-        if let [before, after] = pair
-            && after.time_s.partial_cmp(&before.time_s) != Some(std::cmp::Ordering::Greater)
-        {
-            return Err(ScriptError::Order { person: person + 1, time_s: after.time_s, before_s: before.time_s });
-        }
-    }
+fn way_points_of(points: &WayPoints, person: usize) -> Vec<PathPoint> {
     let to_path = |point: &WayPoint| PathPoint { time_s: point.time_s, position: DVec2::from_array(point.position_m) };
-    Ok(points.iter().map(to_path).collect())
+    points.person.get(person).map_or(Vec::new(), |person| person.point.iter().map(to_path).collect())
 }
 
 /// First and last time within an interval at which the labels count only the other people who are tracked, s.
@@ -223,7 +186,7 @@ fn path(
     points: &WayPoints,
 ) -> Result<Vec<PathPoint>, ScriptError> {
     let Some(track) = tracks.get(person) else { return Ok(Vec::new()) };
-    let given = way_points_of(points, person)?;
+    let given = way_points_of(points, person);
     let between = |from_s: f64, to_s: f64| -> Vec<PathPoint> {
         given.iter().copied().filter(|k| k.time_s > from_s && k.time_s < to_s).collect()
     };
