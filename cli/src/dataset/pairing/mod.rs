@@ -65,7 +65,8 @@ pub struct Settings {
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..=2))]
     people: Option<u8>,
     /// TOML file with positions of people when they were not visible: [[person]] with point = [{ time_s = 1.5, position_m = [2.0, 1.0] },
-    /// ...]. Messages number the people from 1, in the order of the file
+    /// ...]. They take the place of tracked positions from which nobody could walk there. Messages number the people from 1, in the order
+    /// of the file
     #[arg(long, value_name = "FILE.toml")]
     waypoints: Option<PathBuf>,
     /// Body height of the people, m

@@ -1,7 +1,9 @@
 //! Script of a person: converts tracklets, way-points and doors to steps of a scene file.
 //!
 //! The path follows tracklets, and short gaps are bridged. In longer gaps it follows way-points if there are any, or leads
-//! through a door if labels show that the person came or went. Any other gap is an error that names it.
+//! through a door if labels show that the person came or went. Way-points take the place of tracked positions from which nobody could
+//! walk there. Where a track jumps by a little, the positions beside the jump are left out. Any other gap or jump is an error that
+//! names it.
 
 use glam::DVec2;
 use radome_sim::scene_file::{DoorFile, RoomFile, SceneFile, StepFile};
@@ -14,6 +16,8 @@ use super::way_points::{OUTSIDE_M, WayPoint, WayPoints};
 
 /// Longest gap that is bridged, s.
 pub const BRIDGE_S: f64 = 1.5;
+/// Longest time of tracked positions that is left out beside a jump, s.
+const LEFT_OUT_S: f64 = 0.5;
 /// Largest walking speed that is assumed of a person, m/s.
 const FASTEST_M_PER_S: f64 = 2.5;
 /// Range of speeds in scripts, m/s (sim/src/scene/check.rs).
@@ -40,7 +44,7 @@ pub struct PersonTrack {
     pub path: Vec<PathPoint>,
 }
 
-/// Error of a script: time without a known position, or a speed that is too high.
+/// Error of a script: time without a known position, or positions too far apart for a walk.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ScriptError {
     /// The person was not tracked, and there are no way-points.
@@ -55,6 +59,13 @@ pub enum ScriptError {
         from_s: f64,
         to_s: f64,
     },
+    /// Two successive tracked positions lie farther apart than anybody walks.
+    #[error(
+        "the track of person {person} jumps from {from_m:.1?} m at {from_s:.2} s to {to_m:.1?} m at {to_s:.2} s\n\nhint: say where the \
+         person was with --waypoints FILE.toml: [[person]] with point = [{{ time_s = {from_s:.2}, position_m = [x, y] }}, ...], which take \
+         the place of tracked positions from which nobody could walk there; the persons are numbered from 1 in the order of the file"
+    )]
+    Jump { person: usize, from_m: [f64; 2], to_m: [f64; 2], from_s: f64, to_s: f64 },
     /// The person would move faster than scripts allow.
     #[error("person {person} would have to go {speed_m_per_s:.1} m/s from {from_s:.2} to {to_s:.2} s, more than {most} m/s; correct the way-points", most = SPEEDS_M_PER_S[1])]
     TooFast { person: usize, speed_m_per_s: f64, from_s: f64, to_s: f64 },
@@ -63,7 +74,9 @@ pub enum ScriptError {
 impl ScriptError {
     /// Returns the error by another clock.
     pub fn shifted(mut self, by_s: f64) -> Self {
-        let (ScriptError::Unknown { from_s, to_s, .. } | ScriptError::TooFast { from_s, to_s, .. }) = &mut self;
+        let (ScriptError::Unknown { from_s, to_s, .. }
+        | ScriptError::Jump { from_s, to_s, .. }
+        | ScriptError::TooFast { from_s, to_s, .. }) = &mut self;
         *from_s += by_s;
         *to_s += by_s;
         self
@@ -72,7 +85,7 @@ impl ScriptError {
     /// Time without a known position, s; infinite for other errors, which are mended first.
     fn missing_s(&self) -> f64 {
         match self {
-            ScriptError::Unknown { from_s, to_s, .. } => to_s - from_s,
+            ScriptError::Unknown { from_s, to_s, .. } | ScriptError::Jump { from_s, to_s, .. } => to_s - from_s,
             ScriptError::TooFast { .. } => f64::INFINITY,
         }
     }
@@ -118,8 +131,8 @@ fn tracked_others(tracks: &[PersonTrack], person: usize, frame: usize) -> usize 
 /// shows their echoes. Paths through a door stay as they are.
 ///
 /// # Errors
-/// [`ScriptError::Unknown`] if a person's position is unknown for a time; among several people, for the one who is missing
-/// longest.
+/// [`ScriptError::Unknown`] if a person's position is unknown for a time, and [`ScriptError::Jump`] if a track jumps too far; among
+/// several people, for the one who is missing longest.
 pub fn complete(
     tracks: &mut [PersonTrack],
     detections: &[Detections],
@@ -163,6 +176,48 @@ fn way_points_of(points: &WayPoints, person: usize) -> Vec<PathPoint> {
     points.person.get(person).map_or(Vec::new(), |person| person.point.iter().map(to_path).collect())
 }
 
+/// Runs of successive tracked positions of a person. Way-points take the place of positions from which nobody could walk to them in
+/// time, and divide runs.
+fn tracked_runs<'a>(track: &'a PersonTrack, given: &[PathPoint]) -> Vec<&'a [PersonState]> {
+    let is_kept = |state: &PersonState| {
+        given.iter().all(|point| {
+            let time_s = (point.time_s - state.time_s).abs();
+            position(state).distance(point.position) <= FASTEST_M_PER_S * time_s
+        })
+    };
+    let is_one_run = |a: &PersonState, b: &PersonState| {
+        let is_between = |point: &PathPoint| (a.time_s..=b.time_s).contains(&point.time_s);
+        is_kept(a) && is_kept(b) && !given.iter().any(is_between)
+    };
+    let runs = track.tracklets.iter().flat_map(|tracklet| tracklet.states.chunk_by(is_one_run));
+    runs.filter(|run| run.first().is_some_and(is_kept)).collect()
+}
+
+/// Leaves out positions beside a jump, on its two sides in turn, until a person could walk from one side to the other. The tracker may
+/// follow another echo for some frames before it loses a person. `None` if too much would be left out.
+fn around_jump<'a>(
+    mut before: &'a [PersonState],
+    mut after: &'a [PersonState],
+) -> Option<(&'a [PersonState], &'a [PersonState])> {
+    let jump_s = after.first()?.time_s - before.last()?.time_s;
+    for left_out in 0.. {
+        let (end, start) = (before.last()?, after.first()?);
+        let gap_s = start.time_s - end.time_s;
+        if gap_s > BRIDGE_S || gap_s > jump_s + LEFT_OUT_S {
+            return None;
+        }
+        if position(end).distance(position(start)) <= FASTEST_M_PER_S * gap_s {
+            break;
+        }
+        if left_out % 2 == 0 {
+            before = before.split_last()?.1;
+        } else {
+            after = after.split_first()?.1;
+        }
+    }
+    Some((before, after))
+}
+
 /// First and last time within an interval at which the labels count only the other people who are tracked, s.
 fn absence(
     tracks: &[PersonTrack],
@@ -193,14 +248,26 @@ fn path(
     let unknown = |from_s: f64, to_s: f64| ScriptError::Unknown { person: person + 1, from_s, to_s };
     let (Some(begin), Some(end)) = (detections.first(), detections.last()) else { return Ok(given) };
     let (begin_s, end_s) = (begin.time_s, end.time_s);
-    let ends = |tracklet: &Tracklet| Some((*tracklet.states.first()?, *tracklet.states.last()?));
-    let (Some(first), Some(last)) = (track.tracklets.first(), track.tracklets.last()) else {
+    let ends = |run: &[PersonState]| Some((*run.first()?, *run.last()?));
+    let absent = |from_s: f64, to_s: f64| absence(tracks, person, detections, from_s, to_s);
+    let mut runs: Vec<&[PersonState]> = Vec::new();
+    for mut run in tracked_runs(track, &given) {
+        if let Some(before) = runs.last_mut()
+            && let (Some((_, end)), Some((start, _))) = (ends(before), ends(run))
+            && between(end.time_s, start.time_s).is_empty()
+            && absent(end.time_s, start.time_s).is_none()
+            && let Some(around) = around_jump(before, run)
+        {
+            (*before, run) = around;
+        }
+        runs.push(run);
+    }
+    let (Some(first), Some(last)) = (runs.first(), runs.last()) else {
         let there = detections.iter().enumerate().filter(|(k, l)| l.people > tracked_others(tracks, person, *k));
         let (from, to) = there.fold((f64::INFINITY, 0.0), |(a, b), (_, l)| (l.time_s.min(a), l.time_s.max(b)));
-        // A person without tracklets is an error only if the labels count that person and there are no way-points.
+        // A person without a tracked position is an error only if the labels count that person and there are no way-points.
         return if given.is_empty() && to - from > BRIDGE_S { Err(unknown(from, to)) } else { Ok(given) };
     };
-    let absent = |from_s: f64, to_s: f64| absence(tracks, person, detections, from_s, to_s);
     let mut path: Vec<PathPoint> = Vec::new();
     if let Some((start, _)) = ends(first) {
         path = between(f64::NEG_INFINITY, start.time_s);
@@ -210,10 +277,10 @@ fn path(
             path = arrival.ok_or_else(|| unknown(since.unwrap_or(begin_s), start.time_s))?;
         }
     }
-    for (i, tracklet) in track.tracklets.iter().enumerate() {
-        path.extend(tracklet.states.iter().map(|s| PathPoint { time_s: s.time_s, position: position(s) }));
-        let Some(next) = track.tracklets.get(i + 1) else { break };
-        let (Some((_, end)), Some((start, _))) = (ends(tracklet), ends(next)) else { continue };
+    for (i, run) in runs.iter().enumerate() {
+        path.extend(run.iter().map(|s| PathPoint { time_s: s.time_s, position: position(s) }));
+        let Some(next) = runs.get(i + 1) else { break };
+        let (Some((_, end)), Some((start, _))) = (ends(run), ends(next)) else { continue };
         let given = between(end.time_s, start.time_s);
         let gap_s = start.time_s - end.time_s;
         if !given.is_empty() {
@@ -221,8 +288,11 @@ fn path(
         } else if let Some((from_s, to_s)) = absent(end.time_s, start.time_s) {
             path.extend(path_out(&end, Some(from_s), end_s, scene).ok_or_else(|| unknown(end.time_s, from_s))?);
             path.extend(path_in(&start, Some(to_s), begin_s, scene).ok_or_else(|| unknown(to_s, start.time_s))?);
-        } else if gap_s > BRIDGE_S || position(&end).distance(position(&start)) > FASTEST_M_PER_S * gap_s {
+        } else if gap_s > BRIDGE_S {
             return Err(unknown(end.time_s, start.time_s));
+        } else if position(&end).distance(position(&start)) > FASTEST_M_PER_S * gap_s {
+            let (from_m, to_m) = (position(&end).to_array(), position(&start).to_array());
+            return Err(ScriptError::Jump { person: person + 1, from_m, to_m, from_s: end.time_s, to_s: start.time_s });
         }
     }
     if let Some((_, end)) = ends(last) {
@@ -433,6 +503,7 @@ fn simplified(path: &[PathPoint]) -> Vec<PathPoint> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::way_points::WayPointPerson;
     use super::*;
 
     fn points(all: &[(f64, f64, f64)]) -> Vec<PathPoint> {
@@ -446,9 +517,14 @@ mod tests {
 
     /// Track of a person at these places, one each 0.1 s.
     fn tracklet(places: &[(f64, f64)]) -> Tracklet {
-        let state = |(frame, &(x, y)): (usize, &(f64, f64))| PersonState {
-            frame,
-            time_s: 0.1 * frame as f64,
+        tracklet_from(0, places)
+    }
+
+    /// Track of a person at these places, from a frame on.
+    fn tracklet_from(first: usize, places: &[(f64, f64)]) -> Tracklet {
+        let state = |(index, &(x, y)): (usize, &(f64, f64))| PersonState {
+            frame: first + index,
+            time_s: 0.1 * (first + index) as f64,
             x,
             y,
             vx: 1.0,
@@ -582,6 +658,51 @@ mod tests {
                 let error = complete(tracks).expect_err("nobody knows where they are");
                 assert!(matches!(error, ScriptError::Unknown { person, .. } if person == missing), "{error}");
             }
+        }
+
+        /// Path of a person who walks at 1 m/s for 4 s, with these way-points. The track jumps ahead after 2 s.
+        fn path_with_jump(jump_m: f64, points: &[WayPoint]) -> Result<Vec<PathPoint>, ScriptError> {
+            let walk = |from: usize, ahead_m: f64| {
+                let place = |frame: usize| (4.0 + 0.1 * frame as f64 + ahead_m, 1.0);
+                tracklet_from(from, &(from..from + 20).map(place).collect::<Vec<_>>())
+            };
+            let mut tracks = [PersonTrack { tracklets: vec![walk(0, 0.0), walk(20, jump_m)], path: Vec::new() }];
+            let frame = |frame: i32| Detections { time_s: 0.1 * f64::from(frame), people: 1, echoes: Vec::new() };
+            let detections: Vec<Detections> = (0..40).map(frame).collect();
+            let points = WayPoints { person: vec![WayPointPerson { point: points.to_vec() }] };
+            complete(&mut tracks, &detections, corridor().file(), &points)?;
+            let [PersonTrack { path, .. }] = tracks;
+            let is_walk = |two: &[PathPoint]| {
+                let speed = two[0].position.distance(two[1].position) / (two[1].time_s - two[0].time_s);
+                speed <= FASTEST_M_PER_S + 1e-9
+            };
+            assert!(path.windows(2).all(is_walk), "{path:?}");
+            Ok(path)
+        }
+
+        /// Regression test: a track that jumped from one frame to the next could not be mirrored.
+        #[test]
+        fn a_little_jump_of_a_track_is_walked() {
+            let path = path_with_jump(0.5, &[]).expect("0.5 m at 2.5 m/s");
+            assert_eq!((path.len(), path[0].position.x), (37, 4.0), "{path:?}");
+            assert_eq!(path[36].position.x, 4.0 + 0.1 * 39.0 + 0.5);
+        }
+
+        /// Regression test: no way-point changed anything where a person was followed, and one at the time of the message was left out,
+        /// since that is rounded.
+        #[test]
+        fn way_points_take_the_place_of_a_track_that_jumps() {
+            let error = path_with_jump(3.0, &[]).expect_err("3 m");
+            let said = error.clone().shifted(10.0).to_string();
+            assert!(matches!(error, ScriptError::Jump { person: 1, .. }), "{error}");
+            assert!(said.contains("jumps from [5.9, 1.0] m at 11.90 s to [9.0, 1.0] m at 12.00 s"), "{said}");
+            assert!(said.contains("--waypoints") && said.contains("time_s = 11.90"), "{said}");
+
+            let points = [(1.9, 5.9), (3.0, 7.4)].map(|(time_s, x)| WayPoint { time_s, position_m: [x, 1.0] });
+            let path = path_with_jump(3.0, &points).expect("the rest is left out");
+            let last = path.last().expect("points");
+            assert_eq!((last.time_s, last.position), (3.0, DVec2::new(7.4, 1.0)));
+            assert!(path.iter().any(|point| (point.time_s - 1.9).abs() < 1e-9 && point.position.x == 5.9), "{path:?}");
         }
 
         #[test]
