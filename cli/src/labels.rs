@@ -1,5 +1,6 @@
 //! Labels of recordings. They are stored in the recording if it can hold them, otherwise in a file beside it.
 
+use std::collections::HashSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -298,8 +299,22 @@ pub fn cut_out(
     remaining
 }
 
-/// Adds labels to a recording, or to the file beside it, and returns the path. `make_room` first changes the existing labels.
-/// Nothing is written if [`check`] refuses the new labels, or if they overlap existing ones.
+/// Interval in whole microseconds, as files have it at least, and text of a label.
+fn interval_and_text(span: &LabelSpan) -> (i64, i64, &str) {
+    let whole_us = |time_s: f64| (time_s * 1e6).round() as i64;
+    (whole_us(span.start_s), whole_us(span.end_s), &span.label)
+}
+
+/// Result of [`add`].
+pub struct Added {
+    /// File that holds the labels.
+    pub file: PathBuf,
+    /// Number of labels that were there already.
+    pub found: usize,
+}
+
+/// Adds labels to a recording, or to the file beside it. `make_room` first changes the existing labels. Labels with the interval and
+/// the text of an existing one are not added. Nothing is written if [`check`] refuses the new labels, or if they overlap existing ones.
 ///
 /// # Errors
 /// The recording cannot be read or written, or the labels are refused.
@@ -307,7 +322,7 @@ pub fn add(
     recording: &Path,
     spans: &[LabelSpan],
     make_room: impl FnOnce(Vec<LabelSpan>) -> Vec<LabelSpan>,
-) -> anyhow::Result<PathBuf> {
+) -> anyhow::Result<Added> {
     check(recording, spans)?;
     let source = Recording::open(recording)?;
     let context = || {
@@ -316,20 +331,26 @@ pub fn add(
             "{path}: labels refused\n\nhint: --replace cuts labels that are there already; --erase START_S:END_S cuts them out"
         )
     };
+    let mut found = 0;
     let merged = |existing: Vec<LabelSpan>| -> anyhow::Result<Vec<LabelSpan>> {
         let mut all = make_room(existing);
-        all.extend_from_slice(spans);
+        let new: Vec<LabelSpan> = {
+            let known: HashSet<_> = all.iter().map(interval_and_text).collect();
+            spans.iter().filter(|span| !known.contains(&interval_and_text(span))).cloned().collect()
+        };
+        found = spans.len() - new.len();
+        all.extend(new);
         check_spans(&all, None).with_context(context)?;
         Ok(all)
     };
     if source.format().holds_labels() {
         let editor = LabelEditor::open(recording)?;
         editor.write(&merged(editor.labels()?)?)?;
-        return Ok(recording.to_owned());
+        return Ok(Added { file: recording.to_owned(), found });
     }
     let file = file_beside(recording).unwrap_or_else(|| name_beside(recording));
     rewrite_beside(recording, &file, merged)?;
-    Ok(file)
+    Ok(Added { file, found })
 }
 
 /// Start of a recording's first frame and end of its last one by the frames' own clock, s; `None` for an empty

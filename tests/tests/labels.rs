@@ -250,6 +250,30 @@ fn labels_in_json_lose_nothing() {
     assert_eq!(labels_of(&copy), labels_of(&recording));
 }
 
+/// Regression test: labels that the page exports were refused if one of them was in the recording already, as it is when another program
+/// changes the labels of a recording whose page saves no more.
+#[test]
+fn exported_labels_are_added_to_those_that_were_saved() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/desk.toml"), "--frames 40", &path("run.mcap"));
+    let add = |file: &Path| success(command!("recording label", path("run.mcap"), "--from", file)).1;
+    let all = r#"[{"start_s":0.0,"end_s":1.0,"label":"empty"},{"start_s":1.0,"end_s":2.0,"label":"one"}]"#;
+    let (all, other) = (write_file(folder.path(), "all.json", all), path("saved.txt"));
+    success(command!("recording label --span 0:1=empty", path("run.mcap")));
+    let said = add(&all);
+    assert!(said.contains("1 label there already") && said.contains("1 label written"), "{said}");
+    assert_eq!(labels_of(&path("run.mcap")).len(), 2);
+    // Files of other tools hold rounded times.
+    success(command!("recording label", path("run.mcap"), "-o", &other));
+    let said = add(&other);
+    assert!(said.contains("2 labels there already") && !said.contains("written"), "{said}");
+    assert_eq!(labels_of(&path("run.mcap")).len(), 2);
+    let text = r#"[{"start_s":0.0,"end_s":1.0,"label":"one"}]"#;
+    let text = write_file(folder.path(), "other.json", text);
+    fails_with(command!("recording label", path("run.mcap"), "--from", text), &["overlap", "--replace"]);
+}
+
 /// Regression test: labels of a text recording were those of every other whose name was the same up to its last dot. The vendor's SDK
 /// gives its recordings no ending.
 #[test]

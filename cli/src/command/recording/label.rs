@@ -11,6 +11,7 @@ use serde_json::json;
 
 use crate::dataset::detector;
 use crate::exit::wrong_use;
+use crate::labels::Added;
 use crate::output_file::Overwrite;
 use crate::{labels, output, source};
 
@@ -102,23 +103,27 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         message!("no label was given or found; nothing has been written");
         return print(&spans, arguments.json);
     }
-    let (target, erased) = match &arguments.output {
+    let (Added { file, found }, erased) = match &arguments.output {
         Some(file) => {
             labels::check(&arguments.recording, &spans)?;
             labels::write_file(file, arguments.overwrite.existing(), &spans)?;
-            (file.clone(), 0)
+            (Added { file: file.clone(), found: 0 }, 0)
         }
         None => edit_recording(arguments, &spans)?,
     };
-    let target = target.display();
+    let target = file.display();
     let label_count = |count: usize| format!("{count} label{}", if count == 1 { "" } else { "s" });
     match (arguments.erase.is_empty(), erased) {
         (true, _) => {}
         (false, 0) => message!("no label is there to be erased in {target}"),
         (false, erased) => message!("{} cut or removed in {target}", label_count(erased)),
     }
-    if !spans.is_empty() || arguments.erase.is_empty() {
-        message!("{} written to {target}", label_count(spans.len()));
+    if found > 0 {
+        message!("{} there already in {target}", label_count(found));
+    }
+    let written = spans.len() - found;
+    if written > 0 || spans.is_empty() && arguments.erase.is_empty() {
+        message!("{} written to {target}", label_count(written));
     }
     print(&spans, arguments.json)
 }
@@ -162,10 +167,10 @@ impl Arguments {
 }
 
 /// Cuts `--erase` out of the labels of the recording, and, with `--replace`, the new labels out of those of classes. Then adds the
-/// new labels. Returns the changed file and the number of labels that `--erase` concerned.
-fn edit_recording(arguments: &Arguments, spans: &[LabelSpan]) -> anyhow::Result<(PathBuf, usize)> {
+/// new labels. Returns what was added, and the number of labels that `--erase` concerned.
+fn edit_recording(arguments: &Arguments, spans: &[LabelSpan]) -> anyhow::Result<(Added, usize)> {
     let mut erased = 0;
-    let target = labels::add(&arguments.recording, spans, |existing| {
+    let added = labels::add(&arguments.recording, spans, |existing| {
         let is_erased = |label: &&LabelSpan| arguments.erase.iter().any(|interval| labels::overlaps(label, *interval));
         erased = existing.iter().filter(is_erased).count();
         let erase = arguments.erase.iter();
@@ -175,7 +180,7 @@ fn edit_recording(arguments: &Arguments, spans: &[LabelSpan]) -> anyhow::Result<
             labels::cut_out(existing, (span.start_s, span.end_s), |other| other.occupancy().is_some())
         })
     })?;
-    Ok((target, erased))
+    Ok((added, erased))
 }
 
 /// Prints the labels of a recording and writes them to the output file, if one is named.

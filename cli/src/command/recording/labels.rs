@@ -36,8 +36,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.import {
         let mut spans = labels::read_file(path)?;
         spans.iter_mut().for_each(|span| span.who.clone_from(&arguments.who));
-        labels::add(&arguments.file, &spans, |existing| existing)?;
-        message!("{} labels added to {}", spans.len(), arguments.file.display());
+        let found = labels::add(&arguments.file, &spans, |existing| existing)?.found;
+        message!("{} labels added to {}", spans.len() - found, arguments.file.display());
     }
     let spans = Recording::open(&arguments.file)?.labels()?;
     if let Some(path) = &arguments.export {
