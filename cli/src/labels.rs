@@ -171,6 +171,22 @@ pub fn content_of(recording: &Path) -> PathBuf {
     content.canonicalize().unwrap_or(content)
 }
 
+/// Refuses recordings of which two are one by [`content_of`]: its frames would count twice.
+///
+/// # Errors
+/// A recording is named twice.
+pub fn check_named_once<'a>(recordings: impl IntoIterator<Item = &'a PathBuf>) -> anyhow::Result<()> {
+    let mut seen = HashSet::new();
+    for recording in recordings {
+        ensure!(
+            seen.insert(content_of(recording)),
+            "{} is named twice\n\nhint: name each recording once",
+            recording.display()
+        );
+    }
+    Ok(())
+}
+
 /// Reads all labels of a recording.
 ///
 /// # Errors

@@ -176,6 +176,19 @@ fn a_receiver_of_any_name_can_be_read() {
     assert!(other.contains("desk.toml") && other.contains("hint: ") && !other.contains("model"), "{other}");
 }
 
+/// Regression test: the frames of a recording that was named twice, or by a link, counted twice, and the difference between real
+/// recordings was none.
+#[test]
+fn a_recording_that_is_named_twice_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = corridor(folder.path(), 3, 40);
+    let link = folder.path().join("link.mcap");
+    std::os::unix::fs::symlink(&recording, &link).expect("a link");
+    for other in [&recording, &link] {
+        fails_with(command!("scene calibrate", &recording, other), &["is named twice", "hint: "]);
+    }
+}
+
 #[test]
 fn what_cannot_be_calibrated_is_refused() {
     fails_with(subcommand("scene calibrate nowhere.mcap"), &["nowhere.mcap"]);

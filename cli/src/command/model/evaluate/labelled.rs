@@ -1,9 +1,8 @@
 //! Recording with the true classes of its frames.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, Occupancy, Waveform};
@@ -34,12 +33,7 @@ impl LabelledRecording {
     /// a recording is named twice.
     pub fn parse_all(inputs: impl IntoIterator<Item = String>) -> anyhow::Result<Vec<Self>> {
         let all = inputs.into_iter().map(|input| Self::parse(&input)).collect::<anyhow::Result<Vec<_>>>()?;
-        let mut seen = BTreeSet::new();
-        for LabelledRecording { path, .. } in &all {
-            if !seen.insert(labels::content_of(path)) {
-                bail!("{} is named twice\n\nhint: name each recording once", path.display());
-            }
-        }
+        labels::check_named_once(all.iter().map(|recording| &recording.path))?;
         Ok(all)
     }
 

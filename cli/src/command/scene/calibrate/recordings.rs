@@ -8,7 +8,7 @@ use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, Waveform};
 use radome_sim::receiver::calibration::LEAST_FRAMES;
 
-use crate::{output, source};
+use crate::{labels, output, source};
 
 /// Recordings of one waveform, each split in two.
 pub struct Recordings {
@@ -35,8 +35,9 @@ impl Recordings {
     /// Opens recordings whose first part is used for the fit.
     ///
     /// # Errors
-    /// A recording cannot be read or is too short, or two have different waveforms.
+    /// A recording cannot be read, is too short or is named twice, or two have different waveforms.
     pub fn open(paths: &[PathBuf], part: f64) -> anyhow::Result<Self> {
+        labels::check_named_once(paths)?;
         let (mut waveform, mut all) = (None::<(Waveform, &Path)>, Vec::new());
         for path in paths {
             let source = Recording::open(path)?;
