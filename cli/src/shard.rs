@@ -21,6 +21,17 @@ impl Shard {
     }
 }
 
+/// Returns the name of the whole job whose shard has this name: the part before the suffix that [`Shard::name`] gives. Other names stay.
+pub fn name_of_whole(name: &str) -> &str {
+    let is_number = |text: &str| text.len() >= 5 && text.bytes().all(|byte| byte.is_ascii_digit());
+    let is_suffix =
+        |text: &str| text.split_once("-of-").is_some_and(|(index, count)| is_number(index) && is_number(count));
+    match name.rsplit_once("-shard-") {
+        Some((whole, suffix)) if is_suffix(suffix) => whole,
+        _ => name,
+    }
+}
+
 impl std::fmt::Display for Shard {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}/{}", self.index, self.count)
@@ -105,6 +116,16 @@ mod tests {
             ("SLURM_ARRAY_TASK_COUNT", "4"),
         ];
         assert_eq!(shard("auto", &array), Ok((2, 4)));
+    }
+
+    #[test]
+    fn the_name_of_a_shard_tells_that_of_the_whole() {
+        let name = format!("night/run-shard-2-{}", Shard { index: 3, count: 8 }.name());
+        assert_eq!(name_of_whole(&name), "night/run-shard-2");
+        for other in ["run", "run-shard-1-of-8", "run-shard-00001", "run-shard-00001-of-0000x", "shard-00001-of-00008"]
+        {
+            assert_eq!(name_of_whole(other), other);
+        }
     }
 
     mod hard_cases {

@@ -517,6 +517,24 @@ fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
     );
 }
 
+/// Regression test: shards of one run were in several splits, so that a model was tested on a run that it had learnt from.
+#[test]
+fn shards_of_a_simulation_are_one_sequence() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    std::fs::create_dir(path("captures")).expect("writable");
+    for shard in ["0/3", "1/3", "2/3"] {
+        let scene = fixture("scenes/corridor.toml");
+        success(command!("scene simulate --frames 9 --shard", shard, scene, "-o", path("captures/run.mcap")));
+    }
+    let text = "format = 1\n[[recorded]]\nfolders = \"captures\"\nlabels = { \"*\" = \"empty\" }\n";
+    json_lines(build_command(&write_file(folder.path(), "spec.toml", text), &path("set")));
+    let manifest = std::fs::read_to_string(path("set/manifest.jsonl")).expect("reads");
+    assert_eq!(manifest.lines().count(), 9);
+    assert_eq!(manifest.matches("\"sequence\":\"run\"").count(), 9, "{manifest}");
+    assert_eq!(manifest.matches("\"recording\":\"run-shard-00001-of-00003\"").count(), 3, "{manifest}");
+}
+
 /// Writes the hall scene with other values for these keys of its waveform.
 fn write_hall(path: &Path, changes: &[(&str, &str)]) {
     let mut text = fixture_text("scenes/hall.toml");

@@ -18,7 +18,7 @@ use super::fingerprints::Fingerprints;
 use super::folders::{self, FoundRecording, NamePatterns, ParsedName};
 use super::spec::{BuildSpec, FolderLabel, Recorded, Simulated};
 use crate::files::{self, resolve_named};
-use crate::shard::Shard;
+use crate::shard::{self, Shard};
 use crate::source;
 
 /// Format version of `plan.json`.
@@ -300,7 +300,11 @@ impl UnitList<'_> {
         self.units.push(Unit {
             scene: parsed.scene.or_else(|| source.scene.clone()).unwrap_or_else(|| "unknown".into()),
             subject: parsed.subject.or_else(|| source.subject.clone()),
-            sequence: parsed.sequence.or_else(|| source.sequence.clone()).unwrap_or(found.session),
+            // Shards of a simulated run are one sequence, which no two splits share.
+            sequence: parsed
+                .sequence
+                .or_else(|| source.sequence.clone())
+                .unwrap_or_else(|| shard::name_of_whole(&found.session).to_owned()),
             recording: found.name,
             split: source.split,
             every: source.every,

@@ -14,7 +14,7 @@ use self::feature_reader::FeatureReader;
 use super::evaluate::LabelledRecording;
 use crate::classifier::{CFAR, Model};
 use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
-use crate::{files, labels, output, source};
+use crate::{files, labels, output, shard, source};
 
 /// `radome model adapt`
 #[derive(clap::Args)]
@@ -96,7 +96,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     bar.finish_and_clear();
     for input in &inputs {
-        adapter.add_sequence(&source::name_of(&input.path).to_string_lossy());
+        let name = source::name_of(&input.path).to_string_lossy().into_owned();
+        adapter.add_sequence(&name);
+        // In a dataset, a shard of a simulated run has the name of the run.
+        adapter.add_sequence(shard::name_of_whole(&name));
         // In a dataset, a folder of the vendor's has the name of its session.
         if let Some(session) = infineon::session_of(&labels::content_of(&input.path)) {
             adapter.add_sequence(&source::name_of(session).to_string_lossy());
