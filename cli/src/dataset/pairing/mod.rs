@@ -108,7 +108,6 @@ pub struct Paired {
 /// The recording, the scene, labels or way-points cannot be read, they contradict each other, the dataset cannot be
 /// written, or the user interrupts.
 pub fn pair(settings: &Settings) -> anyhow::Result<Paired> {
-    files::check_parent(&settings.output)?;
     if !(0.5..=2.5).contains(&settings.height_m) {
         wrong_use!("--height-m is {}, expected 0.5 to 2.5 m", settings.height_m);
     }
