@@ -42,7 +42,7 @@ pub struct Arguments {
     /// Interval in which all labels are removed; may be given several times
     #[arg(long, value_name = "START_S:END_S", value_parser = parse_interval, allow_hyphen_values = true, conflicts_with = "output")]
     erase: Vec<(f64, f64)>,
-    /// Write the labels to this file, .txt or .label, instead of adding them to the recording. Without --span, --from and --propose,
+    /// Write the labels to this file, .txt, .label or .json, instead of adding them to the recording. Without --span, --from and --propose,
     /// write the labels of the recording
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
