@@ -187,6 +187,16 @@ fn a_folder_of_the_user_with_the_name_of_an_unfinished_build_stays() {
     assert_eq!(names(folder.path()), ["set", "spec.toml"]);
 }
 
+/// Such a link was noticed when all units had been made.
+#[test]
+fn a_link_that_leads_nowhere_takes_the_name_of_a_dataset() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    std::os::unix::fs::symlink(path("nowhere"), path("set")).expect("a link");
+    fails_with(build_command(&spec(folder.path(), 1, ""), &path("set")), &["set exists already", "hint: "]);
+    assert_eq!(names(folder.path()), ["set", "spec.toml"]);
+}
+
 #[test]
 fn a_zero_sigma_is_reported() {
     let folder = tempfile::tempdir().expect("a folder");

@@ -47,7 +47,9 @@ pub fn build_plan(plan: &Plan, output: &Path, shard: Option<Shard>) -> anyhow::R
         None => output.to_owned(),
     };
     let parts = Parts::of(&target);
-    let found = match (shard, target.exists()) {
+    // A link that leads nowhere counts: the dataset could not take its name in the end.
+    let is_taken = target.symlink_metadata().is_ok();
+    let found = match (shard, is_taken) {
         (Some(_), true) => check_finished_shard(plan, &target)?,
         (None, true) if !parts.was_merged(plan, &target) => {
             return Err(DatasetError::Exists { path: target }.into());

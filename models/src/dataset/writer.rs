@@ -63,7 +63,7 @@ impl DatasetWriter {
     /// [`DatasetError::Exists`] if `dir` exists, [`DatasetError::Busy`] if another process writes it, [`DatasetError::ForeignFile`] if
     /// `NAME.partial` holds a file that no writer made, and [`DatasetError::Io`] if its files cannot be created.
     pub fn create(dir: &Path, header: &DatasetHeader) -> Result<Self, DatasetError> {
-        if dir.exists() {
+        if is_taken(dir) {
             return Err(DatasetError::Exists { path: dir.to_owned() });
         }
         let temporary = with_suffix(dir, ".partial");
@@ -76,7 +76,7 @@ impl DatasetWriter {
             return Err(DatasetError::ForeignFile { path: temporary, name });
         }
         // The process that had the lock may have finished in the meantime.
-        if dir.exists() {
+        if is_taken(dir) {
             remove_folder(&temporary, &[]);
             return Err(DatasetError::Exists { path: dir.to_owned() });
         }
@@ -198,6 +198,11 @@ impl Drop for DatasetWriter {
             remove_folder(&self.temporary, &self.added);
         }
     }
+}
+
+/// Returns whether something has this name: a folder, or also a link that leads nowhere, which no folder replaces.
+fn is_taken(path: &Path) -> bool {
+    path.symlink_metadata().is_ok()
 }
 
 /// Returns whether dataset writers make files of this name. The lock file and added files are not included.
