@@ -465,6 +465,13 @@ fn a_spec_that_contradicts_itself_is_refused_before_units_are_made() {
     refused(&split("{ held_out = \"corridor\" }"), "no sequence 'corridor' to hold out");
     refused(&sound.replace("people = [2]", "people = [2, 99]"), "99 people asked for");
     refused(&format!("{sound}tolerance_db = -1.0\n"), "tolerance_db is -1");
+    // Two recordings were said to have one name, and the hint was about folders.
+    let (_, last) = sound.rsplit_once("[[simulated]]").expect("two scenes");
+    let overlap = format!("{sound}[[simulated]]{}", last.replace("[5, 6]", "[6, 7]"));
+    refused(
+        &overlap,
+        "two simulated runs would be called 'room-seed6'\n\nhint: give each [[simulated]] of a scene its own seeds",
+    );
 }
 
 /// Units of a build that gave no map stayed, so that the corrected spec was refused.

@@ -112,14 +112,23 @@ impl Plan {
         }
         let UnitList { units, fingerprints, header, .. } = list;
         let Some((_, header)) = header else { bail!("{} names no source", path.display()) };
-        let mut names = BTreeSet::new();
-        if let Some(duplicate) = units.iter().find(|unit| !names.insert(&unit.recording)) {
-            bail!(
-                "{}: two recordings would be called '{}'\n\nhint: put both into one folder and name it by folders = ...: recordings are \
-                 then called by their paths in it; or rename one of them",
-                path.display(),
-                duplicate.recording
-            );
+        let mut by_name: BTreeMap<&str, &Unit> = BTreeMap::new();
+        for unit in &units {
+            let name = unit.recording.as_str();
+            let Some(other) = by_name.insert(name, unit) else { continue };
+            let is_run = |unit: &Unit| matches!(unit.source, UnitSource::Run { .. });
+            let (what, hint) = match is_run(unit) && is_run(other) {
+                true => (
+                    "simulated runs",
+                    "give each [[simulated]] of a scene its own seeds, or its own numbers of people; two scenes need two file names",
+                ),
+                false => (
+                    "recordings",
+                    "put both into one folder and name it by folders = ...: recordings are then called by their paths in it; or \
+                     rename one of them",
+                ),
+            };
+            bail!("{}: two {what} would be called '{name}'\n\nhint: {hint}", path.display());
         }
         // Contradictory splits would otherwise be found after all units are made, and correcting them changes the spec.
         let rows: Vec<ManifestRow> = units.iter().map(|unit| unit.row(0, Occupancy::Empty)).collect();

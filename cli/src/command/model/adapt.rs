@@ -24,7 +24,7 @@ use crate::{files, labels, output, shard, source};
 pub struct Arguments {
     /// Model file, or room-hqnn, which is built in
     model: PathBuf,
-    /// Recordings of the room: a recording with labels, RECORDING=LABELS.txt or .label, or RECORDING=empty, RECORDING=one,
+    /// Recordings of the room: a recording with labels, RECORDING=LABELS.txt, .label or .json, or RECORDING=empty, RECORDING=one,
     /// RECORDING=two for a recording of one class. Each recording whose classes are also in other recordings is held out in turn,
     /// to measure the gain
     #[arg(value_name = "RECORDING[=LABEL]", value_hint = clap::ValueHint::AnyPath, required_unless_present_any = ["empty", "curve"])]
