@@ -1,6 +1,6 @@
 //! Labels of recordings. They are stored in the recording if it can hold them, otherwise in a file beside it.
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -22,6 +22,9 @@ const LIMIT_BYTES: u64 = 64 << 20;
 /// Time by which imported labels may reach beyond their recording, s, in addition to a share of the recording's length.
 const OVERHANG_S: f64 = 1.0;
 const OVERHANG_SHARE: f64 = 0.01;
+
+/// Largest number of texts that a message lists.
+const MOST_LISTED: usize = 10;
 
 /// Reader and writer of a kind of label file.
 struct Codec {
@@ -246,22 +249,30 @@ pub fn check(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
         bail!("{}: the recording has no frame that they could be labels of", context());
     }
     check_spans(spans, extent_s).with_context(context)?;
-    for LabelSpan { start_s, end_s, label, .. } in spans {
-        let mut classes = Occupancy::ALL.into_iter().map(Occupancy::name);
+    let mut free_texts: BTreeMap<&str, usize> = BTreeMap::new();
+    for span in spans {
+        let LabelSpan { start_s, end_s, label, .. } = span;
         if label.is_empty() {
             message!("the label from {start_s} to {end_s} s has no text: its frames count as not labelled");
-        } else if let Some(class) = classes.find(|class| class != label && class.eq_ignore_ascii_case(label)) {
-            let label = on_one_line(label);
-            message!("the label '{label}' is kept as free text; the class is written '{class}'");
+        } else if span.occupancy().is_none() {
+            *free_texts.entry(label).or_default() += 1;
         }
     }
-    let is_class_in_any_case =
-        |label: &str| Occupancy::ALL.into_iter().any(|class| class.name().eq_ignore_ascii_case(label));
-    let mut labels = spans.iter().map(|span| span.label.as_str());
-    if let Some(label) = labels.find(|label| !label.is_empty() && !is_class_in_any_case(label)) {
-        let label = on_one_line(label);
+    let mut listed = Vec::new();
+    for (text, count) in free_texts {
+        let mut classes = Occupancy::ALL.into_iter().map(Occupancy::name);
+        match classes.find(|class| class.eq_ignore_ascii_case(text)) {
+            Some(class) => message!("the label '{text}' is kept as free text; the class is written '{class}'"),
+            None => listed.push(format!("'{}' ({count})", on_one_line(text))),
+        }
+    }
+    if !listed.is_empty() {
+        let others = listed.len().saturating_sub(MOST_LISTED);
+        listed.truncate(MOST_LISTED);
+        listed.extend((others > 0).then(|| format!("{others} others")));
         message!(
-            "labels that are no class, such as '{label}', are kept as free text: their frames count as not labelled"
+            "labels that are no class are kept as free text, and their frames count as not labelled: {}",
+            listed.join(", ")
         );
     }
     Ok(())
