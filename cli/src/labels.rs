@@ -190,6 +190,11 @@ pub fn check_named_once<'a>(recordings: impl IntoIterator<Item = &'a PathBuf>) -
     Ok(())
 }
 
+/// Sorts labels by their start, then by their end.
+pub fn sort_by_time(spans: &mut [LabelSpan]) {
+    spans.sort_by(|a, b| a.start_s.total_cmp(&b.start_s).then(a.end_s.total_cmp(&b.end_s)));
+}
+
 /// Reads all labels of a recording.
 ///
 /// # Errors

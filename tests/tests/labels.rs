@@ -294,6 +294,23 @@ fn labels_beside_a_recording_are_its_own() {
     assert!(labels_of(&path("walk_0.7m")).is_empty());
 }
 
+/// They were in the order in which they had been made.
+#[test]
+fn labels_are_listed_and_exported_in_order_of_time() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    simulate(&fixture("scenes/desk.toml"), "--frames 40", &path("run.mcap"));
+    for span in ["2:3=two", "0:1=empty", "1:2=one"] {
+        success(command!("recording label --span", span, path("run.mcap")));
+    }
+    let times: Vec<_> = labels_of(&path("run.mcap")).iter().map(|label| label["start_s"].as_f64()).collect();
+    assert_eq!(times, [Some(0.0), Some(1.0), Some(2.0)]);
+    success(command!("recording label", path("run.mcap"), "-o", path("run.txt")));
+    let text = std::fs::read_to_string(path("run.txt")).expect("written");
+    let exported: Vec<_> = text.lines().filter_map(|line| line.split('\t').nth(2)).collect();
+    assert_eq!(exported, ["empty", "one", "two"]);
+}
+
 /// Regression test: the rest of such a label was a line of its own.
 #[test]
 fn a_label_with_a_line_end_is_one_line_of_the_table() {

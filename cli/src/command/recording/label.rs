@@ -148,7 +148,7 @@ impl Arguments {
         Ok(())
     }
 
-    /// Returns the labels of `--span`, `--from` and `--propose`.
+    /// Returns the labels of `--span`, `--from` and `--propose`, in order of time.
     fn new_labels(&self) -> anyhow::Result<Vec<LabelSpan>> {
         let mut spans = self.span.clone();
         if let Some(file) = &self.from {
@@ -162,6 +162,7 @@ impl Arguments {
             Some(Proposer::Detector) => spans.extend(detector::propose(&self.recording)?),
             None => {}
         }
+        labels::sort_by_time(&mut spans);
         Ok(spans)
     }
 }
@@ -183,9 +184,10 @@ fn edit_recording(arguments: &Arguments, spans: &[LabelSpan]) -> anyhow::Result<
     Ok((added, erased))
 }
 
-/// Prints the labels of a recording and writes them to the output file, if one is named.
+/// Prints the labels of a recording in order of time, and writes them to the output file, if one is named.
 fn show_labels(arguments: &Arguments) -> anyhow::Result<()> {
-    let spans = labels::of_recording(&arguments.recording)?;
+    let mut spans = labels::of_recording(&arguments.recording)?;
+    labels::sort_by_time(&mut spans);
     if let Some(file) = &arguments.output {
         labels::write_file(file, arguments.overwrite.existing(), &spans)?;
     }

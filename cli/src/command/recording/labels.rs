@@ -39,7 +39,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let found = labels::add(&arguments.file, &spans, |existing| existing)?.found;
         message!("{} labels added to {}", spans.len() - found, arguments.file.display());
     }
-    let spans = Recording::open(&arguments.file)?.labels()?;
+    let mut spans = Recording::open(&arguments.file)?.labels()?;
+    labels::sort_by_time(&mut spans);
     if let Some(path) = &arguments.export {
         arguments.overwrite.check(path, &[&arguments.file])?;
         labels::write_file(path, arguments.overwrite.existing(), &spans)?;
