@@ -50,7 +50,7 @@ fn impossible_labels_are_refused_and_unclear_ones_reported() {
     assert!(said.contains("the label from 1 to 2 s has no text: its frames count as not labelled"), "{said}");
     assert!(!said.contains("no class"), "a word for each label is enough: {said}");
     // Of several texts, only the first one was named.
-    let spans = ["--span", "2:3=three", "--span", "2:3=two people", "--span", "3:4=two people ", "--span", "3:4=1"];
+    let spans = ["--span", "2:3=three", "--span", "2:3=two people", "--span", "1:2=two people ", "--span", "1:2=1"];
     let (_, said) = success(label("run.mcap", &spans));
     assert!(said.contains("no class are kept as free text"), "{said}");
     assert!(said.contains("not labelled: '1' (1), 'three' (1), 'two people' (2)"), "{said}");
@@ -194,6 +194,9 @@ fn labels_are_replaced_and_erased_where_it_is_asked_for() {
     assert_eq!(found(), ["0.0-0.5 two", "1.5-2.0 a knock", "1.5-2.0 one", "2.0-3.0 two"]);
     let said = wrong_use(label(&["--span", "0.7:0.7=one"]));
     assert!(said.contains("no duration"), "{said}");
+    // Between two frames, such a label was accepted.
+    let said = wrong_use(label(&["--span", "0.71:0.75=one", "--replace"]));
+    assert!(said.contains("'one' from 0.71 to 0.75 s covers no frame: frames are 0.077 s apart"), "{said}");
 
     // Each of these was answered by "labels erased".
     let before = found();

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, ensure};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
-use radome_driver::recording::span_check::check_spans;
+use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
 use radome_dsp::{Frame, FrameSource};
 use serde_json::json;
 
@@ -148,8 +148,30 @@ impl Arguments {
         Ok(())
     }
 
+    /// Refuses a short `--span` with a class that covers no frame. Files of labels may hold such labels: the page makes them.
+    fn check_spans_cover_frames(&self) -> anyhow::Result<()> {
+        let mut recording = Recording::open(&self.recording)?;
+        let interval_s = recording.waveform().frame_interval_s();
+        let mut frame = Frame::zeroed(recording.waveform().shape());
+        let is_class = |span: &&LabelSpan| span.occupancy().is_some();
+        // Frames of boards may be a little farther apart than requested.
+        let is_short = |span: &&LabelSpan| span.end_s - span.start_s < 2.0 * interval_s;
+        for LabelSpan { start_s, end_s, label, .. } in self.span.iter().filter(is_class).filter(is_short) {
+            recording.seek_time_s((start_s - ROUNDING_S).max(0.0))?;
+            if !source::next_frame(&mut recording, &mut frame)? || frame.time_s() + ROUNDING_S >= *end_s {
+                wrong_use!(
+                    "the label '{label}' from {start_s} to {end_s} s covers no frame: frames are {interval_s:.3} s apart"
+                );
+            }
+        }
+        Ok(())
+    }
+
     /// Returns the labels of `--span`, `--from` and `--propose`, in order of time.
     fn new_labels(&self) -> anyhow::Result<Vec<LabelSpan>> {
+        if !self.span.is_empty() {
+            self.check_spans_cover_frames()?;
+        }
         let mut spans = self.span.clone();
         if let Some(file) = &self.from {
             spans.extend(labels::read_file(file)?);
