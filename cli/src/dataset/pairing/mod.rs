@@ -42,7 +42,7 @@ use crate::exit::wrong_use;
 use crate::map_preset::MapPreset;
 use crate::output::Interrupted;
 use crate::source::{self, DEFAULT_SEED, Source, SourceOptions};
-use crate::{files, labels, output, shell};
+use crate::{labels, output, shell};
 
 /// Number of frames that are simulated before maps are made of them.
 const CHUNK: usize = 32;
