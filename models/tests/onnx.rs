@@ -212,7 +212,7 @@ mod hard_cases {
         );
     }
 
-    /// Regression test: a damaged number was accepted if it was finite.
+    /// Regression test: a damaged number was accepted if it was finite, and any in the card.
     #[test]
     fn a_number_that_was_not_exported_is_refused() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/paper-hqnn.safetensors");
@@ -230,10 +230,18 @@ mod hard_cases {
         bytes[name + 14] ^= 1;
         let error = load(&bytes).expect_err("damaged");
         assert!(matches!(error, ModelError::Hash { .. }) && error.to_string().contains("hint: "), "{error}");
-        // A file of an earlier version has no hash.
-        let key = last(&bytes, b"arrays_sha256").expect("a hash");
-        bytes[key] = b'_';
-        load(&bytes).expect("without a hash");
+        // Changes the last bit of the first digit of a number in the card.
+        let mut of_card = bytes.clone();
+        let number = last(&bytes, b"\"dwell_s\":").expect("a number") + 10;
+        of_card[number] ^= 1;
+        let error = load(&of_card).expect_err("damaged");
+        assert!(matches!(error, ModelError::CardHash { .. }) && error.to_string().contains("hint: "), "{error}");
+        // A file of an earlier version has no hashes.
+        for key in [&b"text_sha256"[..], b"arrays_sha256"] {
+            let key = last(&bytes, key).expect("a hash");
+            bytes[key] = b'_';
+        }
+        load(&bytes).expect("without hashes");
     }
 
     #[test]

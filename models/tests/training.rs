@@ -232,11 +232,14 @@ fn checkpoints_of_another_training_and_damaged_ones_are_refused() {
         let error = refused(&spec, &whole[..length]);
         assert!(error.contains("checkpoint"), "{error}");
     }
-    let mut flipped = whole;
-    let last = flipped.len() - 4;
-    flipped[last] ^= 1;
-    let error = refused(&spec, &flipped);
-    assert!(error.contains("not those that were written") && error.contains("hint: "), "{error}");
+    let key = b"adam_steps\\\":";
+    let in_metadata = whole.windows(key.len()).position(|w| w == key).expect("in the metadata") + key.len();
+    for at in [whole.len() - 4, in_metadata] {
+        let mut flipped = whole.clone();
+        flipped[at] ^= 1;
+        let error = refused(&spec, &flipped);
+        assert!(error.contains("not those that were written") && error.contains("hint: "), "{error}");
+    }
 }
 
 /// Asserts that maps of another spec or waveform are refused: with the same shape, errors would otherwise go unnoticed.
@@ -362,18 +365,30 @@ mod hard_cases {
             bytes[at] ^= 0x15;
             let _ = Model::from_bytes(&path, &bytes);
         }
-        let replace = |from: &str, to: &str| {
+        let replaced = |bytes: &[u8], from: &str, to: &str| {
             assert_eq!(from.len(), to.len());
-            let mut bytes = whole.clone();
+            let mut bytes = bytes.to_vec();
             let at = bytes.windows(from.len()).position(|w| w == from.as_bytes()).expect("in the header");
             bytes[at..at + from.len()].copy_from_slice(to.as_bytes());
-            Model::from_bytes(&path, &bytes).err().expect("refused")
+            bytes
         };
+        let refusal = |bytes: &[u8]| Model::from_bytes(&path, bytes).err().expect("refused");
+        let replace = |from: &str, to: &str| refusal(&replaced(&whole, from, to));
         assert!(matches!(replace("format_version\\\":1", "format_version\\\":9"), ModelError::Newer { found: 9, .. }));
         assert!(matches!(replace("\"radome\"", "\"random\""), ModelError::NoCard { .. }));
-        let unknown = replace("hqnn", "hqmm");
-        assert!(matches!(unknown, ModelError::Card { .. }) && unknown.to_string().contains("hqmm"), "{unknown}");
         assert!(matches!(replace("fc1.weight", "fc7.weight"), ModelError::Inconsistent { .. }));
+        // Regression test: a flipped bit in a number of the card changed predictions without an error.
+        let mut bytes = whole.clone();
+        let key = b"temperature\\\":";
+        let at = bytes.windows(key.len()).position(|w| w == key).expect("in the card");
+        bytes[at + key.len()] ^= 1;
+        let error = refusal(&bytes);
+        assert!(matches!(error, ModelError::CardHash { .. }) && error.to_string().contains("hint: "), "{error}");
+        // A file of an earlier version has no hash of the card; its key is renamed to one that is not known.
+        let older = replaced(&whole, "text_sha256", "Text_sha256");
+        Model::from_bytes(&path, &older).expect("not checked");
+        let unknown = refusal(&replaced(&older, "hqnn", "hqmm"));
+        assert!(matches!(unknown, ModelError::Card { .. }) && unknown.to_string().contains("hqmm"), "{unknown}");
         let mut bytes = whole.clone();
         let last = bytes.len() - 4;
         bytes[last..].copy_from_slice(&f32::NAN.to_le_bytes());
@@ -384,11 +399,9 @@ mod hard_cases {
         bytes[last] ^= 1;
         let error = Model::from_bytes(&path, &bytes).err().expect("damaged");
         assert!(matches!(error, ModelError::Hash { .. }) && error.to_string().contains("hint: "), "{error}");
-        // A file of an earlier version has no hash; its key is renamed to one that is not known.
-        let key = b"arrays_sha256";
-        let at = bytes.windows(key.len()).position(|w| w == key).expect("in the card");
-        bytes[at] = b'A';
-        Model::from_bytes(&path, &bytes).expect("not checked");
+        // A file of an earlier version has no hashes.
+        let older = replaced(&replaced(&bytes, "text_sha256", "Text_sha256"), "arrays_sha256", "Arrays_sha256");
+        Model::from_bytes(&path, &older).expect("not checked");
         let error = Classifier::load(&dir.path().join("none")).err().expect("no file").to_string();
         assert!(error.contains("none: reading failed"), "{error}");
     }

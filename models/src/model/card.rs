@@ -9,6 +9,7 @@ use thiserror::Error;
 
 use super::adapted::Adapted;
 use super::onnx_runtime::OnnxError;
+use crate::array_hash::{self, Damaged};
 use crate::dataset::{Dataset, SplitSpec, sequence_hash};
 use crate::evidence_mean::{MEMORY_RANGE, is_valid_memory};
 use crate::kernel::KernelLevel;
@@ -138,6 +139,12 @@ pub enum ModelError {
          from where it comes, or train or export it again"
     )]
     Hash { path: PathBuf, expected: String, found: String },
+    /// The card is not the one that was written.
+    #[error(
+        "{path}: the model card has SHA-256 {found}, the file says {expected}; it was changed or damaged\n\nhint: copy the file once more \
+         from where it comes, or train or export it again"
+    )]
+    CardHash { path: PathBuf, expected: String, found: String },
     /// An ONNX network cannot be run.
     #[error(transparent)]
     Onnx(#[from] OnnxError),
@@ -158,6 +165,10 @@ impl ModelCard {
         let found = serde_json::from_str::<Version>(text).map_err(json)?.format_version;
         if found > MODEL_FORMAT_VERSION {
             return Err(ModelError::Newer { path: path.to_owned(), found, supported: MODEL_FORMAT_VERSION });
+        }
+        // Checked before the values, of which a damaged one may be out of range. Files of earlier versions have no hash.
+        if let Some(Damaged { expected, found }) = array_hash::check_text(text).map_err(json)? {
+            return Err(ModelError::CardHash { path: path.to_owned(), expected, found });
         }
         let card: ModelCard = serde_json::from_str(text).map_err(json)?;
         card.check(path)?;

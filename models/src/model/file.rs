@@ -98,7 +98,7 @@ impl Model {
     ///
     /// # Errors
     /// [`ModelError`] if the bytes are no safetensors, have no card, or if card and arrays contradict each other or hold numbers
-    /// that are not finite, and [`ModelError::Hash`] if the numbers are not those that were written.
+    /// that are not finite, and [`ModelError::Hash`] or [`ModelError::CardHash`] if numbers or card are not those that were written.
     pub fn from_bytes(path: &Path, data: &[u8]) -> Result<Self, ModelError> {
         let text = card_text(path, data)?;
         let card = ModelCard::parse(path, &text)?;

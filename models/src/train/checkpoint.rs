@@ -145,6 +145,12 @@ impl Checkpoint {
         if array_hash::check(&text, arrays).map_err(|e| unusable(path, e))?.is_some() {
             return Err(unusable(path, "its numbers are not those that were written; the file was changed or damaged"));
         }
+        if array_hash::check_text(&text).map_err(|e| unusable(path, e))?.is_some() {
+            return Err(unusable(
+                path,
+                "its metadata are not those that were written; the file was changed or damaged",
+            ));
+        }
         let mut checkpoint: Checkpoint = serde_json::from_str(&text).map_err(|e| unusable(path, e))?;
         for name in tensors.names() {
             let mut parts = name.splitn(3, '/');

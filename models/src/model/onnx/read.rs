@@ -1,4 +1,5 @@
-//! Checks of an ONNX file before a runtime loads it: it is complete, its numbers are finite and match the hash, and its card is valid.
+//! Checks of an ONNX file before a runtime loads it: it is complete, its numbers are finite, its card is valid, and both match their
+//! hashes.
 
 use std::path::Path;
 
@@ -8,8 +9,8 @@ use super::proto::{self, FLOAT};
 use crate::model::card::{CARD_KEY, ModelCard, ModelError};
 use crate::model::file::check_hash;
 
-/// Reads the card in the bytes of the ONNX file `path` (used in errors only). Checks that numbers are finite and match the hash in the
-/// card, if it has one.
+/// Reads the card in the bytes of the ONNX file `path` (used in errors only). Checks that numbers are finite, and that numbers and card
+/// match the hashes in the card, if it has them.
 pub(crate) fn read_card(path: &Path, data: &[u8]) -> Result<ModelCard, ModelError> {
     let damaged = |reason: String| ModelError::NotOnnx { path: path.to_owned(), reason, length: data.len() };
     // Decodes one message at a time: an empty message of two bytes takes a hundred bytes of memory, and a file may have any number.
