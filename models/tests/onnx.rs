@@ -158,24 +158,66 @@ fn shipped_models_agree_with_their_onnx_files() {
         let file = folder.path().join("exported.ONNX");
         std::fs::write(&file, onnx::export(&model).expect("exported")).expect("writable");
         assert_eq!(ModelCard::load(&file).expect("a card"), model.card);
-        let mut theirs = match Classifier::load(&file) {
-            Ok(classifier) => classifier,
-            Err(error @ ModelError::Onnx(OnnxError::NoLibrary { .. })) => {
-                return skip("onnxruntime", &error.to_string());
-            }
-            Err(error) => panic!("{error}"),
-        };
-        let mut ours = Classifier::new(model);
-        let shape = ours.rdm_spec().shape(ours.waveform()).expect("a shape");
-        for index in 0..20 {
-            let mut rng = stream(5, "decibels", index);
-            let db: Vec<f32> = (0..shape.cells()).map(|_| rng.random_range(-95.0..-40.0 + index as f32)).collect();
-            let (range_step_m, velocity_step_m_per_s) = ours.rdm_spec().steps(ours.waveform());
-            let flags = MapFlags::default();
-            let map = Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: index, flags };
-            let [a, b] = [&mut ours, &mut theirs].map(|classifier| classifier.classify(&map).expect("probabilities"));
-            assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5), "{}: {a:?} {b:?}", path.display());
+        let Some(mut theirs) = classifier(&file) else { return };
+        assert_alike(&path.display().to_string(), &mut Classifier::new(model), &mut theirs);
+    }
+}
+
+/// Classifier of an ONNX file. Returns `None` and counts the test as skipped where onnxruntime is not installed.
+fn classifier(file: &Path) -> Option<Classifier> {
+    match Classifier::load(file) {
+        Ok(classifier) => Some(classifier),
+        Err(error @ ModelError::Onnx(OnnxError::NoLibrary { .. })) => {
+            skip("onnxruntime", &error.to_string());
+            None
         }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// Asserts that two classifiers give the same probabilities for random maps.
+fn assert_alike(name: &str, ours: &mut Classifier, theirs: &mut Classifier) {
+    let shape = ours.rdm_spec().shape(ours.waveform()).expect("a shape");
+    for index in 0..20 {
+        let mut rng = stream(5, "decibels", index);
+        let db: Vec<f32> = (0..shape.cells()).map(|_| rng.random_range(-95.0..-40.0 + index as f32)).collect();
+        let (range_step_m, velocity_step_m_per_s) = ours.rdm_spec().steps(ours.waveform());
+        let flags = MapFlags::default();
+        let map = Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: index, flags };
+        let [a, b] = [&mut *ours, &mut *theirs].map(|classifier| classifier.classify(&map).expect("probabilities"));
+        assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5), "{name}: {a:?} {b:?}");
+    }
+}
+
+/// Regression test: the input of a model whose network sees range and Doppler exchanged had them exchanged, too. Files that were exported
+/// so are still read.
+#[test]
+fn files_of_transposed_models_read_maps_by_range_and_doppler() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/desk-hqnn.safetensors");
+    let model = |card: ModelCard| Model { card, network: Model::load(&path).expect("a model").network };
+    let card = ModelCard::load(&path).expect("a card");
+    let [_, range, doppler] = card.map_shape();
+    assert_ne!(range, doppler);
+    let exchanged = ModelCard { input_shape: [1, doppler, range], ..card.clone() };
+    let axes = ["channel", "doppler", "range"].map(str::to_owned);
+    let transposed = ModelCard { axes, ..exchanged.clone() };
+    assert_eq!(transposed.map_shape(), [1, range, doppler]);
+    let exported = onnx::export(&model(transposed.clone())).expect("exported");
+    // A file as it was exported before: the graph reads exchanged axes, which the card names.
+    let mut earlier = onnx::export(&model(exchanged)).expect("exported");
+    let axes = [r#""axes":["channel","range","doppler"]"#, r#""axes":["channel","doppler","range"]"#];
+    for [from, to] in [axes, ["text_sha256", "Text_sha256"]] {
+        let at = earlier.windows(from.len()).rposition(|window| window == from.as_bytes()).expect("in the card");
+        earlier[at..at + to.len()].copy_from_slice(to.as_bytes());
+    }
+    let folder = tempfile::tempdir().expect("folder");
+    let file = folder.path().join("some.onnx");
+    let mut ours = Classifier::new(model(transposed.clone()));
+    for (name, bytes, of_file) in [("exported", exported, card), ("exported before", earlier, transposed)] {
+        std::fs::write(&file, bytes).expect("writable");
+        assert_eq!(ModelCard::load(&file).expect("a card"), of_file, "{name}");
+        let Some(mut theirs) = classifier(&file) else { return };
+        assert_alike(name, &mut ours, &mut theirs);
     }
 }
 

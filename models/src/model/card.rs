@@ -211,6 +211,12 @@ impl ModelCard {
         self.axes == input_axes(true)
     }
 
+    /// Shape `[channel, range, Doppler]` of a map of the network's input, also where the network sees them exchanged.
+    pub fn map_shape(&self) -> [usize; 3] {
+        let [channels, rows, columns] = self.input_shape;
+        if self.is_transposed() { [channels, columns, rows] } else { self.input_shape }
+    }
+
     fn check(&self, path: &Path) -> Result<(), ModelError> {
         let check = |is_valid: bool, what: &str, expected: String, found: String| match is_valid {
             true => Ok(()),

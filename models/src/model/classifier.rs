@@ -243,8 +243,7 @@ impl ModelCard {
         sequence: u64,
         scene_and_class: Option<(&str, Occupancy)>,
     ) -> Result<Vec<f32>, ClassifyError> {
-        let [_, rows, columns] = self.input_shape;
-        let (range, doppler) = if self.is_transposed() { (columns, rows) } else { (rows, columns) };
+        let [_, range, doppler] = self.map_shape();
         let expected = RdmShape { rx: 1, doppler, range };
         let raw_input = Some(got).filter(|got| *got == expected).and_then(|shape| network_input(db, shape, 0));
         let Some(mut input) = raw_input else {

@@ -49,7 +49,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     files::write_bytes(&arguments.output, arguments.overwrite.existing(), &bytes)?;
     let file = arguments.output.display().to_string();
     if arguments.json {
-        let input = model.card.input_shape;
+        let input = model.card.map_shape();
         return output::json_line(&json!({ "onnx": file, "bytes": bytes.len(), "input": input }));
     }
     output::text_line(&format!("{file} written"))

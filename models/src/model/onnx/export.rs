@@ -7,23 +7,27 @@ use super::proto::{self, FLOAT};
 use super::writer::{ExportError, Writer, int};
 use crate::array_hash;
 use crate::layer::{Activation, bin_bounds};
-use crate::model::card::CARD_KEY;
+use crate::model::card::{CARD_KEY, ModelCard, input_axes};
 use crate::model::file::Model;
 use crate::model::onnx_runtime::{INPUT_NAME, OUTPUT_NAME};
 use crate::network::{INPUT, Layer, Network, Node, Normalisation, Size, Value};
 
 const OPSET: i64 = 17;
 const IR_VERSION: i64 = 8;
+/// Name of the map with range and Doppler exchanged, for networks that see it so.
+const TRANSPOSED: &str = "map.transposed";
 
-/// Writes a model with its card as the bytes of an ONNX file.
+/// Writes a model with its card as the bytes of an ONNX file. Its input is a map by range and Doppler, and the card in the file says so,
+/// also where the network sees them exchanged.
 ///
 /// # Errors
 /// [`ExportError`] if a layer has no ONNX form, or the card or the numbers cannot be read.
 pub fn export(model: &Model) -> Result<Vec<u8>, ExportError> {
-    let [_, range, doppler] = model.card.input_shape;
-    let graph = graph(&model.network, range, doppler)?;
+    let [_, range, doppler] = model.card.map_shape();
+    let graph = graph(&model.network, range, doppler, model.card.is_transposed())?;
     let arrays = graph.initializer.iter().map(|array| (array.name.as_str(), array.raw_data.as_slice()));
-    let card = array_hash::to_json(&model.card, arrays)?;
+    let card = ModelCard { input_shape: model.card.map_shape(), axes: input_axes(false), ..model.card.clone() };
+    let card = array_hash::to_json(&card, arrays)?;
     Ok(file(graph, vec![proto::Entry { key: CARD_KEY.to_owned(), value: card }]))
 }
 
@@ -32,7 +36,7 @@ pub fn export(model: &Model) -> Result<Vec<u8>, ExportError> {
 /// # Errors
 /// [`ExportError`] if a layer has no ONNX form, or the numbers cannot be read.
 pub fn export_network(network: &Network, range: usize, doppler: usize) -> Result<Vec<u8>, ExportError> {
-    Ok(file(graph(network, range, doppler)?, Vec::new()))
+    Ok(file(graph(network, range, doppler, false)?, Vec::new()))
 }
 
 fn file(graph: proto::Graph, metadata: Vec<proto::Entry>) -> Vec<u8> {
@@ -47,20 +51,31 @@ fn file(graph: proto::Graph, metadata: Vec<proto::Entry>) -> Vec<u8> {
     model.encode_to_vec()
 }
 
-fn graph(network: &Network, range: usize, doppler: usize) -> Result<proto::Graph, ExportError> {
+/// Graph of a network for maps of `range x doppler` bins. If `transposed`, the network reads them exchanged.
+fn graph(network: &Network, range: usize, doppler: usize, transposed: bool) -> Result<proto::Graph, ExportError> {
     let mut writer = Writer { network, graph: proto::Graph::default(), sizes: Vec::new() };
     let layers = network.graph();
-    writer.sizes = match layers.sizes(range, doppler) {
+    let (rows, columns) = if transposed { (doppler, range) } else { (range, doppler) };
+    writer.sizes = match layers.sizes(rows, columns) {
         Ok(sizes) => sizes,
         Err(node) => {
             let error = format!("maps of {range} x {doppler} bins are too small for layer {}", node.name);
             return Err(ExportError::Network(candle_core::Error::Msg(error)));
         }
     };
+    let input = match transposed {
+        true => writer.op_with("Transpose", &[INPUT_NAME], TRANSPOSED, vec![permutation(&[0, 1, 3, 2])]),
+        false => INPUT_NAME.to_owned(),
+    };
+    let name_of = |value: Value| match value {
+        INPUT => input.clone(),
+        value if value == layers.output => OUTPUT_NAME.to_owned(),
+        value => format!("v{value}"),
+    };
     let needed = layers.needed(&[layers.output], &[]);
     for (index, (node, _)) in layers.nodes.iter().zip(needed).enumerate().filter(|(_, (_, needed))| *needed) {
-        let inputs: Vec<String> = node.inputs.iter().map(|&value| name_of(layers.output, value)).collect();
-        writer.layer(node, &inputs, &name_of(layers.output, index + 1))?;
+        let inputs: Vec<String> = node.inputs.iter().map(|&value| name_of(value)).collect();
+        writer.layer(node, &inputs, &name_of(index + 1))?;
     }
     let mut graph = writer.graph;
     graph.name = "radome".to_owned();
@@ -68,14 +83,6 @@ fn graph(network: &Network, range: usize, doppler: usize) -> Result<proto::Graph
     graph.input = vec![value_info(INPUT_NAME, &map)];
     graph.output = vec![value_info(OUTPUT_NAME, &[None, Some(3)])];
     Ok(graph)
-}
-
-fn name_of(output: Value, value: Value) -> String {
-    match value {
-        INPUT => INPUT_NAME.to_owned(),
-        value if value == output => OUTPUT_NAME.to_owned(),
-        value => format!("v{value}"),
-    }
 }
 
 fn value_info(name: &str, shape: &[Option<usize>]) -> proto::ValueInfo {
@@ -229,4 +236,9 @@ fn float(name: &str, value: f32) -> proto::Attribute {
 
 fn ints(name: &str, value: usize, count: usize) -> proto::Attribute {
     proto::Attribute { name: name.to_owned(), ints: vec![value as i64; count], kind: 7, ..Default::default() }
+}
+
+/// Attribute with the order of axes.
+fn permutation(axes: &[i64]) -> proto::Attribute {
+    proto::Attribute { name: "perm".to_owned(), ints: axes.to_vec(), kind: 7, ..Default::default() }
 }
