@@ -14,6 +14,8 @@ metadata describe the kind of map and its standardisation, as JSON under the key
 place of the model: --model FILE.onnx. This requires onnxruntime:\n\n  \
 pip install --no-deps --target .ort onnxruntime==1.31.1 && export ORT_DYLIB_PATH=$PWD/.ort\n\n\
 ORT_DYLIB_PATH names the library; without it, the library of python3's onnxruntime is used.\n\n\
+In other programs, the probabilities of a frame are softmax(logits / temperature), with `temperature` from that JSON. If it has \
+`memory_s`, average logits / temperature over the frames so far before the softmax, with the weights exp(-age / memory_s).\n\n\
 Networks whose names begin with descriptor_, and circuits with gate errors, with shots or of more than 8 qubits have no ONNX \
 form: use their model files.";
 
