@@ -2,7 +2,7 @@
 
 use schemars::JsonSchema;
 use serde::de::IgnoredAny;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::metrics::CLASSES;
 
@@ -36,69 +36,71 @@ pub struct Smoothing {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weight: Option<f64>,
     /// Time over which frames are one piece of evidence, s. A frame weighs as much of a piece as the time since the frame before
-    /// it is of this, and one piece at most: the answer does not depend on the frame interval. 0.36 s if neither this nor `weight`
-    /// is given.
+    /// it is of this, and one piece at most: the answer does not depend on the frame interval. Absent where `weight` is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub independent_s: Option<f64>,
-    /// Divisor of the logarithms of the answer's probabilities: it calibrates the confidence and leaves the label as it is. 1 if
-    /// absent.
-    #[serde(skip_serializing_if = "is_one")]
+    /// Divisor of the logarithms of the answer's probabilities: it calibrates the confidence and leaves the label as it is.
     pub temperature: f64,
     /// Weight in the answer of the newest frame's own evidence beside what the filter holds, 0 to 1: it says more of the present than
-    /// frames before it do. What the filter holds does not depend on it. 0 if absent.
-    #[serde(skip_serializing_if = "crate::is_default")]
+    /// frames before it do. What the filter holds does not depend on it.
     pub newest: f64,
     /// Probability of one person without evidence, 0.1 to 0.9; the empty room and two people share the rest. With 1/3, the filter prefers no
-    /// number of people. 0.5 if absent.
-    #[serde(skip_serializing_if = "is_half")]
+    /// number of people.
     pub one_share: f64,
 }
 
-/// Settings as files hold them.
-#[derive(Deserialize)]
+/// Settings as files hold them, with the keys that are there.
+#[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct SmoothingFile {
-    dwell_s: f64,
+    #[serde(deserialize_with = "number")]
+    dwell_s: Option<f64>,
     weight: Option<f64>,
     independent_s: Option<f64>,
-    temperature: f64,
-    newest: f64,
-    one_share: f64,
+    #[serde(deserialize_with = "number")]
+    temperature: Option<f64>,
+    #[serde(deserialize_with = "number")]
+    newest: Option<f64>,
+    #[serde(deserialize_with = "number")]
+    one_share: Option<f64>,
     #[serde(rename = "unseen_share")]
     _unseen_share: IgnoredAny,
     #[serde(rename = "unseen_s")]
     _unseen_s: IgnoredAny,
 }
 
-impl Default for SmoothingFile {
-    fn default() -> Self {
-        let Smoothing { dwell_s, .. } = Smoothing::default();
-        SmoothingFile {
-            dwell_s,
-            weight: None,
-            independent_s: None,
-            temperature: 1.0,
-            newest: 0.0,
-            one_share: 0.5,
-            _unseen_share: IgnoredAny,
-            _unseen_s: IgnoredAny,
+/// Reads a number that may not be null.
+fn number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<f64>, D::Error> {
+    f64::deserialize(deserializer).map(Some)
+}
+
+impl SmoothingFile {
+    /// Returns the settings, with those of `absent` for keys that the file lacks.
+    fn or(self, absent: Smoothing) -> Smoothing {
+        let SmoothingFile { dwell_s, weight, independent_s, temperature, newest, one_share, .. } = self;
+        Smoothing {
+            dwell_s: dwell_s.unwrap_or(absent.dwell_s),
+            weight,
+            // A weight of frames takes the place of the time.
+            independent_s: if weight.is_some() { independent_s } else { independent_s.or(absent.independent_s) },
+            temperature: temperature.unwrap_or(absent.temperature),
+            newest: newest.unwrap_or(absent.newest),
+            one_share: one_share.unwrap_or(absent.one_share),
         }
     }
 }
 
 impl From<SmoothingFile> for Smoothing {
+    /// Settings of a model card, which left out keys with these values until all of them were written.
     fn from(file: SmoothingFile) -> Self {
-        let SmoothingFile { dwell_s, weight, independent_s, temperature, newest, one_share, .. } = file;
-        Smoothing { dwell_s, weight, independent_s, temperature, newest, one_share }
+        file.or(Smoothing {
+            independent_s: None,
+            temperature: 1.0,
+            newest: 0.0,
+            one_share: 0.5,
+            ..Smoothing::default()
+        })
     }
-}
-
-fn is_one(value: &f64) -> bool {
-    *value == 1.0
-}
-
-fn is_half(value: &f64) -> bool {
-    *value == 0.5
 }
 
 impl Default for Smoothing {
@@ -119,6 +121,12 @@ impl Default for Smoothing {
 }
 
 impl Smoothing {
+    /// Reads the settings of a training spec, whose absent keys have the values of [`Smoothing::default`]. Those of a model card have
+    /// other values.
+    pub(crate) fn of_spec<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        SmoothingFile::deserialize(deserializer).map(|file| file.or(Smoothing::default()))
+    }
+
     /// Settings of model files that have none: short presences, full weight of single frames.
     pub(crate) const fn of_old_models() -> Self {
         Smoothing {
@@ -411,7 +419,8 @@ mod tests {
         let read: Smoothing = serde_json::from_str(old).expect("old settings");
         assert_eq!(read, Smoothing { dwell_s: 60.0, weight: Some(0.15), ..Smoothing::of_old_models() });
         assert_eq!(read.invalid_setting(), None);
-        assert_eq!(serde_json::to_string(&read).expect("JSON"), r#"{"dwell_s":60.0,"weight":0.15}"#);
+        let written = r#"{"dwell_s":60.0,"weight":0.15,"temperature":1.0,"newest":0.0,"one_share":0.5}"#;
+        assert_eq!(serde_json::to_string(&read).expect("JSON"), written);
         // A frame's evidence to the power of its weight, at any frame interval.
         for interval_s in [0.01, 0.1, 1.0] {
             let still = Smoothing { dwell_s: 1e9, ..read };
@@ -426,7 +435,7 @@ mod tests {
             let text = serde_json::to_string(&settings).expect("JSON");
             assert_eq!(serde_json::from_str::<Smoothing>(&text).expect("settings"), settings, "{text}");
         }
-        // Absent keys have their defaults. Without a key of evidence, it counts by time.
+        // Absent keys have the values that were not written. Without a key of evidence, it counts by time.
         let default = Smoothing::default();
         for text in ["{}".to_owned(), format!(r#"{{"dwell_s":{:?}}}"#, default.dwell_s)] {
             let short: Smoothing = serde_json::from_str(&text).expect("settings");

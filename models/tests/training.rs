@@ -294,6 +294,30 @@ fn reference_grid_and_smoothing_are_saved_with_the_model() {
     assert_same_at_another_gain(&mut loaded, map, answer, 1e-3);
 }
 
+/// Regression test: a table that set one key of the filter changed the others, too.
+#[test]
+fn keys_that_the_smoothing_of_a_spec_leaves_out_have_their_defaults() {
+    let read = |text: &str| serde_json::from_str::<TrainSpec>(text).expect("a spec").smoothing;
+    let default = Smoothing::default();
+    let by_frame = Smoothing { weight: Some(0.5), independent_s: None, ..default };
+    for (text, expected) in [
+        ("{}", default),
+        (r#"{"smoothing":{}}"#, default),
+        (r#"{"smoothing":{"dwell_s":3}}"#, Smoothing { dwell_s: 3.0, ..default }),
+        (r#"{"smoothing":{"temperature":1.0,"newest":0.0}}"#, Smoothing { temperature: 1.0, newest: 0.0, ..default }),
+        (r#"{"smoothing":{"weight":0.5,"unseen_s":3.0}}"#, by_frame),
+    ] {
+        assert_eq!(read(text), expected, "{text}");
+        // What is written is read again.
+        let written = serde_json::to_string(&TrainSpec { smoothing: expected, ..TrainSpec::default() }).expect("JSON");
+        assert_eq!(read(&written), expected, "{written}");
+    }
+    let both = read(r#"{"smoothing":{"weight":0.5,"independent_s":1.0}}"#);
+    let error = TrainSpec { smoothing: both, ..TrainSpec::default() }.check().expect_err("both").to_string();
+    assert!(error.contains("smoothing.weight"), "{error}");
+    assert!(serde_json::from_str::<TrainSpec>(r#"{"smoothing":{"temperature":null}}"#).is_err());
+}
+
 /// Asserts that a model with the paper's rule refuses maps without labels, which its card states.
 #[test]
 fn a_model_that_needs_labels_refuses_maps_without_labels() {

@@ -15,7 +15,7 @@ use radome_tests::{
 use serde_json::Value;
 
 const TRAINING: &str = "epochs = 25\nlearning_rate = 0.01\nstarts = 1\nreference = { over_noise = { skip_range_bins = 3 } }\n\
-    smoothing = { dwell_s = 60.0, independent_s = 1.0 }\nsplit = { by = \"seed\" }\n\
+    smoothing = { dwell_s = 60.0, independent_s = 1.0, temperature = 1.0, newest = 0.0, one_share = 0.5 }\nsplit = { by = \"seed\" }\n\
     [augmentation]\ndoppler_flip = true\necho_gain_db = [-7.0, 7.0]\nrange_shift_bins = 6\n\
     [augmentation.sway]\nprobability = 0.7\nlevel_db = [0.0, 18.0]\nvelocity_bins = 3\nstretches = [1, 3]\n\
     stretch_bins = [4, 16]\n";

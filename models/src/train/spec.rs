@@ -123,6 +123,7 @@ pub struct TrainSpec {
     #[serde(skip_serializing_if = "crate::is_default")]
     pub memory_s: f64,
     /// Settings of the filter over frames, saved with the model.
+    #[serde(deserialize_with = "Smoothing::of_spec")]
     pub smoothing: Smoothing,
     /// Rows and columns (range, Doppler) that the second block's output is averaged to; the paper's are 2 and 15.
     pub pooled: [usize; 2],
