@@ -196,10 +196,37 @@ pub(super) fn print_fit(fit: &SmoothingFit) -> anyhow::Result<()> {
         fit.log_loss_by_frame,
         fit.log_loss
     );
+    if fit.log_loss > fit.log_loss_by_frame {
+        message!(
+            "the fitted filter is worse than single frames: its settings are the best that were found, and no good ones"
+        );
+    }
     output::text_line("[smoothing]")?;
-    output::text_line(&format!("dwell_s = {:.2}", fit.smoothing.dwell_s))?;
-    output::text_line(&format!("independent_s = {:.2}", fit.smoothing.independent_s.unwrap_or_default()))?;
-    output::text_line(&format!("temperature = {:.2}", fit.smoothing.temperature))?;
+    output::text_line(&format!("dwell_s = {}", three_digits(fit.smoothing.dwell_s)))?;
+    let independent_s = fit.smoothing.independent_s.unwrap_or_default();
+    output::text_line(&format!("independent_s = {}", three_digits(independent_s)))?;
+    output::text_line(&format!("temperature = {}", three_digits(fit.smoothing.temperature)))?;
     output::text_line(&format!("newest = {:.2}", fit.smoothing.newest))?;
     output::text_line(&format!("one_share = {:.2}", fit.smoothing.one_share))
+}
+
+/// Formats a number above zero with three significant digits, and at least one behind the point.
+fn three_digits(value: f64) -> String {
+    let decimals = 2i32.saturating_sub(value.log10().floor() as i32).clamp(1, 9) as usize;
+    format!("{value:.decimals$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Regression test: a short time was printed as 0.00, which no training takes.
+    #[test]
+    fn fitted_settings_have_three_digits() {
+        for (value, expected) in
+            [(0.001_009_5, "0.00101"), (0.36, "0.360"), (2.3, "2.30"), (12.34, "12.3"), (1e4, "10000.0")]
+        {
+            assert_eq!(three_digits(value), expected);
+        }
+    }
 }
