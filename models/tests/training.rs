@@ -531,6 +531,45 @@ mod hard_cases {
         }
     }
 
+    /// Regression test: a rule that was not used, because all maps have a split, was ignored without a warning, and the card named it.
+    #[test]
+    fn a_rule_is_not_used_where_the_dataset_fixes_all_splits() {
+        let (set, spec) = brief();
+        let rule = SplitSpec { seed: 9, test: 0.6, ..SplitSpec::default() };
+        let warnings = |split: SplitSpec| {
+            training_warnings(&set, &TrainSpec { split, ..spec.clone() }).expect("splits").join("\n")
+        };
+        let expected =
+            "all 54 maps have a split in the dataset, so seed and shares of the settings' rule (split) do not count";
+        let by_rule = warnings(rule.clone());
+        assert!(by_rule.contains(expected), "{by_rule}");
+        let by_subject = warnings(SplitSpec { by: SplitBy::Subject, ..SplitSpec::default() });
+        assert!(!by_subject.contains("do not count"), "{by_subject}");
+        let card =
+            train(&set, &TrainSpec { split: rule.clone(), ..spec.clone() }, &mut |_| {}).expect("trains").model.card;
+        assert_eq!(card.split, None);
+        // A dataset that was divided by this rule needs no warning, and one that is not divided needs the rule.
+        let with_splits = |splits: Option<Vec<Split>>| {
+            let maps = (0..set.len()).map(|index| {
+                let mut row = set.rows()[index].clone();
+                row.split = splits.as_ref().map(|splits| splits[index]);
+                (set.header().rdm(set.map(index).expect("a map"), row.frame), row)
+            });
+            Dataset::from_maps(set.header().clone(), maps.collect()).expect("a dataset")
+        };
+        let undivided = with_splits(None);
+        let divided = with_splits(Some(undivided.splits(&rule).expect("splits")));
+        for set in [&undivided, &divided] {
+            let warnings = training_warnings(set, &TrainSpec { split: rule.clone(), ..spec.clone() }).expect("splits");
+            assert!(!warnings.join("\n").contains("do not count"), "{warnings:?}");
+        }
+        let card = train(&undivided, &TrainSpec { split: rule.clone(), ..spec.clone() }, &mut |_| {})
+            .expect("trains")
+            .model
+            .card;
+        assert_eq!(card.split, Some(rule));
+    }
+
     /// Regression test: the other recordings of a subject, scene or seed were held out with the named one without a warning.
     #[test]
     fn sequences_that_are_held_out_with_their_group_are_named() {

@@ -136,6 +136,30 @@ impl SplitSpec {
         group_names(rows, self.by).into_values().collect()
     }
 
+    /// Returns whether the rule decides the split of any row.
+    pub(crate) fn is_used(&self, rows: &[ManifestRow]) -> bool {
+        self.held_out.is_some() || rows.iter().any(|row| row.split.is_none())
+    }
+
+    /// Warning that the splits of the rows count and not the rule. `None` if the rule is used, names no shares or seed of its own, or would
+    /// give the same splits.
+    pub(crate) fn unused_warning(&self, rows: &[ManifestRow]) -> Option<String> {
+        // `by` always counts: no group may be in two splits.
+        let is_default = *self == SplitSpec { by: self.by, ..SplitSpec::default() };
+        if is_default || self.is_used(rows) {
+            return None;
+        }
+        let undivided: Vec<ManifestRow> = rows.iter().map(|row| ManifestRow { split: None, ..row.clone() }).collect();
+        let by_rule = self.assign(&undivided).ok()?;
+        let is_same = rows.iter().zip(by_rule).all(|(row, split)| row.split == Some(split));
+        (!is_same).then(|| {
+            format!(
+                "all {} maps have a split in the dataset, so seed and shares of the settings' rule (split) do not count",
+                rows.len()
+            )
+        })
+    }
+
     /// Warning that names the other sequences in the group of [`SplitSpec::held_out`], which are held out with it. `None` if there
     /// are none.
     pub(crate) fn group_warning(&self, rows: &[ManifestRow]) -> Option<String> {

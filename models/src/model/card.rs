@@ -89,7 +89,7 @@ pub struct ModelCard {
     pub temperature: f64,
     /// Hash of the dataset trained on.
     pub dataset_hash: String,
-    /// Rule that divided that dataset into splits; absent in old models.
+    /// Rule that divided that dataset into splits; absent in old models, and where the dataset itself says the split of each map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub split: Option<SplitSpec>,
     /// Seed of the training.
@@ -187,7 +187,7 @@ impl ModelCard {
     }
 
     /// Rule that divides a dataset for this model: that of the model's training, and for another dataset the same rule without a
-    /// held-out sequence. It is the default rule if the model's file does not say by which rule the model was trained.
+    /// held-out sequence. It is the default rule if the model's file does not name a rule by which the model was trained.
     pub fn split_rule(&self, dataset: &Dataset) -> SplitSpec {
         match self.split_of(dataset) {
             Some(known) => known.clone(),

@@ -242,8 +242,8 @@ fn split_warnings(indices: &Indices, rows: &[ManifestRow]) -> Vec<String> {
     warnings
 }
 
-/// Warnings about sequences that the rule of the splits cannot group, about those that it holds out together with the named one, and
-/// about splits of rows that it overrides.
+/// Warnings about sequences that the rule of the splits cannot group, about those that it holds out together with the named one, about
+/// splits of rows that it overrides, and about those that override it.
 fn rule_warnings(rule: &SplitSpec, rows: &[ManifestRow]) -> Vec<String> {
     // Rows with a split of their own do not depend on the rule, unless it holds a sequence out.
     let ungrouped = rule.by.warning(rows.iter().filter(|row| row.split.is_none() || rule.held_out.is_some()));
@@ -255,7 +255,8 @@ fn rule_warnings(rule: &SplitSpec, rows: &[ManifestRow]) -> Vec<String> {
             rows.len()
         )
     });
-    ungrouped.into_iter().chain(rule.group_warning(rows)).chain(overridden).collect()
+    let unused = rule.unused_warning(rows);
+    ungrouped.into_iter().chain(rule.group_warning(rows)).chain(overridden).chain(unused).collect()
 }
 
 /// Weight of each class in the loss: `n / (k n_c)` for the k classes with maps, so that the mean weight of a map is one, times the
