@@ -18,6 +18,8 @@ use crate::metrics::CLASSES;
 use crate::random::stream;
 use crate::standardise::{MapReference, apply_echo_gain, echo_share, levels_to_powers, noise_power, powers_to_levels};
 
+/// Largest standard deviation of noise on cells, dB.
+const MOST_NOISE_DB: f32 = 60.0;
 /// Largest gain on echoes, dB. Up to it, stronger cells stay stronger.
 const MOST_GAIN_DB: f32 = 15.0;
 /// Largest stretch of an axis.
@@ -125,8 +127,8 @@ impl Augmentation {
         let is_count = |[low, high]: [usize; 2]| low >= 1 && low <= high && high <= MOST_BINS;
         let check_share = |name, share: f64| check_setting((0.0..=1.0).contains(&share), name, share, "0 to 1");
         let check_bins = |name, bins: usize| check_setting(bins <= MOST_BINS, name, bins, "0 to 256 bins");
-        let is_sigma = self.noise_db >= 0.0 && self.noise_db.is_finite();
-        check_setting(is_sigma, "augmentation.noise_db", self.noise_db, "0 or more")?;
+        let is_sigma = (0.0..=MOST_NOISE_DB).contains(&self.noise_db);
+        check_setting(is_sigma, "augmentation.noise_db", self.noise_db, "0 to 60 dB")?;
         if let Some(superpose) = self.superpose {
             check_share("augmentation.superpose.probability", superpose.probability)?;
         }
@@ -636,6 +638,8 @@ mod tests {
             let none = Augmentation::default();
             for (bad, name) in [
                 (Augmentation { noise_db: -1.0, ..none }, "noise_db"),
+                (Augmentation { noise_db: 1e30, ..none }, "noise_db"),
+                (Augmentation { noise_db: f32::NAN, ..none }, "noise_db"),
                 (Augmentation { echo_gain_db: Some([3.0, -3.0]), ..none }, "echo_gain_db"),
                 (Augmentation { echo_gain_db: Some([f32::NAN, 3.0]), ..none }, "echo_gain_db"),
                 (Augmentation { range_stretch: 0.9, ..none }, "range_stretch"),
