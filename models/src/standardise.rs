@@ -18,6 +18,10 @@ use crate::dataset::Moments;
 /// Least sigma that maps can be divided by, dB. Receiver noise alone gives 5.6 dB.
 pub const LEAST_SIGMA_DB: f64 = 1e-3;
 
+/// Bounds of maps ([`MapReference::OverNoise`]) that a training may set, dB over noise. Cells of noise have a mean of 2.6 dB, and none exceeds
+/// 347 dB.
+pub(crate) const TRAINED_BOUNDS_DB: std::ops::RangeInclusive<f32> = 3.0..=350.0;
+
 /// Reference level of the cells of a map before the normalisation by mean and sigma.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -32,7 +36,7 @@ pub enum MapReference {
     OverNoise {
         /// Number of nearest range bins, which show leakage and not the room. They are set to noise.
         skip_range_bins: usize,
-        /// Level above which all cells read the same, dB over noise. Unbounded if absent, as in models of before it.
+        /// Level above which all cells read the same, dB over noise, 3 to 350. Unbounded if absent, as in models of before it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         most_db: Option<f32>,
     },

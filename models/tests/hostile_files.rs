@@ -165,7 +165,14 @@ mod hard_cases {
         refused(&|spec| spec.latent_penalty = -1.0, "latent_penalty");
         refused(&|spec| spec.smoothing.weight = Some(0.5), "smoothing.weight");
         let over_noise = |most_db| MapReference::OverNoise { skip_range_bins: 2, most_db };
-        refused(&|spec| spec.reference = over_noise(Some(-1.0)), "most_db");
+        // Regression test: a bound below all noise made all cells equal, of which the error blamed a simulation without noise.
+        for most_db in [-1.0, 1e-9, 1e9, f32::NAN] {
+            refused(&|spec| spec.reference = over_noise(Some(most_db)), "most_db is");
+        }
+        let mut bounded = TrainSpec { reference: over_noise(Some(3.0)), ..TrainSpec::default() };
+        assert!(bounded.check().is_ok());
+        bounded.reference = over_noise(Some(50.0));
+        assert!(bounded.check().is_ok());
         let leaks_changed_labels = |spec: &mut TrainSpec| {
             (spec.reference, spec.label_leaking_cells) = (over_noise(None), true);
             spec.augmentation.superpose = Some(Superpose { probability: 0.3 });

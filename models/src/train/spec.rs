@@ -14,7 +14,7 @@ use crate::kernel::KernelLevel;
 use crate::metrics::CLASSES;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
-use crate::standardise::MapReference;
+use crate::standardise::{MapReference, TRAINED_BOUNDS_DB};
 
 /// Largest number of epochs, of maps in a step, and of initialisations. They are far beyond any training, and their
 /// products do not overflow.
@@ -291,8 +291,11 @@ impl TrainSpec {
         {
             return check_setting(false, "head.circuit", error, "a circuit that can be run");
         }
-        if let Some((name, value, expected)) = self.reference.invalid_setting() {
-            return check_setting(false, name, value, expected);
+        // Cards of earlier trainings may have other bounds.
+        if let MapReference::OverNoise { most_db: Some(most_db), .. } = self.reference {
+            let expected = "3 to 350 dB: cells of noise have a mean of 2.6 dB";
+            let is_bound = TRAINED_BOUNDS_DB.contains(&most_db);
+            check_setting(is_bound, "reference.over_noise.most_db", most_db, expected)?;
         }
         self.augmentation.check(self.reference)?;
         let is_labelled = self.augmentation.superpose.is_none() || !self.label_leaking_cells;
