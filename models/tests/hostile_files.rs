@@ -5,7 +5,8 @@ mod hard_cases {
     use std::path::{Path, PathBuf};
 
     use radome_models::layer::KernelLevel;
-    use radome_models::network::Network;
+    use radome_models::network::{Head, Network, Placement};
+    use radome_models::quantum::CircuitSpec;
     use radome_models::standardise::MapReference;
     use radome_models::study::StudySpec;
     use radome_models::train::Superpose;
@@ -88,7 +89,7 @@ mod hard_cases {
         {
             let head = serde_json::json!({ "kind": "circuit", "circuit": { key: value } });
             let error = with(&|card| card["head"] = head.clone());
-            assert!(error.contains(key), "{key}: {error}");
+            assert!(error.contains(&format!("a.safetensors: head.circuit: {key} is {value}, expected ")), "{error}");
         }
         let deep = "[".repeat(100_000);
         assert!(matches!(load_error(format!("{{\"format_version\": {deep}")), ModelError::Card { .. }));
@@ -160,6 +161,11 @@ mod hard_cases {
             refused(&|spec| spec.batch_size = count, "batch_size");
         }
         refused(&|spec| spec.learning_rate = f64::NAN, "learning_rate");
+        // Regression test: the error said twice what was expected.
+        let circuit = CircuitSpec { qubits: 13, ..Default::default() };
+        let head = Head::Circuit { circuit, frozen: false, placement: Placement::Latent };
+        let error = TrainSpec { head, ..TrainSpec::default() }.check().expect_err("qubits").to_string();
+        assert_eq!(error, "training: head.circuit: qubits is 13, expected 1 to 12");
         refused(&|spec| spec.start_epochs = 0, "start_epochs");
         refused(&|spec| spec.linear_epochs = Some(99), "linear_epochs");
         refused(&|spec| spec.latent_penalty = -1.0, "latent_penalty");

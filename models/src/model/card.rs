@@ -16,6 +16,7 @@ use crate::kernel::KernelLevel;
 use crate::metrics::Metrics;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, Normalisation, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
+use crate::quantum::CircuitError;
 use crate::standardise::Standardisation;
 
 /// Version of the format that is written; older ones are read.
@@ -133,6 +134,9 @@ pub enum ModelError {
     /// A value in the file contradicts another one or is out of range.
     #[error("{path}: {what}: expected {expected}, found {found}")]
     Inconsistent { path: PathBuf, what: String, expected: String, found: String },
+    /// A setting of the circuit in the head is out of range.
+    #[error("{path}: head.{error}")]
+    Circuit { path: PathBuf, error: CircuitError },
     /// The numbers are not those that were written.
     #[error(
         "{path}: the numbers have SHA-256 {found}, the card says {expected}; the file was changed or damaged\n\nhint: copy it once more \
@@ -242,7 +246,7 @@ impl ModelCard {
         if let Head::Circuit { circuit, .. } = &self.head
             && let Err(error) = circuit.check()
         {
-            return check(false, "head.circuit", "a circuit that can be run".to_owned(), error.to_string());
+            return Err(ModelError::Circuit { path: path.to_owned(), error });
         }
         let [_, rows, columns] = self.input_shape;
         if let Some(layer) = self.network_spec().too_small_for(rows, columns) {

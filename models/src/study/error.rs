@@ -7,6 +7,7 @@ use thiserror::Error;
 
 use crate::dataset::DatasetError;
 use crate::model::{ClassifyError, ModelError};
+use crate::quantum::CircuitError;
 use crate::train::TrainError;
 
 /// Error of a study.
@@ -16,6 +17,9 @@ pub enum StudyError {
     /// A setting is out of range.
     #[error("study: {what} is {value}, expected {expected}")]
     Setting { what: String, value: String, expected: String },
+    /// A setting of the circuit of a variant is out of range.
+    #[error("study: variant {variant}: {error}")]
+    Circuit { variant: String, error: CircuitError },
     /// A file of the study cannot be written or read.
     #[error("{path}: {reason}")]
     File { path: PathBuf, reason: String },

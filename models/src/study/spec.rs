@@ -117,8 +117,7 @@ impl StudySpec {
             if let Head::Circuit { circuit, .. } = &network.head
                 && let Err(error) = circuit.check()
             {
-                let what = format!("circuit of variant {name}");
-                return check_setting(false, what, error, "a circuit that can be run");
+                return Err(StudyError::Circuit { variant: name.clone(), error });
             }
         }
         for &share in &self.label_fractions {

@@ -9,6 +9,7 @@ use thiserror::Error;
 use crate::dataset::{DatasetError, Split};
 use crate::model::{ClassifyError, ModelError};
 use crate::network::{MissingLayer, NetworkKind, UnreadableMaps, WeightsError};
+use crate::quantum::CircuitError;
 use crate::standardise::StandardiseError;
 
 /// Error of a training.
@@ -18,6 +19,9 @@ pub enum TrainError {
     /// A setting, a field of [`TrainSpec`](super::TrainSpec), is out of range.
     #[error("training: {name} is {value}, expected {expected}")]
     Setting { name: &'static str, value: String, expected: &'static str },
+    /// A setting of the circuit in the head is out of range.
+    #[error("training: head.{error}")]
+    Circuit { error: CircuitError },
     /// A setting of the [`Augmentation`](super::Augmentation) needs levels over noise, which maps of an absolute reference lack.
     #[error(
         "training: augmentation.{setting} changes levels over noise, which maps of an absolute reference do not have\n\nhint: add [reference.over_noise] with skip_range_bins = 3 to the training's settings, or take augmentation.{setting} out"

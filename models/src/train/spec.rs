@@ -249,8 +249,8 @@ impl TrainSpec {
     /// Checks all settings.
     ///
     /// # Errors
-    /// [`TrainError::Setting`] for the first setting that is out of range, and [`TrainError::Dataset`] for shares of a split that leave
-    /// nothing to train on.
+    /// [`TrainError::Setting`] or [`TrainError::Circuit`] for the first setting that is out of range, and [`TrainError::Dataset`] for shares
+    /// of a split that leave nothing to train on.
     pub fn check(&self) -> Result<(), TrainError> {
         let is_penalty = |value: f64| value.is_finite() && value >= 0.0;
         let (epochs, batch_size, starts) = (self.epochs, self.batch_size, self.starts);
@@ -289,7 +289,7 @@ impl TrainSpec {
         if let Head::Circuit { circuit, .. } = &self.head
             && let Err(error) = circuit.check()
         {
-            return check_setting(false, "head.circuit", error, "a circuit that can be run");
+            return Err(TrainError::Circuit { error });
         }
         // Cards of earlier trainings may have other bounds.
         if let MapReference::OverNoise { most_db: Some(most_db), .. } = self.reference {
