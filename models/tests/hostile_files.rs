@@ -74,11 +74,18 @@ mod hard_cases {
         refused("/waveform/request/samples_per_chirp", &most, "at most 32768");
         refused("/waveform/request/chirps_per_frame", &most, "at most 32768");
         refused("/rdm_spec/slow_time", &serde_json::json!({ "frames": { "frames": u64::MAX } }), "at most 32768");
-        refused("/temperature", &serde_json::json!(0.0), "constants");
-        refused("/standardisation/sigma_db", &serde_json::json!(-1.0), "constants");
+        refused("/temperature", &serde_json::json!(0.0), "temperature: expected a finite number above 0, found 0");
+        let sigma_db = "standardisation.sigma_db: expected a finite number above 0, found -1";
+        refused("/standardisation/sigma_db", &serde_json::json!(-1.0), sigma_db);
+        let latent = serde_json::json!({ "mean": [0.5, 0.5], "sigma": [0.5, 0.0] });
+        refused(
+            "/latent",
+            &latent,
+            "latent: expected a finite mean, and a finite sigma above 0, found mean 0.5, sigma 0",
+        );
         let cell = serde_json::json!({ "scene": "hall", "class": "one", "mean_db": 0.0, "sigma_db": 0.0 });
         let error = with(&|card| card["standardisation"]["label_leaking_cells"] = serde_json::json!([cell]));
-        assert!(error.contains("constants"), "{error}");
+        assert!(error.contains("standardisation of scene hall with class one: expected a finite mean"), "{error}");
         // Its maps have 128 range bins.
         let reference = serde_json::json!({ "over_noise": { "skip_range_bins": 128 } });
         refused("/standardisation/reference", &reference, "fewer than the 128 range bins of a map, found 128");

@@ -17,7 +17,7 @@ use crate::metrics::Metrics;
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, Normalisation, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
 use crate::quantum::CircuitError;
-use crate::standardise::Standardisation;
+use crate::standardise::{SceneClassConstants, Standardisation};
 
 /// Version of the format that is written; older ones are read.
 pub const MODEL_FORMAT_VERSION: u32 = 1;
@@ -277,13 +277,23 @@ impl ModelCard {
         let is_in_db = !self.network.reads_descriptors() || (mean_db == 0.0 && sigma_db == 1.0);
         let expected = "mean 0 dB, sigma 1 dB: descriptors are of levels in dB".to_owned();
         check(is_in_db, "standardisation", expected, format!("mean {mean_db} dB, sigma {sigma_db} dB"))?;
-        let sigmas = sigma.iter().map(|&sigma| f64::from(sigma));
-        let sigmas = sigmas.chain(label_leaking_cells.iter().map(|cell| cell.sigma_db));
-        let positive = [sigma_db, self.temperature].into_iter().chain(sigmas).all(|v| v.is_finite() && v > 0.0);
-        let cells_are_finite = label_leaking_cells.iter().all(|cell| cell.mean_db.is_finite());
-        let is_finite = mean_db.is_finite() && mean.iter().all(|v| v.is_finite()) && cells_are_finite;
-        let found = format!("{:?}, {:?}, temperature {}", self.standardisation, self.latent, self.temperature);
-        check(positive && is_finite, "constants", "finite means, sigmas and temperature above zero".to_owned(), found)
+        let is_above_zero = |value: f64| value.is_finite() && value > 0.0;
+        let above_zero = || "a finite number above 0".to_owned();
+        check(is_above_zero(self.temperature), "temperature", above_zero(), self.temperature.to_string())?;
+        check(mean_db.is_finite(), "standardisation.mean_db", "a finite number".to_owned(), mean_db.to_string())?;
+        check(is_above_zero(sigma_db), "standardisation.sigma_db", above_zero(), sigma_db.to_string())?;
+        for SceneClassConstants { scene, class, mean_db, sigma_db } in label_leaking_cells {
+            let what = format!("standardisation of scene {scene} with class {class}");
+            let found = format!("mean {mean_db} dB, sigma {sigma_db} dB");
+            let is_valid = mean_db.is_finite() && is_above_zero(*sigma_db);
+            check(is_valid, &what, "a finite mean, and a finite sigma above 0".to_owned(), found)?;
+        }
+        for (mean, sigma) in mean.iter().zip(sigma) {
+            let is_valid = mean.is_finite() && is_above_zero(f64::from(*sigma));
+            let found = format!("mean {mean}, sigma {sigma}");
+            check(is_valid, "latent", "a finite mean, and a finite sigma above 0".to_owned(), found)?;
+        }
+        Ok(())
     }
 }
 
