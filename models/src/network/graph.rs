@@ -264,7 +264,12 @@ impl Layer {
 }
 
 impl Node {
-    /// Trained arrays of this layer, with PyTorch's shapes.
+    /// Returns whether the arrays of this layer stay as they were drawn.
+    pub fn is_frozen(&self) -> bool {
+        matches!(self.layer, Layer::Circuit { frozen: true, .. })
+    }
+
+    /// Arrays of this layer, trained unless it [is frozen](Node::is_frozen), with PyTorch's shapes.
     ///
     /// Initial distributions are He's (He et al., ICCV 2015): uniform, scaled by the number of inputs. For convolutions
     /// before a batch normalisation they are Gaussian, scaled by the number of outputs, as in torchvision's networks.

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::graph::Graph;
+use super::graph::{Graph, Node};
 use super::hqnn::{Head, PAPER_POOLED, Placement};
 use super::kind::NetworkKind;
 use super::{descriptor, doppler_net, efficientnet_b0, hqnn, parameters, resnet18};
@@ -34,10 +34,11 @@ impl NetworkSpec {
         parameters::layout(&self.graph())
     }
 
-    /// Number of trained parameters.
+    /// Number of trained parameters. Frozen angles are none.
     pub fn parameter_count(&self) -> usize {
-        let declarations = self.graph().declarations();
-        let saved = declarations.iter().filter(|declaration| !parameters::is_transient(&declaration.name));
+        let graph = self.graph();
+        let trained = graph.nodes.iter().filter(|node| !node.is_frozen()).flat_map(Node::declarations);
+        let saved = trained.filter(|declaration| !parameters::is_transient(&declaration.name));
         saved.map(|declaration| declaration.shape.iter().product::<usize>()).sum()
     }
 

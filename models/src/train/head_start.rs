@@ -12,7 +12,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::adam::Adam;
 use super::error::TrainError;
 use crate::layer::{backward, cross_entropy};
-use crate::network::{Layer, Mode, Network, Node, Parameter, Value, names};
+use crate::network::{Mode, Network, Parameter, Value, names};
 use crate::random::stream;
 
 /// Random starts of the search.
@@ -135,9 +135,8 @@ pub(super) fn parameters_behind(network: &Network, latent: Value) -> Vec<&Parame
 
 /// Returns whether an array is trained; angles may be frozen.
 pub(super) fn is_trained(network: &Network, parameter: &Parameter) -> bool {
-    let is_frozen = |node: &Node| matches!(node.layer, Layer::Circuit { frozen: true, .. });
     let layer = names::layer_of(&parameter.name);
-    !network.graph().nodes.iter().any(|node| node.name == layer && is_frozen(node))
+    !network.graph().nodes.iter().any(|node| node.name == layer && node.is_frozen())
 }
 
 fn identity(width: usize) -> Vec<f32> {
