@@ -16,11 +16,11 @@ pub struct EpochReport {
     pub epoch: usize,
     /// Epochs in total.
     pub epochs: usize,
-    /// Mean loss over the epoch's steps.
+    /// Mean loss over the epoch's steps, weighted by class.
     pub training_loss: f64,
     /// Balanced accuracy over the epoch, measured batch by batch.
     pub training_balanced_accuracy: f64,
-    /// Loss on the validation split after the epoch.
+    /// Loss on the validation split after the epoch, with the classes' weights of the training split.
     pub validation_loss: f64,
     /// Balanced accuracy on the validation split after the epoch.
     pub validation_balanced_accuracy: f64,
