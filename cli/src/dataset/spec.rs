@@ -31,7 +31,8 @@ pub const MOST_SNR_DB: f64 = 100.0;
 pub struct BuildSpec {
     /// Version of the schema: 1.
     format: u32,
-    /// Kind of map: keys that are left out are those of [`map_of_networks`].
+    /// Kind of map: the mean power of all receivers, without the mean of each chirp and without echoes that are static within the frame,
+    /// unless keys say otherwise.
     #[serde(default = "map_of_networks", deserialize_with = "over_map_of_networks")]
     #[schemars(schema_with = "any_keys::<RdmSpec>")]
     pub map: RdmSpec,

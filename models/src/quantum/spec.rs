@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+// The documentation of `CircuitSpec`, which schemas hold, repeats these numbers.
 /// Largest number of qubits of a circuit.
 pub const MOST_QUBITS: usize = 12;
 /// Largest number of qubits of a circuit with depolarising gates: its density matrix has `4^qubits` entries.
@@ -16,13 +17,13 @@ pub const MOST_DEPTH: usize = 1000;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct CircuitSpec {
-    /// Qubits, 1 to [`MOST_QUBITS`]; also the number of inputs and of outputs.
+    /// Qubits, 1 to 12, with errors of gates 1 to 6; also the number of inputs and of outputs.
     pub qubits: usize,
     /// Encoding of inputs as a state.
     pub encoding: Encoding,
     /// Repetitions of the ZZ feature map, 1 or 2; 1 with angle encoding.
     pub repetitions: usize,
-    /// Repetitions of RealAmplitudes, 0 to [`MOST_DEPTH`]; each but the last layer of turns is followed by an entangler.
+    /// Repetitions of RealAmplitudes, 0 to 1000; each but the last layer of turns is followed by an entangler.
     pub depth: usize,
     /// Exact expectations or measured ones.
     pub execution: Execution,
