@@ -222,6 +222,17 @@ fn frames_without_a_signal_get_no_answer_and_change_none() {
             assert_eq!((&answer["no_signal"], &answer["people"]), (&true.into(), &1.into()), "{name}: {answer}");
         }
         assert!(said.contains("warning: receiver 1 of 1") && said.contains("get no answer"), "{said}");
+        // Frames without an answer are in no score, and are counted.
+        let labelled = format!("{}=one", dead.display());
+        let scores = json_lines(command!("model evaluate room-hqnn --json", &labelled)).remove(0);
+        let recording = &scores["recordings"][0];
+        let counts = [&recording["frames"], &recording["unanswered"], &scores["unanswered"]].map(Value::as_u64);
+        assert_eq!(counts, [Some(50), Some(10), Some(10)], "{name}: {scores}");
+        let (told, _) = success(command!("model evaluate room-hqnn", &labelled));
+        assert!(told.contains("    10 of 60 labelled frames have no answer"), "{name}: {told}");
+        let labels = write_file(folder.path(), "labels.txt", "5.0\t5.9\tone\n");
+        let labelled = format!("{}={}", dead.display(), labels.display());
+        fails_with(command!("model evaluate room-hqnn", labelled), &["no answer to any of its 9 labelled frames"]);
         // A recording with dead frames only is refused, without other messages.
         let nothing = copy_changed(&dead, "nothing.mcap", 50, |_, _| ());
         let said = failure(command!("model evaluate room-hqnn", format!("{}=one", nothing.display())));

@@ -33,7 +33,7 @@ pub struct Arguments {
     model: Vec<PathBuf>,
     /// Dataset folder, or recordings with their labels: RECORDING=empty, RECORDING=one, RECORDING=two (two people or more),
     /// RECORDING=LABELS.txt (an Audacity label track), .label (DEEPCRAFT) or .json, or RECORDING alone if it contains labels. Frames
-    /// without a label are left out. With --ladder: further models
+    /// without a label are left out; those without an answer are counted and not scored. With --ladder: further models
     #[arg(value_name = "DATASET|RECORDING[=LABEL]", value_hint = clap::ValueHint::AnyPath, required_unless_present = "ladder")]
     inputs: Vec<String>,
     /// Evaluate each frame of a recording by itself, as for the maps of a dataset. By default the causal filter over earlier
@@ -171,12 +171,14 @@ struct RecordingResult {
     path: PathBuf,
     /// Its label, or "mixed" where it has several.
     label: &'static str,
-    /// Most frequent predicted class of its labelled frames, and the share of these frames.
+    /// Most frequent predicted class of its labelled frames with a prediction, and the share of these frames.
     majority: Occupancy,
     share: f64,
-    /// Number of labelled frames.
+    /// Number of labelled frames with a prediction.
     frames: u64,
-    /// Fraction of them that were predicted correctly.
+    /// Number of labelled frames without one. They do not count in any score.
+    unanswered: u64,
+    /// Fraction of `frames` that were predicted correctly.
     right: f64,
     by_label: Vec<LabelResult>,
     /// Intervals of one label, each with the time in seconds until its first correct frame.
@@ -197,7 +199,7 @@ struct LabelResult {
 }
 
 impl RecordingResult {
-    fn new(path: &Path, scores: &RecordingScores) -> Self {
+    fn new(path: &Path, scores: &RecordingScores, unanswered: u64) -> Self {
         let (frames, majority) = (scores.frames(), scores.majority());
         let share = |count: u64, of: u64| count as f64 / of.max(1) as f64;
         let of_label = |label: Occupancy| {
@@ -211,6 +213,7 @@ impl RecordingResult {
             majority,
             share: share(scores.predicted()[majority.index()], frames),
             frames,
+            unanswered,
             right: share(scores.right(), frames),
             by_label: Occupancy::ALL.into_iter().filter_map(of_label).collect(),
             stretches: scores.stretches.clone(),
@@ -228,6 +231,13 @@ impl RecordingResult {
             self.majority,
             self.label
         ))?;
+        if self.unanswered > 0 {
+            output::text_line(&format!(
+                "    {} of {} labelled frames have no answer and do not count",
+                self.unanswered,
+                self.frames + self.unanswered
+            ))?;
+        }
         if self.stretches.len() < 2 {
             return Ok(());
         }
@@ -285,6 +295,13 @@ impl<'a> Evaluation<'a> {
             return Err(recording.without_frames());
         }
         ensure!(
+            single_frames.frames() > 0 || predictions.unanswered == 0,
+            "{}: the model has no answer to any of its {} labelled frames\n\nhint: receivers give no signal in them, or they are fewer \
+             than the slow time of the model's maps needs; label other frames",
+            recording.path.display(),
+            predictions.unanswered
+        );
+        ensure!(
             single_frames.frames() > 0,
             "{}: no label says of any of its frames that it is empty, one or two\n\nhint: RECORDING=empty, RECORDING=one or \
              RECORDING=two for all of it, RECORDING=LABELS.txt for labels in a file",
@@ -295,7 +312,7 @@ impl<'a> Evaluation<'a> {
             if no_smoothing { (single_frames, &predictions.single_frames) } else { (filtered, &predictions.filtered) };
         add_confusion(&mut self.confusion, &scores.confusion);
         add_reliability(counted, &mut self.reliability);
-        self.results.push(RecordingResult::new(&recording.path, &scores));
+        self.results.push(RecordingResult::new(&recording.path, &scores, predictions.unanswered));
         self.scores.push(scores);
         self.accepted.push(recording);
         Ok(())
@@ -306,6 +323,7 @@ impl<'a> Evaluation<'a> {
         let metrics = Metrics::from_confusion(self.confusion);
         let single_frame_accuracy = Metrics::from_confusion(self.single_frame_confusion).balanced_accuracy;
         let false_alarms = FalseAlarms::of(&self.scores);
+        let unanswered: u64 = self.results.iter().map(|result| result.unanswered).sum();
         let mut ablated = Vec::new();
         if arguments.ablate {
             ablated = ablation::ablate_recordings(&mut candidate.model, &self.accepted, arguments.max_range_m)?;
@@ -313,7 +331,7 @@ impl<'a> Evaluation<'a> {
         let thermal = evaluate_under_noise(candidate, &self.accepted, arguments)?;
         if arguments.json {
             let mut answer = json!({
-                "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
+                "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion, "unanswered": unanswered,
                 "balanced_accuracy_by_single_frames": single_frame_accuracy,
                 "false_alarms": false_alarms.false_alarms, "empty_s": false_alarms.empty_s,
                 "false_alarms_per_hour": false_alarms.false_alarms_per_hour,

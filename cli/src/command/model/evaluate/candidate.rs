@@ -42,7 +42,12 @@ impl Candidate {
         Ok(Run {
             classifier,
             filter,
-            predictions: Predictions { filtered: Vec::new(), single_frames: Vec::new(), frame_interval_s },
+            predictions: Predictions {
+                filtered: Vec::new(),
+                single_frames: Vec::new(),
+                unanswered: 0,
+                frame_interval_s,
+            },
         })
     }
 }
@@ -74,11 +79,16 @@ impl Run<'_> {
         changed: &Frame,
         truth: Option<Occupancy>,
     ) -> anyhow::Result<()> {
-        if let Prediction::Probabilities(probabilities) = self.classifier.classify_changed(received, changed)? {
-            let time_s = received.time_s();
-            let filtered = self.filter.update(time_s, probabilities);
-            self.predictions.filtered.push(FramePrediction { time_s, truth, probabilities: filtered });
-            self.predictions.single_frames.push(FramePrediction { time_s, truth, probabilities });
+        match self.classifier.classify_changed(received, changed)? {
+            Prediction::Probabilities(probabilities) => {
+                let time_s = received.time_s();
+                let filtered = self.filter.update(time_s, probabilities);
+                self.predictions.filtered.push(FramePrediction { time_s, truth, probabilities: filtered });
+                self.predictions.single_frames.push(FramePrediction { time_s, truth, probabilities });
+            }
+            Prediction::WarmingUp { .. } | Prediction::NoSignal => {
+                self.predictions.unanswered += u64::from(truth.is_some());
+            }
         }
         Ok(())
     }
@@ -95,6 +105,8 @@ pub struct Predictions {
     pub filtered: Vec<FramePrediction>,
     /// Predictions for each single frame.
     pub single_frames: Vec<FramePrediction>,
+    /// Number of labelled frames without a prediction: receivers gave no signal, or the window over frames was not full.
+    pub unanswered: u64,
     frame_interval_s: f64,
 }
 

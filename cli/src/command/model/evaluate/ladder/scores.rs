@@ -20,6 +20,8 @@ pub(super) struct RungScores {
     recordings: Vec<RecordingResult>,
     scores: Vec<RecordingScores>,
     reliability: ReliabilitySums,
+    /// Number of labelled frames without a prediction.
+    unanswered: u64,
     pub(super) refused: Vec<Refusal>,
     /// Frames that a filter is fitted to, by recording.
     pub(super) sequences: Vec<FilterSequence>,
@@ -41,6 +43,7 @@ struct RecordingResult {
 impl RungScores {
     pub(super) fn add(&mut self, name: &str, predictions: &Predictions) {
         let scores = predictions.filtered_scores();
+        self.unanswered += predictions.unanswered;
         if scores.frames() == 0 {
             return;
         }
@@ -63,6 +66,7 @@ impl RungScores {
         add_confusion(&mut self.filtered, &other.filtered);
         add_confusion(&mut self.single_frames, &other.single_frames);
         self.reliability.merge(&other.reliability);
+        self.unanswered += other.unanswered;
         self.recordings.extend_from_slice(&other.recordings);
         self.scores.extend_from_slice(&other.scores);
         self.refused.extend_from_slice(&other.refused);
@@ -78,6 +82,8 @@ struct Row {
     balanced_accuracy_by_single_frames: Option<f64>,
     /// Number of frames after the filter, `[truth][predicted]`.
     confusion: Confusion,
+    /// Number of labelled frames without a prediction, which do not count in any score.
+    unanswered: u64,
     recordings_right: usize,
     recordings_judged: usize,
     /// Time from the start of an interval of `two` to its first frame that was predicted two.
@@ -101,6 +107,7 @@ impl Row {
             balanced_accuracy: balanced(scores.filtered),
             balanced_accuracy_by_single_frames: balanced(scores.single_frames),
             confusion: scores.filtered,
+            unanswered: scores.unanswered,
             recordings_right: scores.recordings.iter().filter(|recording| recording.is_right).count(),
             recordings_judged: scores.recordings.len(),
             second_person_found: FoundTimes::of(Occupancy::Two, scores.scores.iter().flat_map(|of| &of.stretches)),
@@ -159,16 +166,19 @@ pub(super) fn print(models: &[ModelScores]) -> anyhow::Result<()> {
             "calibration"
         ))?;
         for row in model.rungs.iter().chain([&model.all]) {
-            let refused_count = match row.refused.len() {
+            let mut notes = match row.refused.len() {
                 0 => String::new(),
                 refused => format!("  {refused} refused"),
             };
+            if row.unanswered > 0 {
+                notes += &format!("  {} frames without an answer", row.unanswered);
+            }
             if row.recordings_judged == 0 {
                 output::text_line(&format!("  {:<12} refused", row.rung))?;
                 continue;
             }
             output::text_line(&format!(
-                "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9.3} {:>9} {:>9} {:>12}{refused_count}",
+                "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9.3} {:>9} {:>9} {:>12}{notes}",
                 row.rung,
                 or_dash(row.balanced_accuracy_by_single_frames, 3),
                 or_dash(row.balanced_accuracy, 3),
