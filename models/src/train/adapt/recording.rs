@@ -4,8 +4,7 @@ use radome_dsp::Occupancy;
 
 use crate::metrics::CLASSES;
 
-/// Longest time that a frame counts for, s. A frame counts for the time since the frame before it, as in the occupancy
-/// filter.
+/// Longest time that a frame counts for, s.
 const INDEPENDENT_S: f64 = 1.0;
 /// Approximate number of labelled frames in a fit, and largest number of simulated maps.
 pub(super) const MOST_FRAMES: usize = 2000;
@@ -46,26 +45,35 @@ pub struct AdaptRecording {
 }
 
 impl AdaptRecording {
-    /// Labelled seconds of empty, one and two. A frame counts for the time since the frame before it, 1 s at most.
+    /// Labelled seconds of empty, one and two. A frame counts for the frame interval, 1 s at most. The time since the frame before it
+    /// may be longer: that of frames that are missing or have no features.
     pub fn seconds(&self) -> [f64; CLASSES] {
-        let mut seconds = [0.0; CLASSES];
-        let mut last_s = None;
-        for frame in &self.frames {
-            let elapsed_s = last_s.map_or(self.frame_interval_s, |last_s: f64| frame.time_s - last_s);
-            last_s = Some(frame.time_s);
-            // If the clock goes back, the frame interval counts.
-            let elapsed_s = if elapsed_s > 0.0 { elapsed_s } else { self.frame_interval_s };
-            if let Some(label) = frame.label {
-                seconds[label.index()] += elapsed_s.min(INDEPENDENT_S);
-            }
-        }
-        seconds
+        let frame_s = self.frame_interval_s.min(INDEPENDENT_S);
+        std::array::from_fn(|class| {
+            let labelled = self.frames.iter().filter(|frame| frame.label.map(Occupancy::index) == Some(class));
+            labelled.count() as f64 * frame_s
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Regression test: the frame behind a second without features counted for this second, and weighed as much in the fit.
+    #[test]
+    fn only_frames_with_features_count() {
+        let frame = |index: u32| AdaptFrame {
+            time_s: 0.1 * f64::from(index),
+            features: Vec::new(),
+            label: Some(if index < 30 { Occupancy::One } else { Occupancy::Empty }),
+        };
+        let frames = (0..60).filter(|index| !(20..40).contains(index)).map(frame).collect();
+        let seconds = AdaptRecording { frame_interval_s: 0.1, frames }.seconds();
+        assert!((seconds[0] - 2.0).abs() < 1e-9 && (seconds[1] - 2.0).abs() < 1e-9 && seconds[2] == 0.0, "{seconds:?}");
+        let slow = AdaptRecording { frame_interval_s: 3.0, frames: vec![frame(0), frame(30)] };
+        assert_eq!(slow.seconds(), [1.0, 1.0, 0.0]);
+    }
 
     #[test]
     fn classes_with_few_seconds_are_not_learnable() {
