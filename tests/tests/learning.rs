@@ -29,6 +29,17 @@ fn build_dataset(spec_text: &str) -> (tempfile::TempDir, PathBuf) {
     (folder, path)
 }
 
+/// Copies a dataset, with other seeds in some rows: another dataset with the same sequences.
+fn copy_as_another_dataset(from: &Path, to: &Path) {
+    std::fs::create_dir(to).expect("created");
+    for entry in std::fs::read_dir(from).expect("a folder") {
+        let entry = entry.expect("an entry");
+        std::fs::copy(entry.path(), to.join(entry.file_name())).expect("copied");
+    }
+    let manifest = std::fs::read_to_string(to.join("manifest.jsonl")).expect("rows");
+    write_file(to, "manifest.jsonl", manifest.replace("\"seed\":1,", "\"seed\":100,"));
+}
+
 const TRAINING: &str = "epochs = 6\nstarts = 2\nstart_epochs = 2\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
 
 #[test]
@@ -295,15 +306,8 @@ mod hard_cases {
             &model
         ));
 
-        // Another dataset with the same sequences.
         let other = folder.path().join("other");
-        std::fs::create_dir(&other).expect("created");
-        for entry in std::fs::read_dir(undivided_dataset()).expect("a folder") {
-            let entry = entry.expect("an entry");
-            std::fs::copy(entry.path(), other.join(entry.file_name())).expect("copied");
-        }
-        let manifest = std::fs::read_to_string(other.join("manifest.jsonl")).expect("rows");
-        write_file(&other, "manifest.jsonl", manifest.replace("\"seed\":1,", "\"seed\":100,"));
+        copy_as_another_dataset(undivided_dataset(), &other);
         let evaluated = |model: &Path| {
             let (told, said) = success(command!("model evaluate --json", model, &other));
             let metrics: serde_json::Value = serde_json::from_str(&told).expect("JSON");
@@ -321,6 +325,35 @@ mod hard_cases {
         let (samples, said) = evaluated(&older_file);
         assert_eq!(samples, test.len(), "{said}");
         assert!(said.contains("warning: ") && said.contains("may be among those evaluated"), "{said}");
+    }
+
+    /// Regression test: another dataset had the held-out sequence in another split, so it was not evaluated, without a word.
+    #[test]
+    fn what_a_training_held_out_is_evaluated_on_another_dataset() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let own = Dataset::open(hall_dataset()).expect("a dataset");
+        let row = own.rows().iter().find(|row| row.split == Some(Split::Train)).expect("a training map");
+        let maps = own.rows().iter().filter(|other| other.sequence == row.sequence).count();
+        let spec = write_file(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n");
+        let model = folder.path().join("model.safetensors");
+        json_lines(command!(
+            "model train --json",
+            hall_dataset(),
+            "--spec",
+            &spec,
+            "--hold-out",
+            &row.sequence,
+            "-o",
+            &model
+        ));
+        let other = folder.path().join("other");
+        copy_as_another_dataset(hall_dataset(), &other);
+        let (told, said) = success(command!("model evaluate --json", &model, &other));
+        let metrics: serde_json::Value = serde_json::from_str(&told).expect("JSON");
+        // The training has seen all other sequences.
+        assert_eq!(metrics["samples"].as_u64(), Some(maps as u64), "{said}");
+        assert!(said.contains(&format!("{maps} maps of other splits count as test, too")), "{said}");
+        assert!(said.contains(&row.sequence), "{said}");
     }
 
     /// Maps of the dataset of the training counted, even if the model was adapted to them afterwards.

@@ -473,8 +473,11 @@ fn evaluate_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Argu
     let splits = dataset.splits(&split_rule(classifier.card(), &dataset, wanted.is_some()))?;
     let mut indices: Vec<usize> =
         (0..dataset.len()).filter(|i| wanted.is_none_or(|split| splits.get(*i) == Some(&split))).collect();
-    if wanted == Some(dataset::Split::Test) && !indices.is_empty() {
-        leave_out_seen(classifier.card(), &dataset, &mut indices)?;
+    if wanted == Some(dataset::Split::Test) {
+        add_held_out(classifier.card(), &dataset, &mut indices)?;
+        if !indices.is_empty() {
+            leave_out_seen(classifier.card(), &dataset, &mut indices)?;
+        }
     }
     if indices.is_empty() {
         let split = wanted.map_or_else(|| "dataset".to_owned(), |split| format!("{split} split"));
@@ -515,6 +518,32 @@ fn split_rule(card: &ModelCard, dataset: &Dataset, is_wanted: bool) -> SplitSpec
         message!("{why}: the split is {rule}");
     }
     card.split_rule(dataset)
+}
+
+/// Adds the maps that the model's training held out to the test split of another dataset, which may have them in another split. In the
+/// training's own dataset, they are the test split.
+///
+/// # Errors
+/// The dataset cannot be divided by the rule of the training.
+fn add_held_out(card: &ModelCard, dataset: &Dataset, indices: &mut Vec<usize>) -> anyhow::Result<()> {
+    let Some(rule) = card.split.as_ref().filter(|_| card.split_of(dataset).is_none()) else { return Ok(()) };
+    let Some(held_out) = &rule.held_out else { return Ok(()) };
+    if !dataset.rows().iter().any(|row| row.sequence == *held_out) {
+        return Ok(());
+    }
+    let splits = dataset.splits(rule)?;
+    let in_test: BTreeSet<usize> = indices.iter().copied().collect();
+    let is_added = |index: &usize| splits.get(*index) == Some(&dataset::Split::Test) && !in_test.contains(index);
+    let added: Vec<usize> = (0..dataset.len()).filter(is_added).collect();
+    if !added.is_empty() {
+        message!(
+            "{} maps of other splits count as test, too: those that the model's training held out, with sequence '{held_out}'",
+            added.len()
+        );
+    }
+    indices.extend(added);
+    indices.sort_unstable();
+    Ok(())
 }
 
 /// Removes maps of sequences that the model was trained or chosen on or adapted to. The test split of its own training has none, unless
