@@ -350,6 +350,13 @@ mod hard_cases {
         let said = json_lines(pair_command(&recording, &scene_file, &folder.path().join("new/set"))).remove(0);
         assert_eq!((said["maps"].as_u64(), said["labels_agree"].as_u64()), (Some(24), Some(12)));
         assert_eq!(said["people"], Value::Array(Vec::new()));
+        // Regression test: shards of one run were sequences of their own, so that splits could divide the run.
+        let (shard, set) = (folder.path().join("run-shard-00001-of-00002.mcap"), folder.path().join("shard"));
+        std::fs::copy(&recording, &shard).expect("copied");
+        json_lines(pair_command(&shard, &scene_file, &set));
+        let manifest = std::fs::read_to_string(set.join("manifest.jsonl")).expect("a manifest");
+        assert_eq!(manifest.matches("\"sequence\":\"run\"").count(), 24, "{manifest}");
+        assert_eq!(manifest.matches("\"pair\":\"run-shard-00001-of-00002\"").count(), 24, "{manifest}");
     }
 
     /// Labels beyond the frames that were asked for made an error.

@@ -9,6 +9,7 @@ use radome_dsp::{Rdm, Truth};
 use radome_models::dataset::{DatasetWriter, Domain, ManifestRow};
 
 use super::echo_finder::FrameInfo;
+use crate::shard;
 
 /// Maps of the recording, until the mirror shows which of them have a counterpart. Their cells are in an unnamed file, so that
 /// recordings of any length need the same memory.
@@ -90,7 +91,9 @@ impl Store {
             Domain::Real => self.pair.clone(),
             Domain::Sim => format!("{}-mirror", self.pair),
         };
-        let mut row = ManifestRow::new(domain, &self.scene, &recording, &self.pair, info.sequence, truth.occupancy);
+        // Shards of a simulated run are one sequence, which no two splits share.
+        let sequence = shard::name_of_whole(&self.pair);
+        let mut row = ManifestRow::new(domain, &self.scene, &recording, sequence, info.sequence, truth.occupancy);
         row.subject.clone_from(&self.subject);
         row.time_ns = Some(info.time_ns);
         row.pair = Some(self.pair.clone());
