@@ -50,7 +50,7 @@ fn check_exists(name: &Path) -> anyhow::Result<()> {
     ensure!(
         is_built_in(name) || name.exists(),
         "{}: there is no such model\n\nhint: name a model's file, such as fixtures/models/room-linear.safetensors, or {BUILT_IN}, which is built in; \
-         live also takes cfar",
+         live, model evaluate and model background also take {CFAR}",
         name.display()
     );
     Ok(())

@@ -101,6 +101,8 @@ mod hard_cases {
         fails_with(capture(&at("one.mcap"), "60"), &["was not empty", "hint:"]);
         wrong_use_with(capture(&at("empty.mcap"), "2"), &["expected 90", "hint: --seconds 10"]);
         assert!(!at("room.json").exists());
+        let of_nobody = command!("model background", at("empty.mcap"), "--model nope -o", at("room.json"));
+        fails_with(of_nobody, &["nope: there is no such model", "model background also take cfar"]);
         success(capture(&at("empty.mcap"), "60"));
         let with = |background: &Path, model: &str| {
             failure(command!("live", at("empty.mcap"), "--model", model, "--background", background))
