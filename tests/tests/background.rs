@@ -103,14 +103,18 @@ mod hard_cases {
         assert!(!at("room.json").exists());
         let of_nobody = command!("model background", at("empty.mcap"), "--model nope -o", at("room.json"));
         fails_with(of_nobody, &["nope: there is no such model", "model background also take cfar"]);
-        success(capture(&at("empty.mcap"), "60"));
+        let as_text = command!("model background", at("empty.mcap"), "-o", at("room.txt"));
+        wrong_use_with(as_text, &[".txt stands for", "hint: end its name in .json"]);
+        let (_, said) = success(capture(&at("empty.mcap"), "60"));
+        assert!(said.contains("end after 30.0 s") && said.contains("shorter than --seconds 60"), "{said}");
         let with = |background: &Path, model: &str| {
             failure(command!("live", at("empty.mcap"), "--model", model, "--background", background))
         };
         assert!(with(&at("room.json"), "cfar").contains("another model"));
         // With a greatest range, cells beyond it hold other noise.
         let near = command!("model background --max-range-m 3", at("empty.mcap"), "-o", at("near.json"));
-        success(near);
+        let (_, said) = success(near);
+        assert!(!said.contains("shorter than"), "{said}");
         let classify = |range: &str| {
             command!("live", at("empty.mcap"), "--background", at("near.json"), ..range.split_whitespace())
         };

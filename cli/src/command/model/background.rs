@@ -9,7 +9,7 @@ use crate::exit::wrong_use;
 use crate::live::background::{Background, Capture, LEAST_FRAMES};
 use crate::live::pipeline::Items;
 use crate::output;
-use crate::output_file::Overwrite;
+use crate::output_file::{Overwrite, check_ending};
 use crate::source::{self, SourceArgs, not_negative, positive};
 
 /// `radome model background`
@@ -45,6 +45,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let [source, waveform] = arguments.source.inputs();
     arguments.overwrite.check(&arguments.output, &[source, waveform, &arguments.model])?;
+    check_ending(&arguments.output, &["json"], "end its name in .json")?;
     let mut model = Model::open(&arguments.model)?;
     let description = model.description(&arguments.model, Default::default(), arguments.max_range_m)?;
     let mut options = arguments.source.options()?;
@@ -64,10 +65,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let mut classifier = model.for_waveform(&waveform, arguments.max_range_m)?;
     let mut capture = Capture::default();
-    let mut start_s = None;
+    let (mut start_s, mut measured_s) = (None, 0.0);
     let items = Items::of(source.frames, arguments.source.frames);
     while let Some(frame) = items.next_frame(|| classifier.reset())? {
-        if frame.time_s() - *start_s.get_or_insert(frame.time_s()) > seconds {
+        let elapsed_s = frame.time_s() - *start_s.get_or_insert(frame.time_s());
+        measured_s = elapsed_s + waveform.frame_interval_s();
+        if elapsed_s > seconds {
             break;
         }
         if let Prediction::Probabilities(_) = classifier.classify(&frame)? {
@@ -79,6 +82,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         .finish(&description, &waveform)
         .with_context(|| format!("{} is not captured", arguments.source.source))?;
     background.save(&arguments.output, arguments.overwrite.existing())?;
+    // A recording may be shorter than the time that nobody asked for.
+    if arguments.seconds.is_some() && measured_s + 0.5 * waveform.frame_interval_s() < seconds {
+        message!(
+            "warning: the frames of {} end after {measured_s:.1} s: the measurement is shorter than --seconds {seconds}",
+            arguments.source.source
+        );
+    }
     let file = arguments.output.display().to_string();
     if arguments.json {
         let (frames, threshold_db) = (background.frames, background.threshold_db);
