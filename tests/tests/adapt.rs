@@ -10,7 +10,7 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_models::ModelCard;
 use radome_tests::{
     add_signal, command, fails_with, failure, fixture, fixture_text, json_lines, outcome, simulate, subcommand,
-    write_file, wrong_use_with,
+    success, write_file, wrong_use_with,
 };
 use serde_json::Value;
 
@@ -128,6 +128,12 @@ fn adaptation_improves_other_recordings_of_the_room_and_keeps_scores_in_halls() 
     let of_halls = |model: &Path| score(&evaluate(model, &[], &[adaptation_folder().join("maps")]));
     let (before, after) = (of_halls(&model), of_halls(&adapted));
     assert!(after > before - 0.02, "halls: {before}, then {after}");
+
+    // Recordings that the model was adapted to are evaluated, with a warning.
+    let said_of = |recording: &Path| success(command!("model evaluate", &adapted, recording)).1;
+    let said = said_of(&adaptation_folder().join("0-1.mcap=empty"));
+    assert!(said.contains("warning: ") && said.contains("adapted to them") && said.contains("0-1.mcap"), "{said}");
+    assert!(!said_of(&others[0]).contains("adapted to them"));
 }
 
 #[test]

@@ -4,7 +4,7 @@ mod feature_reader;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail, ensure};
-use radome_driver::recording::{Recording, infineon};
+use radome_driver::recording::Recording;
 use radome_dsp::{FrameSource, Occupancy};
 use radome_models::Dataset;
 use radome_models::train::{AdaptRecording, Adaptation, Adapter, BeforeAfter};
@@ -14,7 +14,7 @@ use self::feature_reader::FeatureReader;
 use super::evaluate::LabelledRecording;
 use crate::classifier::{CFAR, Model};
 use crate::output_file::{MODEL_HINT, Overwrite, check_ending};
-use crate::{files, labels, output, shard, source};
+use crate::{files, output, source};
 
 /// `radome model adapt`
 #[derive(clap::Args)]
@@ -96,14 +96,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     bar.finish_and_clear();
     for input in &inputs {
-        let name = source::name_of(&input.path).to_string_lossy().into_owned();
-        adapter.add_sequence(&name);
-        // In a dataset, a shard of a simulated run has the name of the run.
-        adapter.add_sequence(shard::name_of_whole(&name));
-        // In a dataset, a folder of the vendor's has the name of its session.
-        if let Some(session) = infineon::session_of(&labels::content_of(&input.path)) {
-            adapter.add_sequence(&source::name_of(session).to_string_lossy());
-        }
+        adapter.add_sequence(&source::name_of(&input.path).to_string_lossy());
+        adapter.add_sequence(&input.sequence_name());
     }
     let adaptation = adapter.adapt(&recordings)?;
     let is_refused = adaptation.adapted.held_out.is_some_and(|scores| scores.is_worse()) && !arguments.force;

@@ -13,6 +13,7 @@ use radome_dsp::{Frame, FrameSource, Occupancy};
 use radome_models::calibration::ReliabilitySums;
 use radome_models::dataset::{self, Dataset, SplitSpec};
 use radome_models::evaluate::{Confusion, FalseAlarms, Metrics, RecordingScores, Stretch, add_confusion, evaluate};
+use radome_models::train::Adapter;
 use radome_models::{Classifier, ModelCard};
 use serde::Serialize;
 use serde_json::json;
@@ -369,6 +370,9 @@ fn evaluate_recordings(mut candidate: Candidate, inputs: &[String], arguments: &
         );
     }
     let all = LabelledRecording::parse_all(inputs.iter().cloned())?;
+    if let Model::Network(classifier) = &candidate.model {
+        warn_of_seen(classifier.card(), &all);
+    }
     let mut evaluation = Evaluation::default();
     for recording in &all {
         match classify_recording(&mut candidate, recording, None)? {
@@ -388,6 +392,28 @@ fn evaluate_recordings(mut candidate: Candidate, inputs: &[String], arguments: &
             all.len()
         ))),
         _ => Ok(()),
+    }
+}
+
+/// Warns of recordings that the model was trained or chosen on or adapted to, by their names. They are evaluated, since the user
+/// named them; maps of datasets are left out.
+fn warn_of_seen(card: &ModelCard, recordings: &[LabelledRecording]) {
+    if card.training.seen_sequences.is_empty() {
+        if card.adapted.is_some() {
+            message!(
+                "warning: the model was adapted to recordings, and its file does not list them: they may be among those evaluated"
+            );
+        }
+        return;
+    }
+    let seen = recordings.iter().filter(|recording| Adapter::is_listed(card, &recording.sequence_name()));
+    let paths: Vec<String> = seen.map(|recording| recording.path.display().to_string()).collect();
+    if !paths.is_empty() {
+        message!(
+            "warning: the model was trained or chosen on recordings of these names or adapted to them, and its scores on them say \
+             little about others: {}",
+            paths.join(", ")
+        );
     }
 }
 

@@ -4,11 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use radome_driver::LabelSpan;
-use radome_driver::recording::Recording;
+use radome_driver::recording::{Recording, infineon};
 use radome_dsp::{Frame, Occupancy, Waveform};
 
 use crate::exit::wrong_use;
-use crate::labels;
+use crate::{labels, shard, source};
 
 pub struct LabelledRecording {
     pub path: PathBuf,
@@ -72,6 +72,14 @@ impl LabelledRecording {
         let extent_s = labels::extent_s(&mut Recording::open(&path)?)?;
         labels::check_imported(&spans, extent_s).with_context(|| format!("{input}: labels cannot be used"))?;
         Ok(LabelledRecording { path, labels: Labels::Spans(spans) })
+    }
+
+    /// Returns the name that the recording has as a sequence of a dataset: that of the session of a vendor's folder, and of the whole run
+    /// of a shard.
+    pub fn sequence_name(&self) -> String {
+        let content = labels::content_of(&self.path);
+        let name = source::name_of(infineon::session_of(&content).unwrap_or(&self.path));
+        shard::name_of_whole(&name.to_string_lossy()).to_owned()
     }
 
     /// Creates the error for a recording of which a model can classify no frame.
