@@ -351,7 +351,7 @@ mod tests {
     use super::*;
     use crate::dataset::{DatasetHeader, Domain, ManifestRow, SplitSpec};
     use crate::layer::{DESCRIPTORS, KernelLevel};
-    use crate::network::{NetworkKind, NetworkSpec};
+    use crate::network::{Network, NetworkKind, NetworkSpec};
     use crate::standardise::{MapReference, Standardisation};
 
     /// Kinds of networks that read descriptors.
