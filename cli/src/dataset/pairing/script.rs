@@ -91,7 +91,9 @@ impl ScriptError {
     }
 }
 
-/// Assigns tracklets to this number of people. Each goes to the person whose predicted position is nearest to its beginning.
+/// Assigns tracklets to this number of people. Each goes to the person whose predicted position is nearest to its beginning, of those
+/// who are not tracked then. If that person could not walk there, it goes to one whose tracklet was there just before and follows a weaker
+/// echo from then on, such as a ghost: the rest of that tracklet is left out.
 pub fn assign(tracklets: Vec<Tracklet>, people: usize) -> Vec<PersonTrack> {
     let mut tracks = vec![PersonTrack::default(); people];
     for tracklet in tracklets {
@@ -103,14 +105,50 @@ pub fn assign(tracklets: Vec<Tracklet>, people: usize) -> Vec<PersonTrack> {
             (gap_s > 0.0).then(|| predicted.distance(position(&begin)))
         };
         let nearest = tracks
-            .iter_mut()
-            .filter_map(|track| Some((distance_from(track)?, track)))
+            .iter()
+            .enumerate()
+            .filter_map(|(person, track)| Some((distance_from(track)?, person)))
             .min_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((_, track)) = nearest {
-            track.tracklets.push(tracklet);
+        let nearest = nearest.map(|(_, person)| person);
+        let comes_from = |person: usize| {
+            let last = tracks.get(person).and_then(|track| track.tracklets.last()?.states.last());
+            last.is_none_or(|last| could_walk(last, &begin))
+        };
+        let chosen = if nearest.is_some_and(comes_from) {
+            nearest
+        } else {
+            let is_continued =
+                |track: &PersonTrack| track.tracklets.last().is_some_and(|last| is_continued_by(last, &tracklet));
+            tracks.iter().position(is_continued).or(nearest)
+        };
+        let Some(track) = chosen.and_then(|person| tracks.get_mut(person)) else { continue };
+        if let Some(before) = track.tracklets.last_mut() {
+            let kept = states_before(before, begin.frame);
+            before.states.truncate(kept);
+            before.echoes.retain(|index| index.frame < begin.frame);
         }
+        track.tracklets.push(tracklet);
     }
     tracks
+}
+
+/// Number of states of a tracklet up to its last echo before a frame.
+fn states_before(tracklet: &Tracklet, frame: usize) -> usize {
+    let last = tracklet.states.iter().rposition(|state| state.frame < frame && state.snr_db.is_some());
+    last.map_or(0, |last| last + 1)
+}
+
+/// Returns whether a tracklet begins where another one was just before, and is stronger than the rest of that one.
+fn is_continued_by(before: &Tracklet, after: &Tracklet) -> bool {
+    let Some(start) = after.states.first() else { return false };
+    let (own, rest) = before.states.split_at(states_before(before, start.frame));
+    let level = |states: &[PersonState]| -> f64 { states.iter().filter_map(|state| state.snr_db).sum() };
+    own.last().is_some_and(|end| could_walk(end, start)) && level(rest) < level(&after.states)
+}
+
+/// Returns whether a person could walk from one tracked position to a later one, if positions beside the jump are left out.
+fn could_walk(from: &PersonState, to: &PersonState) -> bool {
+    position(from).distance(position(to)) <= FASTEST_M_PER_S * (to.time_s - from.time_s + LEFT_OUT_S)
 }
 
 fn position(state: &PersonState) -> DVec2 {
@@ -658,6 +696,30 @@ mod tests {
                 let error = complete(tracks).expect_err("nobody knows where they are");
                 assert!(matches!(error, ScriptError::Unknown { person, .. } if person == missing), "{error}");
             }
+        }
+
+        /// Regression test: two people walk one behind the other. When the first one was lost, the tracker went on with the second one
+        /// in a new tracklet, and the second one's own tracklet went on with a ghost. So the new one went to the first person, 3 m away.
+        #[test]
+        fn a_tracklet_goes_to_the_person_who_was_there_just_before() {
+            let walk = |first: usize, frames: usize, from_m: f64| {
+                let place = |index: usize| (from_m - 0.16 * index as f64, 1.0);
+                tracklet_from(first, &(0..frames).map(place).collect::<Vec<_>>())
+            };
+            let assigned = |ghost_db: f64| {
+                let mut second = walk(0, 50, 10.0);
+                for state in &mut second.states[40..] {
+                    (state.x, state.snr_db) = (2.7, Some(ghost_db));
+                }
+                let tracks = assign(vec![walk(0, 40, 7.0), second, walk(40, 20, 3.6)], 2);
+                tracks
+                    .iter()
+                    .map(|track| track.tracklets.iter().map(|t| t.states.len()).collect())
+                    .collect::<Vec<Vec<_>>>()
+            };
+            assert_eq!(assigned(15.0), [vec![40], vec![40, 20]]);
+            // A stronger echo is no ghost.
+            assert_eq!(assigned(50.0), [vec![40, 20], vec![50]]);
         }
 
         /// Path of a person who walks at 1 m/s for 4 s, with these way-points. The track jumps ahead after 2 s.
