@@ -110,6 +110,22 @@ fn frames_of_512_chirps_are_classified() {
     assert_empty_and_one_are_recognised(&write_rooms(folder.path(), &many), 40);
 }
 
+/// With half a gigahertz, the echo of one person covers as many bins of the model's range axis as those of two with the
+/// model's own waveform.
+#[test]
+fn one_person_is_one_with_coarse_ranges() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let coarse = [("end_frequency_hz", "61.0e9"), ("samples_per_chirp", "64")];
+    let scene = write_rooms(folder.path(), &coarse);
+    let (mut frames, mut right) = (0, 0);
+    for seed in [731_013, 731_014, 731_015, 731_016] {
+        let (answers, _) = classify(&simulate_recording(&scene, 1, seed, 120));
+        let (of_seed, right_ones) = count_labelled(&answers, "one", "one");
+        (frames, right) = (frames + of_seed, right + right_ones);
+    }
+    assert!(frames >= 300 && 10 * right >= 9 * frames, "{right} of {frames}");
+}
+
 #[test]
 fn a_band_below_the_limit_is_refused_with_the_limit() {
     let folder = tempfile::tempdir().expect("a folder");
