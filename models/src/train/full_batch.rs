@@ -11,8 +11,8 @@ use super::error::TrainError;
 use super::head_start::is_trained;
 use super::minimise::minimise;
 use super::parameter_vector::ParameterVector;
-use super::spec::{FullBatch, TrainSpec};
-use super::start::{EVALUATION_BATCH, rows_of};
+use super::spec::FullBatch;
+use super::start::rows_of;
 use crate::layer::{backward, softmax};
 use crate::metrics::CLASSES;
 use crate::network::{Mode, Network, Parameter, names};
@@ -33,29 +33,18 @@ pub(super) fn is_weight(parameter: &Parameter) -> bool {
 pub(super) fn fit(
     network: &Network,
     data: &Data,
-    spec: &TrainSpec,
     settings: FullBatch,
     latent_penalty: f64,
 ) -> Result<bool, TrainError> {
     let graph = network.graph();
     let input = network.value_of(names::DESCRIPTORS)?;
     let positions: Vec<usize> = (0..data.train.maps.len()).collect();
-    let mut rows = rows_of(network, data, &data.train, &positions, input)?;
-    let mut labels = data.train.labels.clone();
-    // Epochs count from 1.
-    for epoch in 1..=settings.augmented_uses {
-        for batch in positions.chunks(EVALUATION_BATCH) {
-            let (maps, classes) = data.augmented(batch, &spec.augmentation, spec.seed, epoch)?;
-            let mut values = network.run(&maps, input, Mode::Evaluation)?;
-            rows.extend(values.take(input)?.to_vec2::<f32>()?);
-            labels.extend(classes);
-        }
-    }
+    let rows = rows_of(network, data, &data.train, &positions, input)?;
     let width = rows.first().map_or(0, Vec::len);
     let descriptors = Tensor::from_vec(rows.concat(), (rows.len(), width), &Device::Cpu)?;
     let weight = |&label: &usize| data.class_weights.get(label).copied().map_or(0.0, f64::from);
-    let total: f64 = labels.iter().map(weight).sum();
-    let samples: Vec<_> = labels.iter().map(|label| (one_hot(*label), weight(label) / total)).collect();
+    let total: f64 = data.train.labels.iter().map(weight).sum();
+    let samples: Vec<_> = data.train.labels.iter().map(|label| (one_hot(*label), weight(label) / total)).collect();
 
     let is_fitted = |p: &&Parameter| is_trained(network, p) && names::layer_of(&p.name) != names::WARM_UP;
     let parameters = ParameterVector::new(network.trained().iter().filter(is_fitted).collect());

@@ -350,7 +350,7 @@ impl<'a> Run<'a> {
             epoch = best.epoch;
         }
         if let Some(settings) = self.spec.full_batch
-            && !full_batch::fit(&self.network, self.data, self.spec, settings, self.penalty())?
+            && !full_batch::fit(&self.network, self.data, settings, self.penalty())?
         {
             return Err(self.non_finite("loss of the training split".to_owned()));
         }

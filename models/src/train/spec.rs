@@ -19,8 +19,6 @@ use crate::standardise::{MapReference, TRAINED_BOUNDS_DB};
 /// Largest number of epochs, of maps in a step, and of initialisations. They are far beyond any training, and their
 /// products do not overflow.
 const MOST_EPOCHS: usize = 100_000;
-/// Largest number of augmented uses of a map in the minimisation over all maps.
-const MOST_USES: usize = 100;
 const MOST_IN_BATCH: usize = 65_536;
 const MOST_STARTS: u64 = 1000;
 
@@ -48,9 +46,6 @@ pub struct FullBatch {
     pub steps: usize,
     /// Weight in the loss of the sum of the squares of all weights of dense layers, for descriptors of deviation 1.
     pub weight_penalty: f64,
-    /// Uses of each map with the changes of `augmentation`, besides the map as it is.
-    #[serde(default, skip_serializing_if = "crate::is_default")]
-    pub augmented_uses: usize,
 }
 
 /// Reads the kind of a network. If the name stands for a network with a head, the error says how to write both.
@@ -234,16 +229,13 @@ impl TrainSpec {
         let has_head = self.network.has_latent() || self.head == Head::default();
         let expected = "none, for only hqnn and descriptor_hqnn have a head to choose";
         check_setting(has_head, "head", format!("set for network {}", self.network), expected)?;
-        let Some(FullBatch { steps, augmented_uses, .. }) = self.full_batch else { return Ok(()) };
+        let Some(FullBatch { steps, .. }) = self.full_batch else { return Ok(()) };
         check_setting(
-            self.network.reads_descriptors(),
+            self.network.reads_descriptors() && self.augmentation == Augmentation::default(),
             "full_batch",
             format!("{steps} steps for network {}", self.network),
-            "a network of descriptors, whose inputs stay the same",
-        )?;
-        let is_augmented = self.augmentation != Augmentation::default();
-        let expected = if is_augmented { "1 or more, because maps are augmented" } else { "0 without augmentation" };
-        check_setting(is_augmented == (augmented_uses > 0), "full_batch.augmented_uses", augmented_uses, expected)
+            "a network of descriptors without augmentation, whose inputs stay the same",
+        )
     }
 
     /// Checks all settings.
@@ -265,10 +257,9 @@ impl TrainSpec {
         check_setting(self.linear_epochs() <= epochs, "linear_epochs", self.linear_epochs(), "0 up to epochs")?;
         let is_weighted = self.label_weights.iter().all(|weight| (1e-3..=1e3).contains(weight));
         check_setting(is_weighted, "label_weights", format!("{:?}", self.label_weights), "0.001 to 1000 each")?;
-        if let Some(FullBatch { steps, weight_penalty, augmented_uses }) = self.full_batch {
+        if let Some(FullBatch { steps, weight_penalty }) = self.full_batch {
             check_setting((1..=MOST_EPOCHS).contains(&steps), "full_batch.steps", steps, "1 to 100000")?;
             check_setting(is_penalty(weight_penalty), "full_batch.weight_penalty", weight_penalty, "0 or more")?;
-            check_setting(augmented_uses <= MOST_USES, "full_batch.augmented_uses", augmented_uses, "0 to 100")?;
         }
         self.split.check()?;
         check_setting((0.0..=10.0).contains(&self.weight_decay), "weight_decay", self.weight_decay, "0 to 10")?;
