@@ -174,7 +174,8 @@ pub(super) fn print(models: &[ModelScores]) -> anyhow::Result<()> {
                 notes += &format!("  {} frames without an answer", row.unanswered);
             }
             if row.recordings_judged == 0 {
-                output::text_line(&format!("  {:<12} refused", row.rung))?;
+                let why = if row.refused.is_empty() { "no answer" } else { "refused" };
+                output::text_line(&format!("  {:<12} {why}", row.rung))?;
                 continue;
             }
             output::text_line(&format!(
