@@ -545,6 +545,11 @@ mod hard_cases {
         assert!(by_rule.contains(expected), "{by_rule}");
         let by_subject = warnings(SplitSpec { by: SplitBy::Subject, ..SplitSpec::default() });
         assert!(!by_subject.contains("do not count"), "{by_subject}");
+        // Groups count in other datasets too.
+        let by_seed = SplitSpec { by: SplitBy::Seed, ..SplitSpec::default() };
+        let card =
+            train(&set, &TrainSpec { split: by_seed.clone(), ..spec.clone() }, &mut |_| {}).expect("trains").model.card;
+        assert_eq!(card.split, Some(by_seed));
         let card =
             train(&set, &TrainSpec { split: rule.clone(), ..spec.clone() }, &mut |_| {}).expect("trains").model.card;
         assert_eq!(card.split, None);

@@ -197,6 +197,8 @@ fn labels_are_replaced_and_erased_where_it_is_asked_for() {
     // Between two frames, such a label was accepted.
     let said = wrong_use(label(&["--span", "0.71:0.75=one", "--replace"]));
     assert!(said.contains("'one' from 0.71 to 0.75 s covers no frame: frames are 0.077 s apart"), "{said}");
+    let said = failure(label(&["--span", "90:90.05=one"]));
+    assert!(said.contains("'one' from 90 to 90.05 s is out of range"), "{said}");
 
     // Each of these was answered by "labels erased".
     let before = found();

@@ -141,6 +141,12 @@ impl SplitSpec {
         self.held_out.is_some() || rows.iter().any(|row| row.split.is_none())
     }
 
+    /// Returns whether the rule says anything about these rows: it decides the split of any, or names the groups that must stay together
+    /// ([`SplitSpec::by`]), in other datasets too.
+    pub(crate) fn counts(&self, rows: &[ManifestRow]) -> bool {
+        self.is_used(rows) || self.by != SplitBy::default()
+    }
+
     /// Warning that the splits of the rows count and not the rule. `None` if the rule is used, names no shares or seed of its own, or would
     /// give the same splits.
     pub(crate) fn unused_warning(&self, rows: &[ManifestRow]) -> Option<String> {

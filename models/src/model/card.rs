@@ -90,7 +90,8 @@ pub struct ModelCard {
     pub temperature: f64,
     /// Hash of the dataset trained on.
     pub dataset_hash: String,
-    /// Rule that divided that dataset into splits; absent in old models, and where the dataset itself says the split of each map.
+    /// Rule that divided that dataset into splits. Absent in old models, and where the dataset itself says the split of each map and the
+    /// rule names no groups.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub split: Option<SplitSpec>,
     /// Seed of the training.
@@ -197,6 +198,12 @@ impl ModelCard {
             Some(known) => known.clone(),
             None => SplitSpec { held_out: None, ..self.split.clone().unwrap_or_default() },
         }
+    }
+
+    /// Returns whether the card lists a sequence of this name: the model was trained or chosen on it, or adapted to it. Cards of older
+    /// models list nothing.
+    pub fn has_seen(&self, name: &str) -> bool {
+        self.training.seen_sequences.contains(&sequence_hash(name))
     }
 
     /// Sequences of a dataset that the model was trained, chosen or adapted on, found by their names with or without folders. `None`

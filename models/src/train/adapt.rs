@@ -31,7 +31,7 @@ use radome_dsp::{Rdm, RdmShape};
 
 use crate::dataset::{Dataset, Split, sequence_hash};
 use crate::metrics::CLASSES;
-use crate::model::{Adapted, BeforeAfter, ClassifyError, Model, ModelCard, Scores};
+use crate::model::{Adapted, BeforeAfter, ClassifyError, Model, Scores};
 use crate::network::{Layer, Mode, Value, names};
 use adapted_layers::{AdaptedLayers, BIAS_STRENGTH, Confusions, last_node, shift_strength};
 use recording::{MOST_FRAMES, learnable_classes};
@@ -176,12 +176,6 @@ impl Adapter {
     /// Adds the name that a recording has as a sequence of a dataset. The card of the adapted model lists it.
     pub fn add_sequence(&mut self, name: &str) {
         self.sequences.insert(sequence_hash(name));
-    }
-
-    /// Returns whether a card lists a sequence of this name: the model was trained or chosen on it, or adapted to it. Cards of older
-    /// models list nothing.
-    pub fn is_listed(card: &ModelCard, name: &str) -> bool {
-        card.training.seen_sequences.contains(&sequence_hash(name))
     }
 
     /// Adapts the model: runs [`fit`](Self::fit) and sets the fitted parameters.
@@ -480,7 +474,7 @@ mod tests {
             adapter.add_sequence("room 1");
             let card = adapter.adapt(&[recording(1, &Occupancy::ALL)]).expect("adapts").model.card;
             assert_eq!(card.seen_in(&other), Some(BTreeSet::from(["captures/room 1"])));
-            assert!(Adapter::is_listed(&card, "room 1") && !Adapter::is_listed(&card, "room 2"));
+            assert!(card.has_seen("room 1") && !card.has_seen("room 2"));
             // A file of an older program lists nothing.
             model.card.training.seen_sequences.clear();
             assert_eq!(adapted_card(model.card).seen_in(&dataset), None);

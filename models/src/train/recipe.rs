@@ -127,7 +127,7 @@ fn card(
         latent: network.latent_constants(),
         temperature,
         dataset_hash: dataset.hash(),
-        split: spec.split.is_used(dataset.rows()).then(|| spec.split.clone()),
+        split: spec.split.counts(dataset.rows()).then(|| spec.split.clone()),
         seed: spec.seed,
         training,
         adapted: None,

@@ -13,7 +13,6 @@ use radome_dsp::{Frame, FrameSource, Occupancy};
 use radome_models::calibration::ReliabilitySums;
 use radome_models::dataset::{self, Dataset, SplitSpec};
 use radome_models::evaluate::{Confusion, FalseAlarms, Metrics, RecordingScores, Stretch, add_confusion, evaluate};
-use radome_models::train::Adapter;
 use radome_models::{Classifier, ModelCard};
 use serde::Serialize;
 use serde_json::json;
@@ -406,7 +405,9 @@ fn warn_of_seen(card: &ModelCard, recordings: &[LabelledRecording]) {
         }
         return;
     }
-    let seen = recordings.iter().filter(|recording| Adapter::is_listed(card, &recording.sequence_name()));
+    let is_seen =
+        |recording: &&LabelledRecording| recording.possible_sequence_names().iter().any(|name| card.has_seen(name));
+    let seen = recordings.iter().filter(is_seen);
     let paths: Vec<String> = seen.map(|recording| recording.path.display().to_string()).collect();
     if !paths.is_empty() {
         message!(

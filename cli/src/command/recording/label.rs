@@ -156,7 +156,11 @@ impl Arguments {
         let is_class = |span: &&LabelSpan| span.occupancy().is_some();
         // Frames of boards may be a little farther apart than requested.
         let is_short = |span: &&LabelSpan| span.end_s - span.start_s < 2.0 * interval_s;
-        for LabelSpan { start_s, end_s, label, .. } in self.span.iter().filter(is_class).filter(is_short) {
+        // Labels outside of the recording are refused for that reason, with all others.
+        let extent_s = labels::extent_s(&mut recording)?;
+        let is_inside = |span: &&LabelSpan| check_spans(std::slice::from_ref(*span), extent_s).is_ok();
+        let short = self.span.iter().filter(is_class).filter(is_short).filter(is_inside);
+        for LabelSpan { start_s, end_s, label, .. } in short {
             recording.seek_time_s((start_s - ROUNDING_S).max(0.0))?;
             if !source::next_frame(&mut recording, &mut frame)? || frame.time_s() + ROUNDING_S >= *end_s {
                 wrong_use!(

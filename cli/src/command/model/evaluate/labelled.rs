@@ -82,6 +82,19 @@ impl LabelledRecording {
         shard::name_of_whole(&name.to_string_lossy()).to_owned()
     }
 
+    /// Returns the names that the recording may have had as a sequence of a dataset: a dataset of folders puts the folders between its
+    /// own and the recording before [`Self::sequence_name`].
+    pub fn possible_sequence_names(&self) -> Vec<String> {
+        let content = labels::content_of(&self.path);
+        let place = infineon::session_of(&content).unwrap_or(&content);
+        let mut names = vec![self.sequence_name()];
+        for folder in place.ancestors().skip(1).filter_map(Path::file_name) {
+            let within = names.last().map_or("", String::as_str);
+            names.push(format!("{}/{within}", folder.to_string_lossy()));
+        }
+        names
+    }
+
     /// Creates the error for a recording of which a model can classify no frame.
     pub fn without_frames(&self) -> anyhow::Error {
         anyhow!(
@@ -99,5 +112,19 @@ impl LabelledRecording {
             Labels::InFrames => frame.truth,
         };
         truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recording_may_be_a_sequence_with_any_of_its_folders() {
+        let recording = LabelledRecording { path: "data/anna/walk.mcap".into(), labels: Labels::InFrames };
+        assert_eq!(recording.possible_sequence_names(), ["walk", "anna/walk", "data/anna/walk"]);
+        // Shards of one run are one sequence.
+        let shard = LabelledRecording { path: "anna/walk-shard-00001-of-00003.mcap".into(), labels: Labels::InFrames };
+        assert_eq!(shard.possible_sequence_names(), ["walk", "anna/walk"]);
     }
 }
