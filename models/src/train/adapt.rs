@@ -343,6 +343,7 @@ mod tests {
     use rand_distr::{Distribution, Normal};
 
     use super::*;
+    use crate::ModelCard;
     use crate::dataset::{DatasetHeader, Domain, ManifestRow, SplitSpec};
     use crate::layer::{DESCRIPTORS, KernelLevel};
     use crate::network::{Network, NetworkKind, NetworkSpec};
