@@ -331,11 +331,11 @@ impl FrameClassifier<'_> {
         }
     }
 
-    /// Resets state that must not persist across missing frames. The mean of earlier evidence persists: its weight decays with
-    /// time.
-    pub fn reset(&mut self) {
+    /// Resets state that must not persist across missing frames. The mean of earlier evidence and the motion of echoes persist: their
+    /// weights decay with time.
+    pub fn reset_at_gap(&mut self) {
         match &mut self.0 {
-            Kind::Network { processor, .. } => processor.reset(),
+            Kind::Network { processor, .. } => processor.reset_at_gap(),
             Kind::Cfar(counter) => counter.reset(),
         }
     }
@@ -370,8 +370,11 @@ impl FrameClassifier<'_> {
                 (prediction, _) => prediction,
             });
         }
-        // The reset keeps a frame without a signal from affecting later frames.
-        self.reset();
+        // A frame without a signal must not affect later frames.
+        match &mut self.0 {
+            Kind::Network { processor, .. } => processor.reset(),
+            Kind::Cfar(counter) => counter.reset(),
+        }
         Ok(Prediction::NoSignal)
     }
 

@@ -25,7 +25,7 @@ fn no_transform_allocates_once_it_is_planned() {
         RdmSpec { channels: Channels::IncoherentSum, static_removal: StaticRemoval::SlowTimeMean, ..base },
         RdmSpec { static_removal: StaticRemoval::RecursiveMti { alpha: 0.6 }, chirp_mean_removal: true, ..base },
         RdmSpec { slow_time: SlowTime::Frames { frames: 8 }, ..base },
-        RdmSpec { channels: Channels::IncoherentSum, physical_axes: Some(axes), ..base },
+        RdmSpec { channels: Channels::IncoherentSum, physical_axes: Some(axes), motion_over_s: Some(1.0), ..base },
     ];
     // Sizes of the lane transform and of the library transform.
     for waveform in [waveform(128, 256), waveform(32, 64), waveform(20, 100)] {

@@ -67,7 +67,7 @@ impl std::fmt::Display for Ablation {
 }
 
 impl Ablation {
-    /// Returns the changed map. Its noise is a function of `index`. A map whose cells do not match its shape stays unchanged.
+    /// Returns the changed map. Its noise is a function of `index`. Its motion stays that of the unchanged maps. A map whose cells do not match its shape stays unchanged.
     pub fn apply(self, map: &Rdm, skip_range_bins: usize, index: u64) -> Rdm {
         let mut changed = map.clone();
         let RdmShape { rx, doppler, range } = map.shape;
@@ -165,7 +165,7 @@ pub fn ablate(
     let header = dataset.header();
     for &index in indices {
         let Some(row) = dataset.rows().get(index) else { continue };
-        let map = header.rdm(dataset.map(index)?, row.frame);
+        let map = Rdm { motion: row.motion, ..header.rdm(dataset.map(index)?, row.frame) };
         scores.add(&map, row.label, |map| classifier.classify_row(&map.db, map.shape, row))?;
     }
     Ok(scores)
@@ -195,6 +195,7 @@ mod tests {
             velocity_step_m_per_s: VELOCITY_STEP,
             sequence: 0,
             flags: MapFlags::default(),
+            motion: None,
         }
     }
 

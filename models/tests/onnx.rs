@@ -183,7 +183,7 @@ fn assert_alike(name: &str, ours: &mut Classifier, theirs: &mut Classifier) {
         let db: Vec<f32> = (0..shape.cells()).map(|_| rng.random_range(-95.0..-40.0 + index as f32)).collect();
         let (range_step_m, velocity_step_m_per_s) = ours.rdm_spec().steps(ours.waveform());
         let flags = MapFlags::default();
-        let map = Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: index, flags };
+        let map = Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: index, flags, motion: None };
         let [a, b] = [&mut *ours, &mut *theirs].map(|classifier| classifier.classify(&map).expect("probabilities"));
         assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5), "{name}: {a:?} {b:?}");
     }

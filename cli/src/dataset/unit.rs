@@ -131,7 +131,7 @@ fn recording(
         if output::interrupted() {
             return Err(Interrupted.into());
         }
-        if !source::next_frame_noting_gaps(frames, &mut frame, || processor.processor.reset())? {
+        if !source::next_frame_noting_gaps(frames, &mut frame, || processor.processor.reset_at_gap())? {
             break;
         }
         let end_s = frame.time_s() + waveform.frame_interval_s();

@@ -182,7 +182,7 @@ impl<W: Write + Seek> Export<W> {
     }
 
     fn gap(&mut self, gap: &Gap) -> anyhow::Result<()> {
-        self.processor.reset();
+        self.processor.reset_at_gap();
         self.report.count_gap(gap);
         let lost = match gap.frames {
             0 => "frames".to_owned(),

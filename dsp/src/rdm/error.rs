@@ -6,10 +6,10 @@ use crate::{KernelLevel, WaveformMismatch};
 
 /// Largest number of points of an FFT: eight times the samples that a chirp can have.
 pub(super) const MOST_FFT_POINTS: usize = 1 << 15;
-/// Shortest time constant of change, s.
-pub(super) const LEAST_CHANGE_S: f64 = 0.01;
-/// Longest time constant of change, s.
-pub(super) const MOST_CHANGE_S: f64 = 1000.0;
+/// Shortest time constant of change and of motion, s.
+pub(super) const LEAST_TIME_S: f64 = 0.01;
+/// Longest time constant of change and of motion, s.
+pub(super) const MOST_TIME_S: f64 = 1000.0;
 /// Largest number of cells of a map: 256 MiB of them.
 pub(super) const MOST_CELLS: usize = 1 << 26;
 
@@ -61,9 +61,15 @@ pub enum SpecError {
     /// Change is requested without physical axes.
     #[error("map spec: change_over_s needs physical_axes\n\nhint: give physical_axes, or leave change_over_s out")]
     ChangeWithoutAxes,
-    /// The time constant of change is out of range.
-    #[error("map spec: change_over_s is {time_s}, allowed is {LEAST_CHANGE_S} to {MOST_CHANGE_S} s")]
-    ChangeTime { time_s: f64 },
+    /// The time constant of change or of motion is out of range.
+    #[error("map spec: {key} is {time_s}, allowed is {LEAST_TIME_S} to {MOST_TIME_S} s")]
+    Time { key: &'static str, time_s: f64 },
+    /// Motion is requested for maps of several channels.
+    #[error(
+        "map spec: motion_over_s needs maps of one channel\n\nhint: give channels = {{ one = 0 }} or \"incoherent_sum\", or leave \
+         motion_over_s out"
+    )]
+    MotionOfChannels,
     /// A greatest range is requested without physical axes.
     #[error("map spec: max_range_m needs physical_axes\n\nhint: give physical_axes, or leave max_range_m out")]
     MaxRangeWithoutAxes,

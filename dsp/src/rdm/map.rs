@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::motion::Motion;
+
 /// Shape of a map: the lengths of its axes, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RdmShape {
@@ -52,6 +54,8 @@ pub struct Rdm {
     pub sequence: u64,
     /// Counts of saturated samples and of cells that are not finite.
     pub flags: MapFlags,
+    /// Motion of echoes over the last frames; `None` unless the spec asks for it ([`RdmSpec::motion_over_s`](super::RdmSpec)).
+    pub motion: Option<Motion>,
 }
 
 impl Rdm {

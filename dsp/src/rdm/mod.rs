@@ -13,6 +13,7 @@ mod fourier;
 mod lanes;
 mod library_chain;
 mod map;
+mod motion;
 mod physical;
 mod plan;
 mod processor;
@@ -24,6 +25,7 @@ pub use axes::{AxesCoverage, LEAST_CHIRPS, LEAST_SAMPLED_BAND_HZ, LEAST_SAMPLES,
 pub use error::{MapMismatch, SpecError};
 pub use library_chain::LibraryChain;
 pub use map::{MapFlags, Rdm, RdmShape};
+pub use motion::Motion;
 pub use processor::{MapStatus, RdmProcessor};
 pub use spec::{AmplitudeScale, Channels, RdmSpec, SampleScale, SlowTime, StaticRemoval};
 

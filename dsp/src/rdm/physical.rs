@@ -20,7 +20,7 @@ use crate::{KernelLevel, MAX_CODE, Waveform, dispatch, split_mix_64};
 const MOST_RECEIVERS: usize = 3;
 /// Lower quartile of the mean noise power of one, two and three receivers, in units of its mean: quartiles of gamma distributions.
 /// For one receiver, whose noise power is exponential, it is `ln(4/3)`.
-const QUARTILES: [f32; MOST_RECEIVERS] = [0.287_682_1, 0.480_639_37, 0.575_766_44];
+pub(super) const QUARTILES: [f32; MOST_RECEIVERS] = [0.287_682_1, 0.480_639_37, 0.575_766_44];
 /// Purpose of the noise draws, which separates them from other draws with the same sequence number.
 const PURPOSE: u64 = 0x7068_7973_6963_616c;
 
@@ -298,7 +298,7 @@ impl UnmeasuredCells {
 }
 
 /// Value below which the share `1 / parts` of the values lies; 0 if there are no values.
-fn quantile(values: &mut [f32], parts: usize) -> f32 {
+pub(super) fn quantile(values: &mut [f32], parts: usize) -> f32 {
     let index = values.len() / parts;
     if index >= values.len() {
         return 0.0;

@@ -6,6 +6,7 @@ use super::error::SpecError;
 use super::fourier::FourierTransform;
 use super::lanes::{Input, LaneTransform, Output};
 use super::map::{MapFlags, Rdm, RdmShape};
+use super::motion::{Motion, MotionAverage};
 use super::physical::PhysicalTransform;
 use super::plan::MapPlan;
 use super::saturation::saturated_codes;
@@ -28,8 +29,9 @@ pub enum MapStatus {
 
 /// Processor from frames to maps by an [`RdmSpec`]. It owns its plans and buffers; nothing is allocated per frame.
 ///
-/// It keeps state between frames where the spec needs it: the background of recursive MTI, the window of frames, and change. The
-/// state is reset when sequence numbers are not consecutive, and by [`reset`](Self::reset).
+/// It keeps state between frames where the spec needs it: the background of recursive MTI, the window of frames, change, and motion.
+/// The state is reset when sequence numbers are not consecutive, and by [`reset`](Self::reset). Motion is reset only if more than a
+/// second is missing.
 ///
 /// Frames with powers of two on both axes go through a kernel at the machine's [`KernelLevel`]. Other sizes, and slow time across
 /// frames, go through `realfft`. Maps on [`PhysicalAxes`](super::PhysicalAxes) are sums of products. Their cells that the waveform
@@ -66,6 +68,8 @@ pub struct RdmProcessor {
     source_start: usize,
     background: Vec<f32>,
     has_background: bool,
+    /// Averages of motion, if the spec asks for them.
+    motion: Option<MotionAverage>,
 }
 
 enum Transform {
@@ -117,6 +121,9 @@ impl RdmProcessor {
             source_start: plan.used_samples().start,
             background: vec![0.0; if is_recursive { codes } else { 0 }],
             has_background: false,
+            motion: spec
+                .motion_over_s
+                .map(|over_s| MotionAverage::new(plan.shape, over_s, waveform.frame_interval_s())),
             plan,
         })
     }
@@ -167,11 +174,21 @@ impl RdmProcessor {
             velocity_step_m_per_s: self.steps.1,
             sequence: 0,
             flags: MapFlags::default(),
+            motion: self.motion.as_ref().map(|_| Motion::default()),
         }
     }
 
-    /// Resets background, window and change. Call it at a gap, or when the scene changes abruptly.
+    /// Resets background, window, change and motion. Call it when the scene changes abruptly.
     pub fn reset(&mut self) {
+        self.reset_at_gap();
+        if let Some(motion) = &mut self.motion {
+            motion.reset();
+        }
+    }
+
+    /// Resets the state that needs consecutive frames: background, window and change. Motion is reset by the next frame if more than a
+    /// second is missing before it.
+    pub fn reset_at_gap(&mut self) {
         self.last_sequence = None;
         self.has_background = false;
         match &mut self.transform {
@@ -307,10 +324,10 @@ impl RdmProcessor {
         }
     }
 
-    /// Resets the state unless this sequence number is the one after the last.
+    /// Resets the state that needs consecutive frames unless this sequence number is the one after the last.
     fn check_sequence(&mut self, sequence: u64) {
         if self.last_sequence.is_some_and(|last| last.checked_add(1) != Some(sequence)) {
-            self.reset();
+            self.reset_at_gap();
         }
         self.last_sequence = Some(sequence);
     }
@@ -373,8 +390,8 @@ impl RdmProcessor {
         }
     }
 
-    /// Converts power to decibels where the transform has not, and sets the map's flags.
-    fn finish(&self, sequence: u64, saturated_samples: u32, cells: Cells, map: &mut Rdm) -> MapStatus {
+    /// Converts power to decibels where the transform has not, and sets the map's flags and motion.
+    fn finish(&mut self, sequence: u64, saturated_samples: u32, cells: Cells, map: &mut Rdm) -> MapStatus {
         let count = |db: &[f32]| db.iter().map(|v| u32::from(!v.is_finite())).sum();
         let non_finite_cells = match cells {
             Cells::Decibels { are_finite: true } => 0,
@@ -387,6 +404,7 @@ impl RdmProcessor {
         };
         map.sequence = sequence;
         map.flags = MapFlags { saturated_samples, non_finite_cells };
+        map.motion = self.motion.as_mut().map(|motion| motion.push(map));
         MapStatus::Ready
     }
 }

@@ -1,4 +1,4 @@
-//! Slow reference of maps: discrete Fourier sums in f64, by the formula.
+//! Slow reference of maps and of motion: sums in f64, by the formulas.
 
 use std::f64::consts::TAU;
 
@@ -6,7 +6,8 @@ use num_complex::Complex64;
 
 use super::axes::AxesCoverage;
 use super::error::SpecError;
-use super::map::RdmShape;
+use super::map::{Rdm, RdmShape};
+use super::motion::{self, Motion};
 use super::spec::{AmplitudeScale, Channels, RdmSpec, SlowTime, StaticRemoval};
 use crate::{Frame, Waveform};
 
@@ -205,4 +206,123 @@ fn change(sums: &[Complex64], step: f64) -> f64 {
     let mean: Complex64 = weighted().map(|(z, w)| z * w).sum();
     let variance: f64 = weighted().map(|(z, w)| w * (z - mean).norm_sqr()).sum();
     variance * variance / (variance + mean.norm_sqr()).max(f64::MIN_POSITIVE)
+}
+
+/// Motion of the last of `maps`, which are of one channel and finite, in f64.
+///
+/// Each map is compared with the earlier one whose age is closest to 0.3 s, and the comparisons are averaged with weights that fall by
+/// `1/e` over `over_s`. Maps before a gap of more than a second do not count. Intervals of frames must be at least 20 ms.
+pub fn motion(maps: &[Rdm], frame_interval_s: f64, over_s: f64) -> Motion {
+    let seconds = |from: &Rdm, to: &Rdm| (to.sequence - from.sequence) as f64 * frame_interval_s;
+    let is_gap = |pair: &[Rdm]| seconds(&pair[0], &pair[1]) > motion::MOST_AGE_S;
+    let maps = &maps[maps.windows(2).rposition(is_gap).map_or(0, |gap| gap + 1)..];
+    let Some(last) = maps.last() else { return Motion::default() };
+    let profiles: Vec<MovingProfile> = maps.iter().map(MovingProfile::new).collect();
+    let (mut sums, mut weights) = ([0.0; Motion::QUANTITIES], 0.0);
+    for (index, map) in maps.iter().enumerate() {
+        let age = |earlier: usize| seconds(&maps[earlier], map);
+        let from_lag = |earlier: usize| (age(earlier) - motion::LAG_S).abs();
+        let closest = (0..=index).rev().min_by(|a, b| from_lag(*a).total_cmp(&from_lag(*b))).unwrap_or(index);
+        let weight = (-seconds(map, last) / over_s).exp();
+        let comparison = profiles[index].compare(&profiles[closest], age(closest));
+        sums.iter_mut().zip(comparison).for_each(|(sum, quantity)| *sum += weight * quantity);
+        weights += weight;
+    }
+    Motion::from_array(sums.map(|sum| (sum / weights) as f32))
+}
+
+/// Strongest moving cells of a map by range: `(range_m, velocity_m_per_s, dB over noise)`.
+struct MovingProfile(Vec<(f64, f64, f64)>);
+
+impl MovingProfile {
+    fn new(map: &Rdm) -> Self {
+        let cell = |range: usize| {
+            let mut levels: Vec<f64> = (0..map.shape.doppler).map(|d| f64::from(map.at(0, d, range))).collect();
+            let moving = (0..map.shape.doppler).filter(|d| map.velocity_m_per_s(*d).abs() > motion::SLOW_M_PER_S);
+            let strongest = moving.reduce(|best, d| if levels[d] > levels[best] { d } else { best });
+            let (velocity, level_db) = strongest.map_or((0.0, f64::MIN), |d| (map.velocity_m_per_s(d), levels[d]));
+            levels.sort_unstable_by(f64::total_cmp);
+            let noise_db = levels[levels.len() / 4] - 10.0 * (4.0f64 / 3.0).ln().log10();
+            let is_leakage = map.range_m(range) < motion::LEAKAGE_M;
+            let over_noise_db = 10.0 * (1.0 + 10f64.powf((level_db - noise_db) / 10.0)).log10();
+            (map.range_m(range), velocity, if is_leakage { 0.0 } else { over_noise_db })
+        };
+        MovingProfile((0..map.shape.range).map(cell).collect())
+    }
+
+    /// Strongest of the cells that fulfil a condition.
+    fn strongest(&self, condition: impl Fn(f64) -> bool) -> (f64, f64, f64) {
+        let cells = self.0.iter().copied().filter(|cell| condition(cell.0));
+        cells.reduce(|best, cell| if cell.2 > best.2 { cell } else { best }).unwrap_or((0.0, 0.0, 0.0))
+    }
+
+    fn is_moving(&self) -> bool {
+        self.strongest(|_| true).2 > f64::from(motion::MOTION_DB)
+    }
+
+    /// The larger of a level below the strongest cell and a level over noise.
+    fn threshold(&self, [below_db, over_noise_db]: [f32; 2]) -> f64 {
+        (self.strongest(|_| true).2 - f64::from(below_db)).max(f64::from(over_noise_db))
+    }
+
+    fn weight(&self, bin: i64) -> f64 {
+        let cell = usize::try_from(bin).ok().and_then(|bin| self.0.get(bin));
+        cell.map_or(0.0, |cell| (cell.2 - self.threshold(motion::PROFILE_DB)).max(0.0).sqrt())
+    }
+
+    /// Sum over ranges of the products of the weights with those of another profile, shifted.
+    fn overlap(&self, other: &MovingProfile, shift: i64) -> f64 {
+        (0..self.0.len() as i64).map(|bin| self.weight(bin) * other.weight(bin - shift)).sum()
+    }
+
+    fn nearest(&self) -> (f64, f64, f64) {
+        let least_db = self.threshold(motion::NEAREST_DB);
+        self.0.iter().copied().find(|cell| cell.2 > least_db).unwrap_or((0.0, 0.0, 0.0))
+    }
+
+    fn second(&self) -> Option<(f64, f64, f64)> {
+        let nearest_m = self.nearest().0;
+        let second = self.strongest(|range_m| range_m - nearest_m > motion::BEHIND_M);
+        (second.2 > f64::from(motion::SECOND_DB)).then_some(second)
+    }
+
+    fn compare(&self, earlier: &MovingProfile, age_s: f64) -> [f64; Motion::QUANTITIES] {
+        let second = self.second().filter(|_| self.is_moving());
+        let share = if second.is_some() { 1.0 } else { 0.0 };
+        let velocity_difference = second.map_or(0.0, |second| (second.1 - self.nearest().1).abs());
+        if age_s == 0.0 || !self.is_moving() || !earlier.is_moving() {
+            return [1.0, 0.0, 0.0, 0.0, share, velocity_difference];
+        }
+        let spacings = |profile: &MovingProfile| -> Vec<f64> {
+            (1..profile.0.len() as i64).map(|distance| profile.overlap(profile, distance)).collect()
+        };
+        let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (now, before) = (spacings(self), spacings(earlier));
+        let lengths = (product(&now, &now) * product(&before, &before)).sqrt();
+        let similarity = if product(&now, &before) == 0.0 { 1.0 } else { product(&now, &before) / lengths };
+
+        let range_step_m = self.0[1].0 - self.0[0].0;
+        let most = (motion::MOST_SHIFT_M / range_step_m).round() as i64;
+        let overlaps = (-most..=most).map(|shift| (shift, self.overlap(earlier, shift)));
+        let best = overlaps.reduce(|best, other| if other.1 > best.1 { other } else { best }).unwrap_or((0, 0.0));
+        let error_m = |way_m: f64, velocity: f64, velocity_before: f64| {
+            (way_m - 0.5 * (velocity + velocity_before) * age_s).abs().min(motion::MOST_DISTANCE_M)
+        };
+        let (strongest, strongest_before) = (self.strongest(|_| true), earlier.strongest(|_| true));
+        let (nearest, nearest_before) = (self.nearest(), earlier.nearest());
+        let separation_change_m = match (second, earlier.second()) {
+            (Some(second), Some(second_before)) => {
+                ((second.0 - nearest.0) - (second_before.0 - nearest_before.0)).abs().min(motion::MOST_DISTANCE_M)
+            }
+            _ => 0.0,
+        };
+        [
+            similarity,
+            error_m(best.0 as f64 * range_step_m, strongest.1, strongest_before.1),
+            error_m(nearest.0 - nearest_before.0, nearest.1, nearest_before.1),
+            separation_change_m,
+            share,
+            velocity_difference,
+        ]
+    }
 }

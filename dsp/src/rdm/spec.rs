@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::axes::{AxesCoverage, PhysicalAxes};
-use super::error::{LEAST_CHANGE_S, MOST_CELLS, MOST_CHANGE_S, MOST_FFT_POINTS, MapMismatch, SpecError};
+use super::error::{LEAST_TIME_S, MOST_CELLS, MOST_FFT_POINTS, MOST_TIME_S, MapMismatch, SpecError};
 use super::map::RdmShape;
 use crate::{Frame, Waveform, WaveformMismatch, Window};
 
@@ -135,6 +135,13 @@ pub struct RdmSpec {
     /// first frame and after a gap.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub change_over_s: Option<f64>,
+    /// Time constant over which the motion of echoes is averaged, s ([`Motion`](super::Motion)); only with one channel. If absent,
+    /// maps have no motion.
+    ///
+    /// Motion tells two people who walk from one person with multipath echoes: echoes of one person keep their distances. Frames may
+    /// be missing for up to 1 s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion_over_s: Option<f64>,
     /// Greatest range of a cell that is measured, m; only with `physical_axes`. Cells beyond it hold noise, as cells beyond the
     /// unambiguous range of a waveform do. If absent, all cells within the unambiguous range are measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -162,6 +169,7 @@ impl Default for RdmSpec {
             doppler_fft_length: None,
             physical_axes: None,
             change_over_s: None,
+            motion_over_s: None,
             max_range_m: None,
             slow_time: SlowTime::Chirps,
             amplitude: AmplitudeScale::FullScaleSine,
@@ -221,6 +229,7 @@ impl RdmSpec {
     pub fn is_of_single_frames(&self) -> bool {
         self.slow_time == SlowTime::Chirps
             && self.change_over_s.is_none()
+            && self.motion_over_s.is_none()
             && !matches!(self.static_removal, StaticRemoval::RecursiveMti { .. })
     }
 
@@ -263,12 +272,15 @@ impl RdmSpec {
         if !(-370.0..=370.0).contains(&self.floor_db) {
             return Err(SpecError::Floor { floor_db: self.floor_db });
         }
-        if let Some(time_s) = self.change_over_s {
-            if self.physical_axes.is_none() {
-                return Err(SpecError::ChangeWithoutAxes);
-            }
-            if !(LEAST_CHANGE_S..=MOST_CHANGE_S).contains(&time_s) {
-                return Err(SpecError::ChangeTime { time_s });
+        if self.change_over_s.is_some() && self.physical_axes.is_none() {
+            return Err(SpecError::ChangeWithoutAxes);
+        }
+        if self.motion_over_s.is_some() && rx != 1 {
+            return Err(SpecError::MotionOfChannels);
+        }
+        for (key, time_s) in [("change_over_s", self.change_over_s), ("motion_over_s", self.motion_over_s)] {
+            if let Some(time_s) = time_s.filter(|time_s| !(LEAST_TIME_S..=MOST_TIME_S).contains(time_s)) {
+                return Err(SpecError::Time { key, time_s });
             }
         }
         if let Some(range_m) = self.max_range_m {

@@ -351,4 +351,5 @@ fn noise_has_the_exponential_law_and_the_floor_estimate_finds_its_power() {
 
 mod change;
 mod hard_cases;
+mod motion;
 mod physical;

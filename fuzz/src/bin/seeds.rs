@@ -314,7 +314,7 @@ fn dataset() -> Seeds {
     for sequence in 0..4u64 {
         let db = (0..header.shape.cells()).map(|cell| cell as f32 - sequence as f32).collect();
         let flags = MapFlags::default();
-        let map = Rdm { shape: header.shape, db, range_step_m, velocity_step_m_per_s, sequence, flags };
+        let map = Rdm { shape: header.shape, db, range_step_m, velocity_step_m_per_s, sequence, flags, motion: None };
         let label = Occupancy::from_index(sequence as usize % 3).expect("a class");
         let row = ManifestRow::new(Domain::Sim, "room", "run", &format!("s{}", sequence / 2), sequence, label);
         writer.push(&map, row).expect("writes");

@@ -1,6 +1,7 @@
 //! Header of a dataset: `dataset.json`.
 
-use radome_dsp::{MapFlags, Occupancy, Rdm, RdmShape, RdmSpec, Waveform, rdm::SpecError};
+use radome_dsp::rdm::SpecError;
+use radome_dsp::{MapFlags, Occupancy, Rdm, RdmShape, RdmSpec, Waveform};
 use serde::{Deserialize, Serialize};
 
 /// Version of the format that is written; older ones are read.
@@ -39,9 +40,10 @@ impl DatasetHeader {
         })
     }
 
-    /// Makes a map of the dataset from cells `[rx][doppler][range]`, dB.
+    /// Makes a map of the dataset, without motion, from cells `[rx][doppler][range]`, dB.
     pub fn rdm(&self, db: Vec<f32>, sequence: u64) -> Rdm {
         let (range_step_m, velocity_step_m_per_s) = self.rdm_spec.steps(&self.waveform);
-        Rdm { shape: self.shape, db, range_step_m, velocity_step_m_per_s, sequence, flags: MapFlags::default() }
+        let (shape, flags) = (self.shape, MapFlags::default());
+        Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence, flags, motion: None }
     }
 }

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::collections::BTreeSet;
 
 use radome_dsp::Occupancy;
+use radome_dsp::rdm::Motion;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -77,7 +78,10 @@ pub struct ManifestRow {
     /// Seed of the simulation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
-    /// SHA-256 of the map's cells (f32, little-endian), hex; filled in by the writer.
+    /// Motion of echoes up to that frame, if the map spec asks for it; filled in by the writer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub motion: Option<Motion>,
+    /// SHA-256 of the map's cells and of the quantities of its motion (f32, little-endian), hex; filled in by the writer.
     #[serde(default)]
     pub hash: String,
 }
@@ -98,6 +102,7 @@ impl ManifestRow {
             transition: false,
             split: None,
             seed: None,
+            motion: None,
             hash: String::new(),
         }
     }

@@ -78,7 +78,7 @@ impl Dataset {
         Ok(Dataset { header, rows, cells: Cells::Shards(shards) })
     }
 
-    /// Makes a dataset in memory, and fills in the hashes of the rows.
+    /// Makes a dataset in memory, and fills in motion and hash of the rows.
     ///
     /// # Errors
     /// [`DatasetError::Shape`] or [`DatasetError::NonFinite`] for the first map of another shape than the header's or with a cell
@@ -88,7 +88,7 @@ impl Dataset {
         let mut cells = Vec::with_capacity(maps.len());
         for (map, mut row) in maps {
             check_map(&map.db, map.shape, header.shape, map.sequence)?;
-            row.hash = map_hash(&map.db);
+            (row.motion, row.hash) = (map.motion, map_hash(&map.db, map.motion));
             rows.push(row);
             cells.push(map.db);
         }
@@ -140,7 +140,7 @@ impl Dataset {
         if cells > 0 {
             return Err(DatasetError::NonFinite { map: index.to_string(), cells });
         }
-        let found = map_hash(&db);
+        let found = map_hash(&db, row.motion);
         if row.hash != found {
             return Err(DatasetError::Hash { path: path.clone(), index, expected: row.hash.clone(), found });
         }

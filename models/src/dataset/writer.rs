@@ -6,6 +6,7 @@ use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use npyz::WriterBuilder;
+use radome_dsp::rdm::Motion;
 use radome_dsp::{Rdm, RdmShape};
 use radome_files::{parent_folder, with_suffix};
 use sha2::{Digest, Sha256};
@@ -35,10 +36,10 @@ pub struct DatasetWriter {
     finished: bool,
 }
 
-/// SHA-256 of a map's cells, hex.
-pub(super) fn map_hash(db: &[f32]) -> String {
+/// SHA-256 of a map's cells and motion, hex.
+pub(super) fn map_hash(db: &[f32], motion: Option<Motion>) -> String {
     let mut hash = Sha256::new();
-    for value in db {
+    for value in db.iter().chain(motion.map(Motion::to_array).iter().flatten()) {
         hash.update(value.to_le_bytes());
     }
     format!("{:x}", hash.finalize())
@@ -96,19 +97,19 @@ impl DatasetWriter {
         })
     }
 
-    /// Appends a map, and computes the hash of its row.
+    /// Appends a map. The motion and the hash of its row are those of the map.
     ///
     /// # Errors
     /// [`DatasetError::Shape`] for a map of another shape, [`DatasetError::NonFinite`] for one with NaN or infinity, and
     /// [`DatasetError::Io`] or [`DatasetError::Json`] if it cannot be written.
     pub fn push(&mut self, map: &Rdm, row: ManifestRow) -> Result<(), DatasetError> {
         check_map(&map.db, map.shape, self.header.shape, map.sequence)?;
-        self.push_checked(&map.db, row)
+        self.push_checked(&map.db, ManifestRow { motion: map.motion, ..row })
     }
 
     /// Appends cells that passed [`check_map`].
     pub(super) fn push_checked(&mut self, db: &[f32], mut row: ManifestRow) -> Result<(), DatasetError> {
-        row.hash = map_hash(db);
+        row.hash = map_hash(db, row.motion);
         let path = self.temporary.join("manifest.jsonl");
         serde_json::to_writer(&mut self.manifest, &row).map_err(|source| DatasetError::Json {
             path: path.clone(),

@@ -16,20 +16,21 @@
 //! The width of an echo depends on the resolution of the waveform. On fixed axes, the noise shows the resolution: if it is coarser than
 //! a bin, neighbouring cells of noise are correlated. Four descriptors measure this correlation.
 //!
+//! The last descriptors are the [`Motion`] of echoes over about a second, which the map processor measures: echoes of one person keep
+//! their distances, two people move independently.
+//!
 //! The features in `dataset/features.rs` are different: they are quantiles over many maps, which compare simulated rooms with real
 //! ones.
 
-use candle_core::{Result, Shape, Tensor, bail};
+use radome_dsp::rdm::Motion;
 
-use super::feature::Feature;
-use super::operation::{Argument, Gradients, Operation, apply};
-use crate::kernel::spin_pool::for_each_chunk;
-
-/// Number of descriptors of a map.
-pub const DESCRIPTORS: usize = 50;
+/// Number of descriptors of the cells of a map.
+const OF_CELLS: usize = 50;
+/// Number of descriptors of a map with its motion.
+pub const DESCRIPTORS: usize = OF_CELLS + Motion::QUANTITIES;
 /// Numbers of descriptors in earlier models. These had only the first descriptors of a map: without the correlations of the noise,
-/// without change much nearer than the motion, and without change slightly nearer than the motion.
-pub(crate) const EARLIER_DESCRIPTORS: [usize; 3] = [43, 47, 48];
+/// without change much nearer than the motion, without change slightly nearer than the motion, and without the motion over frames.
+pub(crate) const EARLIER_DESCRIPTORS: [usize; 4] = [43, 47, 48, OF_CELLS];
 
 /// Level above which a cell counts as an echo, dB. One of 8,192 cells of noise exceeds it.
 const ECHO_THRESHOLD_DB: f32 = 10.0;
@@ -71,7 +72,6 @@ const MOTION_DB: [f32; 2] = [10.0, 25.0];
 const NOISE_LAGS: [usize; 2] = [1, 2];
 /// Difference by which one direction must exceed the other in a range bin to dominate it, dB.
 const DOMINANCE_DB: f32 = 3.0;
-const NAME: &str = "map_descriptors";
 
 /// Range of a cell relative to the strongest one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,7 +95,7 @@ struct Cell {
 /// Computes the descriptors of a map: energies, ranges and velocities, and cells away from the strongest one.
 ///
 /// `map_db` is `[range][velocity]`, `10 log10(1 + P / N)` of power over noise
-/// ([`OverNoise`](crate::standardise::MapReference::OverNoise)).
+/// ([`OverNoise`](crate::standardise::MapReference::OverNoise)). `motion` is that of [`Rdm`](radome_dsp::Rdm), or the default.
 ///
 /// | index | what | unit |
 /// |---|---|---|
@@ -120,6 +120,7 @@ struct Cell {
 /// | 47 | person without motion nearer than one with motion: strongest cell of zero velocity more than six bins nearer than the strongest cell, 0 up to 20 dB and 1 from 35 dB on, times 0 where the strongest cell has 10 dB, and 1 where it has 25 dB | 1 |
 /// | 48 | person without motion slightly nearer than one with motion: strongest cell of zero velocity more than two bins nearer than the strongest cell, 0 up to 33 dB and 1 from 42 dB on, times 0 where it is 10 dB weaker than the strongest cell, and 1 where it is at least as strong, times 0 where the strongest cell has 14 dB, and 1 where it has 26 dB; 0 where the strongest cell is slow | 1 |
 /// | 49 | the same where the strongest cell approaches, 0 otherwise: change near a receding person may be caused by this person | 1 |
+/// | 50 to 55 | quantities of [`Motion`] | 1, m, m, m, 1, m/s |
 ///
 /// Cells of zero velocity are used by 42 and 47 to 49 only. Cells of noise are those above 0 dB and up to 10 dB that are not slow.
 /// Range bins whose cells are all equal hold no noise. Without two different pairs of cells, a correlation is 0.
@@ -143,7 +144,13 @@ struct Cell {
 /// of 10 dB and no energy.
 ///
 /// Finite for any finite cells; all are NaN if a cell is not finite.
-pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, velocity_step: f64) -> [f32; DESCRIPTORS] {
+pub fn descriptors(
+    map_db: &[f32],
+    motion: Motion,
+    velocity_bins: usize,
+    range_step: f64,
+    velocity_step: f64,
+) -> [f32; DESCRIPTORS] {
     if map_db.iter().any(|level| !level.is_finite()) {
         return [f32::NAN; DESCRIPTORS];
     }
@@ -166,13 +173,13 @@ pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, veloci
     let peak = find_peak(&cells, rows);
     let strongest_change_db =
         |rows: usize| map_db.iter().skip(columns / 2).step_by(columns).take(rows).copied().fold(f32::MIN, f32::max);
-    let motion = ramp(MOTION_DB, peak.level_db);
+    let moving = ramp(MOTION_DB, peak.level_db);
     let mut values = moments(&cells, rows, range_step, velocity_step);
     values.extend(relative_to_peak(&cells, &peak, range_step, velocity_step));
-    values.push(ramp(CHANGE_DB, strongest_change_db(rows)) * (1.0 - motion));
+    values.push(ramp(CHANGE_DB, strongest_change_db(rows)) * (1.0 - moving));
     values.extend(noise_correlations(&map_db[..rows * columns], columns));
     let nearer_db = strongest_change_db(peak.row.saturating_sub(OTHER_PERSON_BINS));
-    values.push(ramp(CHANGE_DB, nearer_db) * motion);
+    values.push(ramp(CHANGE_DB, nearer_db) * moving);
     let close_db = strongest_change_db(peak.row.saturating_sub(CLOSE_PERSON_BINS));
     let is_moving = peak.velocity_bin.abs() > SLOW_BINS;
     let close_person = ramp(CLOSE_CHANGE_DB, close_db)
@@ -180,6 +187,7 @@ pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, veloci
         * ramp(CLOSE_MOTION_DB, peak.level_db);
     values.push(if is_moving { close_person } else { 0.0 });
     values.push(if is_moving && peak.velocity_bin < 0 { close_person } else { 0.0 });
+    values.extend(motion.to_array().map(f64::from));
     std::array::from_fn(|k| values.get(k).map_or(f32::NAN, |&value| value as f32))
 }
 
@@ -347,65 +355,9 @@ fn ln_1p_count(count: usize) -> f64 {
     (count as f64).ln_1p()
 }
 
-/// [`descriptors`] of maps `[batch][range][velocity][1]`, dB over noise: `[batch][50]`, with ranges and velocities in bins.
-///
-/// There is no gradient of the input. The backward pass fails if it needs one.
-///
-/// # Errors
-/// The input has another shape, more than one channel, or maps without cells.
-pub fn map_descriptors(input: &Tensor) -> Result<Tensor> {
-    apply(NAME, &[input], MapDescriptors)
-}
-
-/// Checks the shape of maps. Returns batch, rows and columns.
-fn sizes_of(dims: &[usize]) -> Result<[usize; 3]> {
-    match *dims {
-        [batch, rows, columns, 1] if rows > 0 && columns > 0 => Ok([batch, rows, columns]),
-        _ => bail!("{NAME}: expected [batch, range, velocity, 1], got {dims:?}"),
-    }
-}
-
-/// Computes the descriptors of all maps.
-fn run([_, rows, columns]: [usize; 3], maps: &[f32], output: &mut [f32]) {
-    for_each_chunk(output, DESCRIPTORS, |index, output| {
-        let map = &maps[index * rows * columns..][..rows * columns];
-        output.copy_from_slice(&descriptors(map, columns, 1.0, 1.0));
-    });
-}
-
-impl Feature {
-    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][50]`.
-    ///
-    /// # Errors
-    /// Maps have more than one channel or no cells.
-    pub fn map_descriptors(&self, output: &mut Feature) -> Result<()> {
-        let sizes @ [batch, ..] = sizes_of(&self.dims())?;
-        output.reshape([batch, 1, 1, DESCRIPTORS]);
-        run(sizes, self.values(), output.values_mut());
-        Ok(())
-    }
-}
-
-struct MapDescriptors;
-
-impl Operation for MapDescriptors {
-    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { bail!("{NAME}: expected one input") };
-        let sizes @ [batch, ..] = sizes_of(input.dims)?;
-        let mut output = vec![0.0; batch * DESCRIPTORS];
-        run(sizes, input.values, &mut output);
-        Ok((output, Shape::from((batch, DESCRIPTORS))))
-    }
-
-    fn backward(&self, _inputs: &[Argument<'_>], _output: &[f32], _gradient: Vec<f32>) -> Result<Gradients> {
-        bail!("{NAME}: the maps have no gradient")
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use candle_core::{Device, Var};
     use rand::Rng;
 
     const RANGE_STEP_M: f64 = 0.15;
@@ -425,7 +377,7 @@ mod tests {
     const CHANGE_CLOSE_APPROACHING: usize = 49;
 
     fn describe(map: &[f32], columns: usize) -> [f32; DESCRIPTORS] {
-        descriptors(map, columns, RANGE_STEP_M, VELOCITY_STEP_M_PER_S)
+        descriptors(map, Motion::default(), columns, RANGE_STEP_M, VELOCITY_STEP_M_PER_S)
     }
 
     /// Map of 64 x 64 cells with echoes of these range bins, velocity bins and levels, and no other power.
@@ -468,7 +420,10 @@ mod tests {
             assert_near("slow at the range", found[SLOW + 2], -30.0, 1e-6);
             assert_near("slow energy", found[SLOW + 3], -40.0, 0.01);
             assert_near("bins along", found[DOMINATED_BINS + 1], 2f64.ln(), 1e-6);
-            assert!(found[DOMINATED_BINS] == 0.0 && found[COUNTS..].iter().all(|&count| count == 0.0), "{found:?}");
+            assert!(
+                found[DOMINATED_BINS] == 0.0 && found[COUNTS..OF_CELLS].iter().all(|&count| count == 0.0),
+                "{found:?}"
+            );
         }
     }
 
@@ -526,7 +481,7 @@ mod tests {
             assert_near("change close to who approaches", approaches[CHANGE_CLOSE], expected, 1e-6);
             assert_eq!(approaches[CHANGE_CLOSE_APPROACHING], approaches[CHANGE_CLOSE]);
         }
-        assert_eq!(describe(&echoes(&[(5, 32, 60.0)]), 64)[CHANGE_CLOSE..], [0.0; 2]);
+        assert_eq!(describe(&echoes(&[(5, 32, 60.0)]), 64)[CHANGE_CLOSE..OF_CELLS], [0.0; 2]);
     }
 
     #[test]
@@ -717,7 +672,7 @@ mod tests {
     #[test]
     fn steps_are_units() {
         let map: Vec<f32> = noise(20, 30, 4).iter().map(|level| 3.0 * level).collect();
-        let (bins, metres) = (descriptors(&map, 30, 1.0, 1.0), describe(&map, 30));
+        let (bins, metres) = (descriptors(&map, Motion::default(), 30, 1.0, 1.0), describe(&map, 30));
         for (k, (a, b)) in bins.iter().zip(metres).enumerate() {
             let unit = match k {
                 1 | 2 | 7 => RANGE_STEP_M,
@@ -728,25 +683,13 @@ mod tests {
         }
     }
 
-    /// The function, the layer on a batch and the layer of inference give the same numbers. A gradient of the input is refused.
     #[test]
-    fn the_layer_is_the_function() {
-        let (rows, columns) = (12, 16);
-        let maps: Vec<f32> = (0..3).flat_map(|k| noise(rows, columns, k)).map(|level| 4.0 * level).collect();
-        let expected: Vec<f32> =
-            maps.chunks_exact(rows * columns).flat_map(|map| descriptors(map, columns, 1.0, 1.0)).collect();
-        let tensor = Tensor::from_slice(&maps, (3, rows, columns, 1), &Device::Cpu).expect("tensor");
-        let input = Var::from_tensor(&tensor).expect("variable");
-        let output = map_descriptors(input.as_tensor()).expect("descriptors");
-        assert_eq!(output.dims(), [3, DESCRIPTORS]);
-        assert_eq!(output.flatten_all().and_then(|t| t.to_vec1::<f32>()).expect("numbers"), expected);
-        let loss = output.sum_all().expect("loss");
-        let error = crate::layer::backward(&loss).expect_err("refused").to_string();
-        assert!(error.contains("no gradient"), "{error}");
-        let (feature, mut prepared) = (Feature::new([3, rows, columns, 1], maps).expect("maps"), Feature::default());
-        feature.map_descriptors(&mut prepared).expect("descriptors");
-        assert_eq!(prepared.dims(), [3, 1, 1, DESCRIPTORS]);
-        assert_eq!(prepared.values(), expected);
+    fn motion_comes_last() {
+        let quantities = [0.5, 0.1, 0.2, 0.3, 0.9, 1.2];
+        let map = noise(20, 30, 4);
+        let found = descriptors(&map, Motion::from_array(quantities), 30, RANGE_STEP_M, VELOCITY_STEP_M_PER_S);
+        assert_eq!(found[..OF_CELLS], describe(&map, 30)[..OF_CELLS]);
+        assert_eq!(found[OF_CELLS..], quantities);
     }
 
     mod hard_cases {
@@ -757,7 +700,7 @@ mod tests {
             let constant = |level: f32| vec![level; 24];
             for map in [Vec::new(), vec![50.0], constant(0.0), constant(12.0), constant(f32::MAX), constant(f32::MIN)] {
                 for columns in [0, 1, 4, 7, 24, 100] {
-                    let found = descriptors(&map, columns, RANGE_STEP_M, VELOCITY_STEP_M_PER_S);
+                    let found = describe(&map, columns);
                     assert!(found.iter().all(|value| value.is_finite()), "{map:?} {columns}: {found:?}");
                 }
             }
@@ -768,7 +711,7 @@ mod tests {
             let found = describe(&constant(0.0), 4);
             assert_near("range", found[1], 2.5 * RANGE_STEP_M, 1e-6);
             assert_eq!((found[0], found[PEAK], found[PEAK + 3]), (0.0, 10.0, 0.0));
-            assert!(found[2..PEAK].iter().chain(&found[OPPOSITE..]).all(|&value| value == 0.0), "{found:?}");
+            assert!(found[2..PEAK].iter().chain(&found[OPPOSITE..OF_CELLS]).all(|&value| value == 0.0), "{found:?}");
         }
 
         #[test]
@@ -778,17 +721,6 @@ mod tests {
                 map[7] = bad;
                 assert!(describe(&map, 4).iter().all(|value| value.is_nan()), "{bad}");
             }
-        }
-
-        #[test]
-        fn other_shapes_are_refused() {
-            for shape in [&[2usize, 3, 4][..], &[2, 3, 4, 2], &[2, 0, 4, 1]] {
-                let zeros = Tensor::zeros(shape, candle_core::DType::F32, &Device::Cpu).expect("zeros");
-                let error = map_descriptors(&zeros).expect_err("refused").to_string();
-                assert!(error.contains("expected [batch, range, velocity, 1]"), "{error}");
-            }
-            let mut output = Feature::default();
-            assert!(Feature::default().map_descriptors(&mut output).is_err());
         }
     }
 }

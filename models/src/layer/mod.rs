@@ -8,7 +8,7 @@
 //!   [`scale_channels`], [`dropout`], [`activation`], [`adaptive_average_pool`], [`linear`], [`circuit()`], [`cross_entropy`].
 //! - [`PreparedConv`], [`PreparedBlock`], [`PreparedDense`] and [`Feature`]: the same layers for inference, without gradients, with
 //!   folded batch normalisation and reused buffers.
-//! - [`descriptors`]: numbers that describe a map, without parameters or gradients.
+//! - [`descriptors`]: numbers that describe a map, the input of some networks.
 //! - [`backward`]: candle's backward pass without its copies.
 //!
 //! All layers run in parallel over the batch or over outputs, and sum in a fixed order. Results have the same bits for any number of
@@ -66,7 +66,7 @@ pub use conv2d::{ConvGeometry, conv2d};
 pub use cross_entropy::cross_entropy;
 pub(crate) use cross_entropy::softmax;
 pub(crate) use descriptors::EARLIER_DESCRIPTORS;
-pub use descriptors::{DESCRIPTORS, descriptors, map_descriptors};
+pub use descriptors::{DESCRIPTORS, descriptors};
 pub use dropout::{drop_samples, dropout};
 pub use feature::{Affine, Feature};
 pub use linear::linear;

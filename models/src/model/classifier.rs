@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use radome_dsp::rdm::Motion;
 use radome_dsp::{Occupancy, Rdm, RdmShape, RdmSpec, Waveform};
 use thiserror::Error;
 
@@ -46,17 +47,18 @@ enum Engine {
 }
 
 impl Engine {
-    /// Logits of one standardised map `[row][column]`.
-    fn logits(&mut self, map: &[f32], rows: usize, columns: usize) -> Result<Vec<f32>, ClassifyError> {
+    /// Logits of the network's input for one map `[row][column]`.
+    fn logits(&mut self, input: &[f32], rows: usize, columns: usize) -> Result<Vec<f32>, ClassifyError> {
         match self {
             Engine::Native { model, inference } => {
                 let inference = match inference {
                     Some(inference) => inference,
                     None => inference.insert(Inference::new(&model.network)?),
                 };
-                Ok(inference.logits(map, [1, rows, columns])?.to_vec())
+                let [rows, columns] = model.card.network.input_size([rows, columns]);
+                Ok(inference.logits(input, [1, rows, columns])?.to_vec())
             }
-            Engine::Onnx { session, .. } => Ok(session.logits(map)?),
+            Engine::Onnx { session, .. } => Ok(session.logits(input)?),
         }
     }
 }
@@ -170,7 +172,7 @@ impl Classifier {
     /// [`ClassifyError`] if the model needs labels, the map has another shape or a cell that is not finite, or the network fails or
     /// puts out a number that is not finite.
     pub fn classify(&mut self, map: &Rdm) -> Result<[f32; 3], ClassifyError> {
-        let input = self.card().unlabelled_input(&map.db, map.shape, map.sequence)?;
+        let input = self.card().unlabelled_input(&map.db, map.shape, map.motion, map.sequence)?;
         self.run(&map.db, &input)
     }
 
@@ -180,7 +182,7 @@ impl Classifier {
     /// # Errors
     /// Those of [`Classifier::classify`], except [`ClassifyError::NeedsLabels`].
     pub fn classify_row(&mut self, db: &[f32], shape: RdmShape, row: &ManifestRow) -> Result<[f32; 3], ClassifyError> {
-        let input = self.card().input(db, shape, row.frame, Some((&row.scene, row.label)))?;
+        let input = self.card().input(db, shape, row.motion, row.frame, Some((&row.scene, row.label)))?;
         self.run(db, &input)
     }
 
@@ -227,19 +229,21 @@ impl ModelCard {
         &self,
         db: &[f32],
         shape: RdmShape,
+        motion: Option<Motion>,
         sequence: u64,
     ) -> Result<Vec<f32>, ClassifyError> {
         if self.standardisation.needs_labels() {
             return Err(ClassifyError::NeedsLabels);
         }
-        self.input(db, shape, sequence, None)
+        self.input(db, shape, motion, sequence, None)
     }
 
-    /// Input of the network for a map: standardised, `[range][doppler]` or transposed by the card.
+    /// Input of the network for a map: standardised, `[range][doppler]` or transposed by the card, or descriptors.
     fn input(
         &self,
         db: &[f32],
         got: RdmShape,
+        motion: Option<Motion>,
         sequence: u64,
         scene_and_class: Option<(&str, Occupancy)>,
     ) -> Result<Vec<f32>, ClassifyError> {
@@ -253,7 +257,15 @@ impl ModelCard {
             let cells = db.iter().filter(|v| !v.is_finite()).count();
             return Err(ClassifyError::NonFinite { sequence, cells, first });
         }
+        if motion.is_some() != self.rdm_spec.motion_over_s.is_some() {
+            let what =
+                if motion.is_some() { "the map has motion over frames" } else { "the map has no motion over frames" };
+            return Err(ClassifyError::OtherMaps { what: what.to_owned() });
+        }
         self.standardisation.apply(&mut input, doppler, scene_and_class);
-        Ok(if self.is_transposed() { transposed(&input, doppler) } else { input })
+        if self.is_transposed() {
+            input = transposed(&input, doppler);
+        }
+        Ok(self.network.input(input, motion, doppler))
     }
 }

@@ -1,12 +1,12 @@
 //! Descriptors of a map with a linear head or with the HQNN's: baseline classifiers.
 //!
 //! ```text
-//! map [1][range][doppler], dB over noise
-//!   50 descriptors (layer/descriptors.rs), ranges and velocities in bins
+//! map [1][range][doppler], dB over noise, and motion
+//!   56 descriptors (layer/descriptors.rs), ranges and velocities in bins: the input of the network
 //!   standardise by constants, folded into the dense layer behind
 //!
 //! descriptor_linear                       descriptor_hqnn
-//!   linear 50 -> 3: logits       153        linear 50 -> 2: the latent           102
+//!   linear 56 -> 3: logits       171        linear 56 -> 2: the latent           114
 //!                                           standardise by constants, pi * sigmoid
 //!                                           two-qubit circuit, <ZI> and <IZ>       4
 //!                                           linear 2 -> 3: logits                  9
@@ -35,7 +35,7 @@ pub(crate) fn hqnn(head: &Head) -> Graph {
 
 fn features() -> (Graph, Value) {
     let mut g = Graph::default();
-    let descriptors = g.add(names::DESCRIPTORS, Layer::Descriptors, &[INPUT]);
+    let descriptors = g.add(names::DESCRIPTORS, Layer::Flatten, &[INPUT]);
     let features = g.add(names::FEATURES, Layer::Standardise { width: DESCRIPTORS }, &[descriptors]);
     (g, features)
 }
@@ -43,14 +43,30 @@ fn features() -> (Graph, Value) {
 #[cfg(test)]
 mod tests {
     use candle_core::{Device, Tensor};
+    use radome_dsp::rdm::Motion;
     use rand::Rng;
 
     use super::*;
     use crate::layer::{KernelLevel, backward};
-    use crate::network::{Inference, Mode, Network, NetworkSpec, Normalisation, Parameter, Placement, networks};
+    use crate::network::{
+        Inference, Mode, Network, NetworkKind, NetworkSpec, Normalisation, Parameter, Placement, networks,
+    };
     use crate::quantum::{CircuitSpec, Encoding};
 
     const SHAPE: [usize; 3] = [4, 24, 33];
+
+    /// Shape of a batch of descriptors.
+    const INPUT_SHAPE: [usize; 3] = [SHAPE[0], 1, DESCRIPTORS];
+
+    /// Descriptors of [`maps`], with other motion in each.
+    fn inputs() -> Vec<f32> {
+        let [_, rows, columns] = SHAPE;
+        let motion =
+            |k: usize| Motion::from_array([1.0 - 0.2 * k as f32, 0.1, 0.2 * k as f32, 0.3, 0.5, 0.4 * k as f32]);
+        let input =
+            |(k, map): (usize, &[f32])| NetworkKind::DescriptorLinear.input(map.to_vec(), Some(motion(k)), columns);
+        maps().chunks_exact(rows * columns).enumerate().flat_map(input).collect()
+    }
 
     /// Noise and echoes up to 40 dB, more of them in each map than in the one before.
     fn maps() -> Vec<f32> {
@@ -93,7 +109,7 @@ mod tests {
     }
 
     fn tensor() -> Tensor {
-        Tensor::from_vec(maps(), &SHAPE[..], &Device::Cpu).expect("tensor")
+        Tensor::from_vec(inputs(), &INPUT_SHAPE[..], &Device::Cpu).expect("tensor")
     }
 
     fn logits(network: &Network) -> Tensor {
@@ -104,7 +120,7 @@ mod tests {
     #[test]
     fn multiply_adds_are_few() {
         let [linear, hqnn] = ["descriptor_linear", "descriptor_hqnn"].map(|name| NetworkSpec::named(name).expect(name));
-        assert_eq!(linear.multiply_adds(64, 32), 17 * 64 * 32 + 50 * 3);
+        assert_eq!(linear.multiply_adds(64, 32), 17 * 64 * 32 + 56 * 3);
         assert!(hqnn.multiply_adds(128, 128) < 300_000);
         assert_eq!(linear.too_small_for(1, 1), None);
     }
@@ -163,14 +179,14 @@ mod tests {
                 }
             };
             let mut inference = Inference::new(&network).expect("prepared");
-            assert_near("prepared", inference.logits(&maps(), SHAPE).expect("run"));
+            assert_near("prepared", inference.logits(&inputs(), INPUT_SHAPE).expect("run"));
             network.fold_features().expect("fold");
             let mut inference = Inference::new(&network).expect("prepared");
-            assert_near("folded", inference.logits(&maps(), SHAPE).expect("run"));
+            assert_near("folded", inference.logits(&inputs(), INPUT_SHAPE).expect("run"));
             let values = network.values().expect("values");
             let reloaded = Network::from_values(&spec, &values, KernelLevel::detect()).expect("network");
             let mut inference = Inference::new(&reloaded).expect("prepared");
-            assert_near("from numbers", inference.logits(&maps(), SHAPE).expect("run"));
+            assert_near("from numbers", inference.logits(&inputs(), INPUT_SHAPE).expect("run"));
         }
     }
 
@@ -182,7 +198,10 @@ mod tests {
             let network = network(&specs()[0]);
             let mut cells = maps();
             cells[100] = f32::NAN;
-            let input = Tensor::from_vec(cells, &SHAPE[..], &Device::Cpu).expect("tensor");
+            let [_, rows, columns] = SHAPE;
+            cells.truncate(rows * columns);
+            let described = NetworkKind::DescriptorLinear.input(cells, None, columns);
+            let input = Tensor::from_vec(described, (1, 1, DESCRIPTORS), &Device::Cpu).expect("tensor");
             let mode = Mode::Training { seed: 1, step: 1, penalty: 0.0 };
             let values = network.run(&input, network.graph().output, mode).expect("run");
             assert_eq!(values.first_non_finite().expect("look"), Some("descriptors"));
@@ -194,8 +213,8 @@ mod tests {
                 let mut inference = Inference::new(&network(&spec)).expect("prepared");
                 for level in [0.0, -300.0, 12.0, 347.0] {
                     for [rows, columns] in [[1, 1], [64, 64], [3, 200]] {
-                        let map = vec![level; rows * columns];
-                        let found = inference.logits(&map, [1, rows, columns]).expect("run");
+                        let described = spec.kind.input(vec![level; rows * columns], None, columns);
+                        let found = inference.logits(&described, [1, 1, DESCRIPTORS]).expect("run");
                         assert!(found.iter().all(|v| v.is_finite()), "{:?} {level}: {found:?}", spec.head);
                     }
                 }

@@ -1,10 +1,11 @@
 //! Layers of a network in the order in which they run. Training, inference, costs and ONNX read this list, so that they agree.
 
 use super::names;
-use crate::layer::{Activation, ConvGeometry, DESCRIPTORS};
+use crate::layer::{Activation, ConvGeometry};
 use crate::quantum::CircuitSpec;
 
-/// A value that flows through a network: 0 is the input `[batch][range][doppler][channel]`, `k` the result of node `k - 1`.
+/// A value that flows through a network: 0 is the input `[batch][range][doppler][channel]`, `k` the result of node `k - 1`. The input of
+/// a network of descriptors is `[batch][1][descriptor][1]`.
 pub(crate) type Value = usize;
 /// The input.
 pub(crate) const INPUT: Value = 0;
@@ -12,8 +13,8 @@ pub(crate) const INPUT: Value = 0;
 /// One step of a network. Feature maps are `[batch][range][doppler][channel]`, vectors `[batch][feature]`.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Layer {
-    /// Numbers that describe a map in dB over noise ([`crate::layer::descriptors`]), ranges and velocities in bins: a vector.
-    Descriptors,
+    /// All values of a feature map as a vector.
+    Flatten,
     /// Copies of the map as channels.
     Repeat { channels: usize },
     /// 3x3 convolution with padding, ReLU and 2x2 max-pooling.
@@ -125,12 +126,12 @@ impl Graph {
         values.into_iter().skip(1).collect()
     }
 
-    /// Sizes of all values for maps of `range x doppler`.
+    /// Sizes of all values for an input of `rows x columns`.
     ///
     /// # Errors
     /// The first node that cannot read its input, because the map is too small for it or the shapes do not fit.
-    pub fn sizes(&self, range: usize, doppler: usize) -> Result<Vec<Size>, &Node> {
-        let mut sizes = vec![Size::Map { rows: range, columns: doppler, channels: 1 }];
+    pub fn sizes(&self, [rows, columns]: [usize; 2]) -> Result<Vec<Size>, &Node> {
+        let mut sizes = vec![Size::Map { rows, columns, channels: 1 }];
         for node in &self.nodes {
             let input = |k: usize| node.inputs.get(k).and_then(|&value| sizes.get(value)).copied();
             let size = input(0).and_then(|first| node.layer.size(first, input(1))).ok_or(node)?;
@@ -139,10 +140,10 @@ impl Graph {
         Ok(sizes)
     }
 
-    /// Multiply-adds of one map of `range x doppler`; 0 where the map is too small. Convolutions, dense layers and circuits
-    /// are counted, as is usual; a circuit as the multiplications of its state vector, descriptors as their five sums over cells.
-    pub fn multiply_adds(&self, range: usize, doppler: usize) -> u64 {
-        let Ok(sizes) = self.sizes(range, doppler) else { return 0 };
+    /// Multiply-adds of one input of this size; 0 where it is too small. Convolutions, dense layers and circuits are counted, as is
+    /// usual; a circuit as the multiplications of its state vector.
+    pub fn multiply_adds(&self, input: [usize; 2]) -> u64 {
+        let Ok(sizes) = self.sizes(input) else { return 0 };
         let needed = self.needed(&[self.output], &[]);
         let nodes = self.nodes.iter().zip(sizes.windows(2)).zip(needed).filter(|(_, needed)| *needed);
         let count = |((node, _), _): ((&Node, &[Size]), bool)| {
@@ -152,7 +153,6 @@ impl Graph {
                 _ => 1,
             };
             match &node.layer {
-                Layer::Descriptors => 17 * cells(input),
                 Layer::ConvReluPool { inputs, outputs } => 9 * inputs * outputs * cells(input),
                 Layer::Convolution { inputs, outputs, kernel, geometry, .. } => {
                     let out = input.and_then(|input| node.layer.size(input, None));
@@ -167,10 +167,10 @@ impl Graph {
         nodes.map(count).sum::<usize>() as u64
     }
 
-    /// Memory that a training step on `batch` maps of `range x doppler` takes at least, bytes; 0 where the map is too small. It
+    /// Memory that a training step on `batch` inputs of this size takes at least, bytes; 0 where the input is too small. It
     /// holds the results of all layers, which the backward pass reads, and each parameter with its gradient and Adam's moments.
-    pub fn least_training_bytes(&self, range: usize, doppler: usize, batch: usize) -> u64 {
-        let Ok(sizes) = self.sizes(range, doppler) else { return 0 };
+    pub fn least_training_bytes(&self, input: [usize; 2], batch: usize) -> u64 {
+        let Ok(sizes) = self.sizes(input) else { return 0 };
         // These layers may return their input.
         let is_free = |layer: &Layer| {
             matches!(layer, Layer::Dropout { .. } | Layer::DropSamples { .. } | Layer::Standardise { .. })
@@ -210,9 +210,7 @@ impl Layer {
     /// Size of the result; `None` if the layer cannot read such a value.
     fn size(&self, first: Size, second: Option<Size>) -> Option<Size> {
         match (self, first) {
-            (Layer::Descriptors, Size::Map { rows, columns, channels: 1 }) if rows > 0 && columns > 0 => {
-                Some(Size::Vector(DESCRIPTORS))
-            }
+            (Layer::Flatten, Size::Map { rows, columns, channels }) => Some(Size::Vector(rows * columns * channels)),
             (Layer::Repeat { channels }, Size::Map { rows, columns, .. }) => {
                 Some(Size::Map { rows, columns, channels: *channels })
             }

@@ -45,7 +45,6 @@ struct Step {
 // A network has a few dozen kernels, which run in order.
 #[allow(clippy::large_enum_variant)]
 enum Kernel {
-    Descriptors,
     Repeat { channels: usize },
     Block(PreparedBlock),
     // A convolution or dense layer. A second input is added before the activation.
@@ -107,7 +106,7 @@ impl Inference {
         Ok(share_buffers(plan.steps, output))
     }
 
-    /// Logits `[batch][3]` of standardised maps `[batch][range][doppler]`.
+    /// Logits `[batch][3]` of standardised maps `[batch][range][doppler]`, or of descriptors `[batch][1][descriptor]`.
     ///
     /// # Errors
     /// The number of cells is not that of `shape` or is 0, or a layer cannot read maps of this size.
@@ -237,7 +236,10 @@ impl Plan<'_> {
                 let (weight, bias) = (self.numbers(node, "weight")?, self.numbers(node, "bias")?);
                 Kernel::Block(PreparedBlock::new(&weight, [*outputs, *i], Some(&bias), None, level)?)
             }
-            Layer::Dropout { .. } | Layer::DropSamples { .. } => return self.pass_through(value, &inputs),
+            // Layers that read vectors take the values of a feature map in their order.
+            Layer::Flatten | Layer::Dropout { .. } | Layer::DropSamples { .. } => {
+                return self.pass_through(value, &inputs);
+            }
             Layer::Standardise { .. } => match self.network.parameters().normalisation(&node.name) {
                 None => return self.pass_through(value, &inputs),
                 Some(Normalisation { mean, sigma }) => {
@@ -248,7 +250,6 @@ impl Plan<'_> {
                 let (scale, shift) = self.affine(node)?;
                 Kernel::Affine { scale, shift, activation: *activation }
             }
-            Layer::Descriptors => Kernel::Descriptors,
             Layer::Repeat { channels } => Kernel::Repeat { channels: *channels },
             Layer::Activate(activation) => Kernel::Activate(*activation),
             &Layer::MaxPool { kernel, stride, padding } => Kernel::MaxPool { kernel, stride, padding, level },
@@ -380,7 +381,6 @@ impl Step {
             Kernel::Block(block) => block.run(input(0)?, output)?,
             Kernel::Convolution(convolution) => convolution.run(input(0)?, input(1).ok(), output)?,
             Kernel::Dense(dense) => dense.run(input(0)?, output)?,
-            Kernel::Descriptors => input(0)?.map_descriptors(output)?,
             &Kernel::Repeat { channels } => {
                 output.reshape([batch, rows, columns, channels]);
                 let cells = output.values_mut().chunks_exact_mut(channels);

@@ -1,9 +1,11 @@
 //! Kinds of networks, and the maps that each can read.
 
+use radome_dsp::rdm::Motion;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::layer::{DESCRIPTORS, descriptors};
 use crate::standardise::MapReference;
 
 /// Kind of a network.
@@ -73,6 +75,20 @@ impl NetworkKind {
             | NetworkKind::EfficientNetB0
             | NetworkKind::EfficientNetB0Rgb => false,
         }
+    }
+
+    /// Input of the network for standardised cells `[range][doppler]` and motion of a map: the cells, or the descriptors.
+    pub(crate) fn input(self, cells: Vec<f32>, motion: Option<Motion>, doppler: usize) -> Vec<f32> {
+        if self.reads_descriptors() {
+            descriptors(&cells, motion.unwrap_or_default(), doppler, 1.0, 1.0).to_vec()
+        } else {
+            cells
+        }
+    }
+
+    /// Rows and columns of the network's input for maps with these: those of the map, or one row of descriptors.
+    pub(crate) fn input_size(self, map: [usize; 2]) -> [usize; 2] {
+        if self.reads_descriptors() { [1, DESCRIPTORS] } else { map }
     }
 
     /// Returns whether the network has a narrow latent and a [`Head`](super::Head).

@@ -2,8 +2,8 @@
 //!
 //! A dense layer of any other name is initialised as one without an activation behind it, and learns at the learning rate.
 
-/// The descriptors of a map ([`Layer::Descriptors`](super::Layer::Descriptors)). Training normalises its output by all maps, and
-/// minimises the loss over all maps at once behind it.
+/// The descriptors of a map as a vector ([`Layer::Flatten`](super::Layer::Flatten)). Training normalises them by all maps, and
+/// minimises the loss over all maps at once behind them.
 pub(crate) const DESCRIPTORS: &str = "descriptors";
 /// Pooled maps of a network with a latent. Training normalises its output by some maps.
 pub(crate) const POOL: &str = "pool";

@@ -7,8 +7,8 @@ use super::instance::Network;
 use super::parameters::Normalisation;
 use crate::layer::{
     BatchNormMode, InputGradient, activation, adaptive_average_pool, add, add_relu, batch_norm, circuit, concatenate,
-    conv_relu_pool, conv2d, drop_samples, dropout, linear, map_descriptors, max_pool2d, scale_channels, scaled_sigmoid,
-    standardise, trigonometric,
+    conv_relu_pool, conv2d, drop_samples, dropout, linear, max_pool2d, scale_channels, scaled_sigmoid, standardise,
+    trigonometric,
 };
 use crate::quantum::Circuit;
 
@@ -80,7 +80,7 @@ impl Network {
         }
     }
 
-    /// Runs the layers that `wanted` needs on standardised maps `[batch][range][doppler]`.
+    /// Runs the layers that `wanted` needs on standardised maps `[batch][range][doppler]`, or on descriptors `[batch][1][descriptor]`.
     pub(crate) fn run(&self, input: &Tensor, wanted: Value, mode: Mode) -> Result<Values<'_>> {
         let input = input.unsqueeze(3)?;
         self.run_from(INPUT, &input, &[wanted], mode)
@@ -126,7 +126,7 @@ impl Network {
         let input_gradient = if node.inputs == [INPUT] { InputGradient::Unused } else { InputGradient::Needed };
         let first = input(0)?;
         match &node.layer {
-            Layer::Descriptors => map_descriptors(first),
+            Layer::Flatten => first.flatten_from(1),
             Layer::Repeat { channels } => first.repeat((1, 1, 1, *channels)),
             Layer::ConvReluPool { .. } => {
                 conv_relu_pool(first, &parameter("weight")?, &parameter("bias")?, input_gradient, level)

@@ -42,14 +42,16 @@ impl NetworkSpec {
         saved.map(|declaration| declaration.shape.iter().product::<usize>()).sum()
     }
 
-    /// Multiply-adds of one map of `range x doppler` bins; 0 where the map is too small for the network.
+    /// Multiply-adds of one map of `range x doppler` bins; 0 where the map is too small for the network. Descriptors count as five sums
+    /// over cells and the correlations of noise.
     pub fn multiply_adds(&self, range: usize, doppler: usize) -> u64 {
-        self.graph().multiply_adds(range, doppler)
+        let descriptors = if self.kind.reads_descriptors() { 17 * range * doppler } else { 0 };
+        descriptors as u64 + self.graph().multiply_adds(self.kind.input_size([range, doppler]))
     }
 
     /// Name of the first layer that maps of `range x doppler` bins are too small for, if there is one.
     pub fn too_small_for(&self, range: usize, doppler: usize) -> Option<String> {
-        self.graph().sizes(range, doppler).err().map(|node| node.name.clone())
+        self.graph().sizes(self.kind.input_size([range, doppler])).err().map(|node| node.name.clone())
     }
 
     pub(crate) fn graph(&self) -> Graph {

@@ -26,8 +26,8 @@ fn every_network_has_the_known_number_of_parameters() {
         ("resnet18", 11_171_779),
         ("efficientnet_b0", 4_010_815),
         ("efficientnet_b0_rgb", 4_011_391),
-        ("descriptor_linear", 50 * 3 + 3),
-        ("descriptor_hqnn", 50 * 2 + 2 + 4 + 9),
+        ("descriptor_linear", 56 * 3 + 3),
+        ("descriptor_hqnn", 56 * 2 + 2 + 4 + 9),
     ];
     let found: Vec<(String, usize)> =
         named_specs().into_iter().map(|(name, spec)| (name, spec.parameter_count())).collect();
@@ -95,7 +95,8 @@ fn folding_the_feature_scale_leaves_the_answer_alone() {
 fn every_network_runs_and_learns() {
     for (name, spec) in &named_specs() {
         let network = Network::initialise(spec, 3, 0, KernelLevel::detect()).expect(name);
-        let input = maps(3, 64, 64);
+        let [rows, columns] = spec.kind.input_size([64, 64]);
+        let input = maps(3, rows, columns);
         let output = network.graph().output;
         let mut values = network.run(&input, output, Mode::Training { seed: 1, step: 1, penalty: 0.0 }).expect(name);
         let logits = values.take(output).expect(name);
@@ -116,7 +117,7 @@ fn layers_that_training_looks_for_are_there() {
         let graph = spec.graph();
         let has = |layer: &str| graph.value(layer).is_some();
         let (reads_descriptors, has_latent) = (spec.kind.reads_descriptors(), spec.kind.has_latent());
-        assert_eq!(graph.nodes.iter().any(|node| node.layer == Layer::Descriptors), reads_descriptors, "{name}");
+        assert_eq!(graph.nodes.iter().any(|node| node.layer == Layer::Flatten), reads_descriptors, "{name}");
         for (layer, expected) in [
             (names::DESCRIPTORS, reads_descriptors),
             (names::POOL, has_latent && !reads_descriptors),

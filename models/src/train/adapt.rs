@@ -27,6 +27,7 @@
 use std::collections::BTreeSet;
 
 use candle_core::{Device, Tensor};
+use radome_dsp::rdm::Motion;
 use radome_dsp::{Rdm, RdmShape};
 
 use crate::dataset::{Dataset, Split, sequence_hash};
@@ -129,13 +130,20 @@ impl Adapter {
     /// # Errors
     /// The map has another shape than the model's, or a cell of it is not finite.
     pub fn features(&self, map: &Rdm) -> Result<Vec<f32>, AdaptError> {
-        self.features_of_cells(&map.db, map.shape, map.sequence)
+        self.features_of_cells(&map.db, map.shape, map.motion, map.sequence)
     }
 
-    fn features_of_cells(&self, db: &[f32], shape: RdmShape, sequence: u64) -> Result<Vec<f32>, AdaptError> {
+    fn features_of_cells(
+        &self,
+        db: &[f32],
+        shape: RdmShape,
+        motion: Option<Motion>,
+        sequence: u64,
+    ) -> Result<Vec<f32>, AdaptError> {
         let Model { card, network } = &self.model;
-        let input = card.unlabelled_input(db, shape, sequence)?;
+        let input = card.unlabelled_input(db, shape, motion, sequence)?;
         let [_, rows, columns] = card.input_shape;
+        let [rows, columns] = card.network.input_size([rows, columns]);
         let input = Tensor::from_vec(input, (1, rows, columns), &Device::Cpu)?;
         let features = network.run(&input, self.input, Mode::Evaluation)?.take(self.input)?;
         Ok(features.flatten_all()?.to_vec1()?)
@@ -165,7 +173,7 @@ impl Adapter {
         let mut simulated = Vec::new();
         for &index in training.iter().step_by(step) {
             let Some(row) = dataset.rows().get(index) else { continue };
-            let features = self.features_of_cells(&dataset.map(index)?, header.shape, row.frame)?;
+            let features = self.features_of_cells(&dataset.map(index)?, header.shape, row.motion, row.frame)?;
             simulated.push((features, row.label.index()));
             self.sequences.insert(sequence_hash(&row.sequence));
         }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use candle_core::{Device, Result as CandleResult, Tensor};
 use radome_dsp::Occupancy;
+use radome_dsp::rdm::Motion;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
@@ -14,6 +15,7 @@ use super::maps::Maps;
 use super::spec::TrainSpec;
 use crate::dataset::{Dataset, DatasetError, ManifestRow, Split, SplitSpec};
 use crate::model::input_shape;
+use crate::network::NetworkKind;
 use crate::random::stream;
 use crate::standardise::{Scale, Standardisation};
 
@@ -24,6 +26,8 @@ pub(super) struct Part {
     /// Cells in the map's reference, before bound and scaling, because augmentation comes first.
     pub maps: Vec<Arc<[f32]>>,
     pub labels: Vec<usize>,
+    /// Motion of each map.
+    motions: Vec<Option<Motion>>,
     /// Constants of each map.
     scales: Vec<Scale>,
 }
@@ -46,6 +50,7 @@ pub(super) struct Data {
     pub doppler: usize,
     /// Whether batches have range and Doppler exchanged.
     pub transposed: bool,
+    network: NetworkKind,
     /// Maps that can be added to each other, if the augmentation superposes maps.
     partners: Option<Partners>,
     pub warnings: Vec<String>,
@@ -98,13 +103,19 @@ impl Data {
         if skipped >= shape.range {
             return Err(TrainError::AllSkipped { skipped, range: shape.range });
         }
+        let has_motion = spec.network.reads_descriptors() && dataset.header().rdm_spec.motion_over_s.is_some();
+        if has_motion && spec.augmentation.superpose.is_some() {
+            return Err(TrainError::SuperposedMotion);
+        }
         let warnings = training_warnings(dataset, spec)?;
         let Indices { train, validation, test } = Indices::choose(dataset, spec)?;
         let rows = dataset.rows();
         let part = |indices: Vec<usize>| -> Result<Part, TrainError> {
             let maps: Vec<Arc<[f32]>> = indices.iter().map(|&index| maps.get(index)).collect::<Result<_, _>>()?;
-            let labels = indices.iter().filter_map(|&i| rows.get(i)).map(|r| r.label.index()).collect();
-            Ok(Part { indices, maps, labels, scales: Vec::new() })
+            let rows_of_part = || indices.iter().filter_map(|&index| rows.get(index));
+            let labels = rows_of_part().map(|row| row.label.index()).collect();
+            let motions = rows_of_part().map(|row| row.motion).collect();
+            Ok(Part { indices, maps, labels, motions, scales: Vec::new() })
         };
         let (mut train, mut validation) = (part(train)?, part(validation)?);
         for (split, part) in [(Split::Train, &train), (Split::Validation, &validation)] {
@@ -139,17 +150,19 @@ impl Data {
             range: shape.range,
             doppler: shape.doppler,
             transposed: spec.transposed,
+            network: spec.network,
             partners,
             warnings,
         })
     }
 
-    /// Maps of a part by their position in it, `[batch][range][doppler]` or with both exchanged.
+    /// Inputs of the network for maps of a part by their position in it: `[batch][range][doppler]` or with both exchanged, or
+    /// descriptors.
     pub(super) fn batch(&self, part: &Part, positions: &[usize]) -> CandleResult<Tensor> {
         let map = |&position: &usize| {
             let mut cells = part.maps.get(position)?.to_vec();
             self.standardise(part, position, &mut cells)?;
-            Some(cells)
+            self.input(part, position, cells)
         };
         let maps: Vec<Vec<f32>> = positions.par_iter().filter_map(map).collect();
         self.tensor(maps)
@@ -162,12 +175,18 @@ impl Data {
         Some(())
     }
 
-    fn tensor(&self, maps: Vec<Vec<f32>>) -> CandleResult<Tensor> {
-        let maps = Tensor::from_vec(maps.concat(), (maps.len(), self.range, self.doppler), &Device::Cpu)?;
-        if self.transposed { maps.transpose(1, 2)?.contiguous() } else { Ok(maps) }
+    /// Input of the network for standardised cells; `None` if the part has no such map.
+    fn input(&self, part: &Part, position: usize, cells: Vec<f32>) -> Option<Vec<f32>> {
+        Some(self.network.input(cells, *part.motions.get(position)?, self.doppler))
     }
 
-    /// Training maps after augmentation, and their classes, which it may change. The changes of a map are a function of seed, epoch
+    fn tensor(&self, inputs: Vec<Vec<f32>>) -> CandleResult<Tensor> {
+        let [rows, columns] = self.network.input_size([self.range, self.doppler]);
+        let inputs = Tensor::from_vec(inputs.concat(), (inputs.len(), rows, columns), &Device::Cpu)?;
+        if self.transposed { inputs.transpose(1, 2)?.contiguous() } else { Ok(inputs) }
+    }
+
+    /// Inputs of the network for training maps after augmentation, and their classes, which it may change. The changes of a map are a function of seed, epoch
     /// and map.
     pub(super) fn augmented(
         &self,
@@ -181,11 +200,11 @@ impl Data {
             self.augmented_map(position, augmentation, MapUse { seed, index })
         };
         let augmented: Vec<(Vec<f32>, usize)> = positions.par_iter().filter_map(augmented_map).collect();
-        let (maps, labels) = augmented.into_iter().unzip();
-        Ok((self.tensor(maps)?, labels))
+        let (inputs, labels) = augmented.into_iter().unzip();
+        Ok((self.tensor(inputs)?, labels))
     }
 
-    /// Cells of one use of a training map, and its class.
+    /// Input of the network for one use of a training map, and its class.
     fn augmented_map(
         &self,
         position: usize,
@@ -204,7 +223,7 @@ impl Data {
         self.standardise(part, position, &mut cells)?;
         let sigma_db = self.standardisation.sigma_db as f32;
         augmentation.flip_and_add_noise(&mut cells, self.doppler, sigma_db, map_use);
-        Some((cells, label))
+        Some((self.input(part, position, cells)?, label))
     }
 }
 

@@ -23,8 +23,9 @@ fn check_within(dataset: &Dataset, spec: &TrainSpec, available_bytes: u64) -> Re
     let shape = dataset.header().shape;
     let maps = (train.len() + validation.len()) as u64 * (shape.range * shape.doppler) as u64;
     let [_, rows, columns] = input_shape(shape.range, shape.doppler, spec.transposed);
+    let input = spec.network.input_size([rows, columns]);
     let batch_size = spec.batch_size.min(train.len());
-    let needed_bytes = 4 * maps + spec.network_spec().graph().least_training_bytes(rows, columns, batch_size);
+    let needed_bytes = 4 * maps + spec.network_spec().graph().least_training_bytes(input, batch_size);
     if needed_bytes > available_bytes {
         return Err(TrainError::Memory { network: spec.network, batch_size, needed_bytes, available_bytes });
     }

@@ -67,7 +67,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut capture = Capture::default();
     let (mut start_s, mut measured_s) = (None, 0.0);
     let items = Items::of(source.frames, arguments.source.frames);
-    while let Some(frame) = items.next_frame(|| classifier.reset())? {
+    while let Some(frame) = items.next_frame(|| classifier.reset_at_gap())? {
         let elapsed_s = frame.time_s() - *start_s.get_or_insert(frame.time_s());
         measured_s = elapsed_s + waveform.frame_interval_s();
         if elapsed_s > seconds {

@@ -138,7 +138,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let items = Items::of(source.frames, arguments.source.frames);
     // The array is written map by map, since the maps of a night do not fit in memory.
     let mut each_map = |write: &mut dyn FnMut(&Rdm) -> anyhow::Result<()>| {
-        while let Some(frame) = items.next_frame(|| processor.reset())? {
+        while let Some(frame) = items.next_frame(|| processor.reset_at_gap())? {
             read_range = Some((read_range.map_or(frame.sequence, |(first, _)| first), frame.sequence));
             bar.inc(1);
             if processor.process(&frame, &mut map)? != MapStatus::Ready {

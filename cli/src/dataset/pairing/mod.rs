@@ -267,7 +267,7 @@ impl<'a> Pairing<'a> {
                 break;
             }
             if after_gap {
-                processor.reset();
+                processor.reset_at_gap();
             }
             let truth = self.truth(spans, &frame);
             let info = FrameInfo { sequence: frame.sequence, time_ns: frame.time_ns, after_gap, truth };
@@ -374,7 +374,7 @@ impl<'a> Pairing<'a> {
         let mut truths = truths.iter();
         recording.simulate(simulator, "mirroring", |info, frame| {
             if info.after_gap {
-                processor.reset();
+                processor.reset_at_gap();
             }
             echo_finder.add_frame(frame)?;
             match (processor.process(frame, &mut map)?, truths.next()) {

@@ -5,6 +5,7 @@ use std::io::{BufReader, BufWriter, IntoInnerError, Read, Seek, SeekFrom, Write}
 use std::path::Path;
 
 use anyhow::Context;
+use radome_dsp::rdm::Motion;
 use radome_dsp::{Rdm, Truth};
 use radome_models::dataset::{DatasetWriter, Domain, ManifestRow};
 
@@ -15,8 +16,8 @@ use crate::shard;
 /// recordings of any length need the same memory.
 pub struct WaitingMaps {
     cells: BufWriter<File>,
-    /// Index and number of the frame of each map.
-    frames: Vec<(usize, u64)>,
+    /// Index and number of the frame of each map, and its motion.
+    frames: Vec<(usize, u64, Option<Motion>)>,
 }
 
 impl WaitingMaps {
@@ -35,7 +36,7 @@ impl WaitingMaps {
     /// # Errors
     /// The file cannot be written.
     pub fn push(&mut self, frame: usize, map: &Rdm) -> anyhow::Result<()> {
-        self.frames.push((frame, map.sequence));
+        self.frames.push((frame, map.sequence, map.motion));
         let mut cells = map.db.iter();
         cells.try_for_each(|cell| self.cells.write_all(&cell.to_le_bytes())).context("cannot keep a map")
     }
@@ -53,8 +54,8 @@ impl WaitingMaps {
         let mut file = self.cells.into_inner().map_err(IntoInnerError::into_error).context(cannot)?;
         file.seek(SeekFrom::Start(0)).context(cannot)?;
         let mut cells = BufReader::new(file);
-        for (frame, sequence) in self.frames {
-            map.sequence = sequence;
+        for (frame, sequence, motion) in self.frames {
+            (map.sequence, map.motion) = (sequence, motion);
             let mut bytes = [0; size_of::<f32>()];
             for cell in &mut map.db {
                 cells.read_exact(&mut bytes).context(cannot)?;

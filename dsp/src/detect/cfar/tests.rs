@@ -113,6 +113,7 @@ fn map(rows: usize, columns: usize, power: &[f64]) -> Rdm {
         velocity_step_m_per_s: 0.04,
         sequence: 0,
         flags: MapFlags::default(),
+        motion: None,
     }
 }
 

@@ -53,10 +53,13 @@ fn file(graph: proto::Graph, metadata: Vec<proto::Entry>) -> Vec<u8> {
 
 /// Graph of a network for maps of `range x doppler` bins. If `transposed`, the network reads them exchanged.
 fn graph(network: &Network, range: usize, doppler: usize, transposed: bool) -> Result<proto::Graph, ExportError> {
+    if network.spec().kind.reads_descriptors() {
+        return Err(ExportError::Descriptors { network: network.spec().kind });
+    }
     let mut writer = Writer { network, graph: proto::Graph::default(), sizes: Vec::new() };
     let layers = network.graph();
     let (rows, columns) = if transposed { (doppler, range) } else { (range, doppler) };
-    writer.sizes = match layers.sizes(rows, columns) {
+    writer.sizes = match layers.sizes([rows, columns]) {
         Ok(sizes) => sizes,
         Err(node) => {
             let error = format!("maps of {range} x {doppler} bins are too small for layer {}", node.name);
@@ -103,7 +106,7 @@ impl Writer<'_> {
         let second = inputs.get(1).map(String::as_str).unwrap_or_default();
         let prefixed = |what: &str| format!("{name}.{what}");
         Ok(match &node.layer {
-            Layer::Descriptors => return Err(ExportError::Descriptors { layer: name.clone() }),
+            Layer::Flatten => self.op("Flatten", &[first], output),
             Layer::Repeat { channels } => self.op_with("Concat", &vec![first; *channels], output, vec![int("axis", 1)]),
             Layer::ConvReluPool { .. } => {
                 let [weight, bias] = self.weight_and_bias(name)?;

@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use super::proto::{self, FLOAT};
 use crate::layer::Activation;
-use crate::network::{Network, Size};
+use crate::network::{Network, NetworkKind, Size};
 use crate::quantum::CircuitError;
 
 /// Error: a network cannot be written as ONNX.
@@ -18,10 +18,10 @@ pub enum ExportError {
     Circuit { layer: String, reason: String, most: usize },
     /// The network describes maps instead of reading them.
     #[error(
-        "layer {layer}: the descriptors of a map have no ONNX form\n\nhint: use the model file (--model \
+        "{network}: the descriptors of a map have no ONNX form\n\nhint: use the model file (--model \
          FILE.safetensors), or export a network that reads the cells of maps"
     )]
-    Descriptors { layer: String },
+    Descriptors { network: NetworkKind },
     /// The settings of the circuit are invalid.
     #[error(transparent)]
     Spec(#[from] CircuitError),

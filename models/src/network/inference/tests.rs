@@ -6,19 +6,24 @@ use crate::train::Trainer;
 use candle_core::{Device, Tensor};
 use rand::Rng;
 
-/// Maps, each stronger than the one before, so that logits differ. Descriptors count from 6 dB over noise.
-fn maps(spec: &NetworkSpec, [batch, range, doppler]: [usize; 3]) -> Vec<f32> {
+/// Shape of the input of a network for a batch of maps.
+fn input_shape(spec: &NetworkSpec, [batch, range, doppler]: [usize; 3]) -> [usize; 3] {
+    let [rows, columns] = spec.kind.input_size([range, doppler]);
+    [batch, rows, columns]
+}
+
+/// Inputs, each stronger than the one before, so that logits differ.
+fn inputs([batch, rows, columns]: [usize; 3]) -> Vec<f32> {
     let mut rng = crate::random::stream(5, "maps", 0);
-    let scale = if spec.kind.reads_descriptors() { 12.0 } else { 1.0 };
-    let strength = |index: usize| scale * (0.5 + (index / (range * doppler)) as f32);
-    (0..batch * range * doppler).map(|index| strength(index) * rng.random_range(-1.0..1.0)).collect()
+    let strength = |index: usize| 0.5 + (index / (rows * columns)) as f32;
+    (0..batch * rows * columns).map(|index| strength(index) * rng.random_range(-1.0..1.0)).collect()
 }
 
 /// Numbers of a network after a few steps of training, so that its normalisations are not trivial and its logits differ.
 fn trained_values(spec: &NetworkSpec) -> std::collections::BTreeMap<String, Vec<f32>> {
     let mut trainer = Trainer::new(spec, 3, 1e-3, KernelLevel::detect()).expect("trainer");
-    let (maps, labels) = Trainer::random_maps(6, 32, 32).expect("maps");
-    let maps = if spec.kind.reads_descriptors() { (maps * 20.0).expect("maps") } else { maps };
+    let [batch, rows, columns] = input_shape(spec, [6, 32, 32]);
+    let (maps, labels) = Trainer::random_maps(batch, rows, columns).expect("maps");
     for _ in 0..15 {
         trainer.step(&maps, &labels).expect("step");
     }
@@ -35,8 +40,8 @@ fn network(spec: &NetworkSpec, values: &std::collections::BTreeMap<String, Vec<f
     if spec.kind.has_latent() {
         let width = spec.head.width();
         // Constants that spread the latent over the scaled sigmoid's range.
-        let shape = [2, 32, 32];
-        let input = Tensor::from_vec(maps(spec, shape), &shape[..], &Device::Cpu).expect("tensor");
+        let shape = input_shape(spec, [2, 32, 32]);
+        let input = Tensor::from_vec(inputs(shape), &shape[..], &Device::Cpu).expect("tensor");
         let latent = network.latent(&input).expect("latent").and_then(|l| l.to_vec2::<f32>().ok()).expect("two rows");
         let of = |f: fn(f32, f32) -> f32| (0..width).map(|k| f(latent[0][k], latent[1][k])).collect();
         let (mean, sigma) = (of(|a, b| 0.4 * a + 0.6 * b), of(|a, b| 2.0 * (a - b).abs() + 1e-6));
@@ -80,9 +85,10 @@ fn prepared_networks_agree_with_the_networks() {
             let mut inference = Inference::new(&network).expect("prepared");
             // Shapes in this order reuse buffers that were larger before.
             for shape in [[1, 128, 128], [5, 64, 61], [2, 33, 40], [1, 32, 32], [2, 64, 61]] {
-                let maps = maps(&spec, shape);
-                let logits = inference.logits(&maps, shape).expect("run");
-                assert_near(&format!("{name} {level:?} {shape:?}"), logits, &reference(&network, &maps, shape));
+                let shape = input_shape(&spec, shape);
+                let inputs = inputs(shape);
+                let logits = inference.logits(&inputs, shape).expect("run");
+                assert_near(&format!("{name} {level:?} {shape:?}"), logits, &reference(&network, &inputs, shape));
                 assert!(shape[0] == 1 || logits[..3] != logits[3..6], "{name}: {logits:?}");
             }
         }
@@ -95,16 +101,17 @@ fn threads_and_batches_change_no_bit() {
     for (name, spec) in specs() {
         let mut inference =
             Inference::new(&network(&spec, &trained_values(&spec), KernelLevel::detect())).expect("prepared");
-        let shape = [3, 64, 61];
-        let maps = maps(&spec, shape);
-        let mut run = |threads: usize, maps: &[f32], shape| {
+        let shape @ [_, rows, columns] = input_shape(&spec, [3, 64, 61]);
+        let inputs = inputs(shape);
+        let mut run = |threads: usize, inputs: &[f32], shape| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            let logits = pool.install(|| inference.logits(maps, shape).expect("run").to_vec());
+            let logits = pool.install(|| inference.logits(inputs, shape).expect("run").to_vec());
             logits.iter().map(|v| v.to_bits()).collect::<Vec<_>>()
         };
-        let batch_bits = run(1, &maps, shape);
-        assert_eq!(batch_bits, run(3, &maps, shape), "{name}");
-        let single_bits: Vec<u32> = maps.chunks_exact(64 * 61).flat_map(|map| run(2, map, [1, 64, 61])).collect();
+        let batch_bits = run(1, &inputs, shape);
+        assert_eq!(batch_bits, run(3, &inputs, shape), "{name}");
+        let singles = inputs.chunks_exact(rows * columns);
+        let single_bits: Vec<u32> = singles.flat_map(|input| run(2, input, [1, rows, columns])).collect();
         assert_eq!(batch_bits, single_bits, "{name}");
     }
 }
@@ -122,6 +129,6 @@ mod hard_cases {
         let error = inference.logits(&[0.0; 256], [1, 16, 16]).expect_err("too small").to_string();
         assert!(error.contains("conv5"), "{error}");
         // It still works after errors.
-        assert_eq!(inference.logits(&maps(&spec, [1, 32, 32]), [1, 32, 32]).expect("run").len(), 3);
+        assert_eq!(inference.logits(&inputs([1, 32, 32]), [1, 32, 32]).expect("run").len(), 3);
     }
 }

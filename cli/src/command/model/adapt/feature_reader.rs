@@ -31,7 +31,7 @@ impl<'a> FeatureReader<'a> {
         let mut classifier = self.model.for_waveform(source.waveform(), self.max_range_m)?;
         let mut frame = Frame::zeroed(source.waveform().shape());
         let mut frames = Vec::new();
-        while source::next_frame_noting_gaps(source, &mut frame, || classifier.reset())? {
+        while source::next_frame_noting_gaps(source, &mut frame, || classifier.reset_at_gap())? {
             if let Prediction::Probabilities(_) = classifier.classify(&frame)? {
                 let features = self.adapter.features(classifier.map())?;
                 frames.push(AdaptFrame { time_s: frame.time_s(), features, label: truth(&frame) });

@@ -44,7 +44,7 @@ pub fn ablate_recordings(
         let mut frame = Frame::zeroed(source.waveform().shape());
         let mut frame_classifier =
             model.for_waveform(source.waveform(), max_range_m).with_context(|| path.display().to_string())?;
-        while source::next_frame_noting_gaps(&mut source, &mut frame, || frame_classifier.reset())? {
+        while source::next_frame_noting_gaps(&mut source, &mut frame, || frame_classifier.reset_at_gap())? {
             let prediction = frame_classifier.classify(&frame)?;
             let label = recording.truth(&frame, source.waveform());
             if let (Prediction::Probabilities(_), Some(label)) = (prediction, label) {

@@ -95,7 +95,7 @@ impl Run<'_> {
 
     /// Notes that frames are missing before the next one.
     pub fn note_gap(&mut self) {
-        self.classifier.reset();
+        self.classifier.reset_at_gap();
     }
 }
 
