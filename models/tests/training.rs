@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use radome_dsp::rdm::Motion;
 use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
-use radome_models::dataset::{DatasetError, Domain, ManifestRow, Split, SplitBy, SplitSpec, merge};
+use radome_models::dataset::{DatasetError, DatasetHeader, Domain, ManifestRow, Split, SplitBy, SplitSpec, merge};
 use radome_models::layer::KernelLevel;
 use radome_models::network::NetworkKind;
 use radome_models::occupancy_filter::Smoothing;
@@ -57,6 +58,36 @@ fn descriptors(network: NetworkKind, spec: TrainSpec) -> TrainSpec {
 
 fn rdm(set: &Dataset, index: usize) -> Rdm {
     set.header().rdm(set.map(index).expect("map"), index as u64)
+}
+
+/// Maps of the same noise in all classes, whose motion alone differs.
+fn of_motion_alone() -> Dataset {
+    let maps = dataset(Maps { size: 16, sequences: [12, 6, 6], length: 3, ..Maps::default() });
+    let spec = RdmSpec { motion_over_s: Some(1.0), ..maps.header().rdm_spec };
+    let header = DatasetHeader::new(maps.header().waveform.clone(), spec).expect("header");
+    let map = |(index, row): (usize, &ManifestRow)| {
+        let motion = Motion { spacing_similarity: 1.0 - 0.2 * row.label.index() as f32, ..Motion::default() };
+        // The first maps show nobody.
+        (Rdm { motion: Some(motion), ..rdm(&maps, index % 3) }, row.clone())
+    };
+    Dataset::from_maps(header, maps.rows().iter().enumerate().map(map).collect()).expect("dataset")
+}
+
+#[test]
+fn networks_of_descriptors_learn_from_motion() {
+    let set = of_motion_alone();
+    for network in descriptor_networks() {
+        let spec =
+            descriptors(network, TrainSpec { epochs: 30, linear_epochs: Some(20), learning_rate: 0.02, ..quick() });
+        let outcome = train(&set, &spec, &mut |_| ()).expect("train");
+        assert!(outcome.validation.balanced_accuracy > 0.99, "{network}: {:?}", outcome.validation);
+        // A map without motion is of another kind.
+        let [mut original, mut loaded] = saved_and_loaded(outcome.model);
+        let map = Rdm { motion: set.rows()[0].motion, ..rdm(&set, 0) };
+        assert_eq!(original.classify(&map).expect("classify"), loaded.classify(&map).expect("classify"));
+        let error = original.classify(&rdm(&set, 0)).expect_err("no motion");
+        assert!(matches!(&error, ClassifyError::OtherMaps { what } if what.contains("no motion")), "{error}");
+    }
 }
 
 /// Trains until the checkpoint holds this number of epochs. The report of the next one panics, which is as abrupt as a signal: an epoch
@@ -662,6 +693,16 @@ mod hard_cases {
                     "{error}"
                 );
             }
+        }
+    }
+
+    /// Superposed people would not move as the motion of one of the maps says.
+    #[test]
+    fn maps_with_motion_are_not_superposed() {
+        let augmentation = Augmentation { superpose: Some(Superpose { probability: 0.3 }), ..Augmentation::default() };
+        for network in descriptor_networks() {
+            let spec = descriptors(network, TrainSpec { augmentation: augmentation.clone(), ..quick() });
+            assert!(matches!(refused(&of_motion_alone(), &spec), TrainError::SuperposedMotion));
         }
     }
 

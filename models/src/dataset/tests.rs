@@ -1,7 +1,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use radome_dsp::rdm::PhysicalAxes;
+use radome_dsp::rdm::{Motion, PhysicalAxes};
 use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
 
 use super::layout::MAPS_PER_SHARD;
@@ -56,6 +56,35 @@ fn written_maps_are_read_back_across_shards() {
     assert_eq!(set.hash(), Dataset::open(&dir.path().join("copy")).expect("open").hash());
     assert!(matches!(set.map(maps), Err(DatasetError::NoSuchMap { .. })));
     assert!(matches!(DatasetWriter::create(&path, &header), Err(DatasetError::Exists { .. })));
+}
+
+/// Rows have the motion of their maps, also after a merge, and changed motion is damage.
+#[test]
+fn motion_travels_with_the_maps() {
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("set");
+    let motion = |k: u64| Some(Motion { second_share: 0.1 * k as f32, ..Motion::default() });
+    let mut writer = DatasetWriter::create(&path, &header()).expect("create");
+    for k in 0..3 {
+        let map = Rdm { motion: motion(k), ..map(&header(), k) };
+        writer.push(&map, row("a", k, Occupancy::One)).expect("push");
+    }
+    writer.finish().expect("finish");
+    let set = Dataset::open(&path).expect("open");
+    set.verify().expect("hashes agree");
+    let merged = dir.path().join("merged");
+    merge(&[(&path, &set)], &merged, None).expect("merge");
+    for set in [&set, &Dataset::open(&merged).expect("open")] {
+        for (k, row) in set.rows().iter().enumerate() {
+            assert_eq!(row.motion, motion(k as u64));
+        }
+    }
+    let manifest = path.join("manifest.jsonl");
+    let text = std::fs::read_to_string(&manifest).expect("read");
+    std::fs::write(&manifest, text.replace("\"second_share\":0.1", "\"second_share\":0.7")).expect("write");
+    let set = Dataset::open(&path).expect("open");
+    assert!(matches!(set.map(1), Err(DatasetError::Hash { index: 1, .. })));
+    assert!(set.map(0).is_ok());
 }
 
 #[test]
