@@ -66,7 +66,7 @@ fn of_motion_alone() -> Dataset {
     let spec = RdmSpec { motion_over_s: Some(1.0), ..maps.header().rdm_spec };
     let header = DatasetHeader::new(maps.header().waveform.clone(), spec).expect("header");
     let map = |(index, row): (usize, &ManifestRow)| {
-        let motion = Motion { spacing_similarity: 1.0 - 0.2 * row.label.index() as f32, ..Motion::default() };
+        let motion = Motion { spacing_change_rad: 0.4 * row.label.index() as f32, ..Motion::default() };
         // The first maps show nobody.
         (Rdm { motion: Some(motion), ..rdm(&maps, index % 3) }, row.clone())
     };

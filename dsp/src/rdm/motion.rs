@@ -42,12 +42,12 @@ const STORED_INTERVAL_S: f64 = 0.02;
 
 /// Motion of echoes over the last frames: averages of comparisons of frames, with weights that fall exponentially with age.
 ///
-/// Frames without motion compare as those in which nothing changes, as [`Motion::default`] does.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+/// All quantities are 0 where nothing moves, which is the default.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Motion {
-    /// Similarity of the distances between echoes, 0 to 1: cosine of the angle between the autocorrelations of two range profiles.
-    pub spacing_similarity: f32,
+    /// Change of the distances between echoes: angle between the autocorrelations of two range profiles as vectors, 0 to pi/2 rad.
+    pub spacing_change_rad: f32,
     /// Difference between the shift of the range profile and the way by the Doppler of the strongest cells, m.
     pub shift_error_m: f32,
     /// Difference between the way of the nearest echo and that by its Doppler, m.
@@ -60,13 +60,6 @@ pub struct Motion {
     pub velocity_difference_m_per_s: f32,
 }
 
-impl Default for Motion {
-    /// Nothing moves.
-    fn default() -> Self {
-        Motion::from_array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    }
-}
-
 impl Motion {
     /// Number of quantities.
     pub const QUANTITIES: usize = 6;
@@ -74,7 +67,7 @@ impl Motion {
     /// The quantities in the order of their declaration.
     pub fn to_array(self) -> [f32; Self::QUANTITIES] {
         let Motion {
-            spacing_similarity,
+            spacing_change_rad,
             shift_error_m,
             nearest_error_m,
             separation_change_m,
@@ -82,7 +75,7 @@ impl Motion {
             velocity_difference_m_per_s,
         } = self;
         [
-            spacing_similarity,
+            spacing_change_rad,
             shift_error_m,
             nearest_error_m,
             separation_change_m,
@@ -94,7 +87,7 @@ impl Motion {
     /// The inverse of [`Motion::to_array`].
     pub fn from_array(quantities: [f32; Self::QUANTITIES]) -> Self {
         let [
-            spacing_similarity,
+            spacing_change_rad,
             shift_error_m,
             nearest_error_m,
             separation_change_m,
@@ -102,7 +95,7 @@ impl Motion {
             velocity_difference_m_per_s,
         ] = quantities;
         Motion {
-            spacing_similarity,
+            spacing_change_rad,
             shift_error_m,
             nearest_error_m,
             separation_change_m,
@@ -304,12 +297,12 @@ impl Profile {
         let difference = |second: Echo| (second.velocity_m_per_s - self.nearest.velocity_m_per_s).abs();
         let velocity_difference_m_per_s = second.map_or(0.0, difference);
         let Some(earlier) = earlier.filter(|earlier| self.is_moving && earlier.is_moving) else {
-            return [1.0, 0.0, 0.0, 0.0, second_share, velocity_difference_m_per_s];
+            return [0.0, 0.0, 0.0, 0.0, second_share, velocity_difference_m_per_s];
         };
-        let spacing_similarity = match overlap(&self.spacings, &earlier.spacings) {
+        let spacing_change_rad = match overlap(&self.spacings, &earlier.spacings) {
             // A profile of one bin has no spacings.
-            0.0 => 1.0,
-            similarity => f64::from(similarity),
+            0.0 => 0.0,
+            similarity => f64::from(similarity.min(1.0)).acos(),
         };
         let error_m = |way_m: f64, velocities_m_per_s: [f64; 2]| {
             let expected_m = 0.5 * velocities_m_per_s.iter().sum::<f64>() * earlier.age_s;
@@ -325,7 +318,7 @@ impl Profile {
             _ => 0.0,
         };
         [
-            spacing_similarity,
+            spacing_change_rad,
             error_m(shift_m, [self.velocity_m_per_s, earlier.velocity_m_per_s]),
             error_m(nearest.range_m - before.range_m, [nearest.velocity_m_per_s, before.velocity_m_per_s]),
             separation_change_m,

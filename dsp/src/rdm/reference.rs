@@ -291,7 +291,7 @@ impl MovingProfile {
         let share = if second.is_some() { 1.0 } else { 0.0 };
         let velocity_difference = second.map_or(0.0, |second| (second.1 - self.nearest().1).abs());
         if age_s == 0.0 || !self.is_moving() || !earlier.is_moving() {
-            return [1.0, 0.0, 0.0, 0.0, share, velocity_difference];
+            return [0.0, 0.0, 0.0, 0.0, share, velocity_difference];
         }
         let spacings = |profile: &MovingProfile| -> Vec<f64> {
             (1..profile.0.len() as i64).map(|distance| profile.overlap(profile, distance)).collect()
@@ -299,7 +299,8 @@ impl MovingProfile {
         let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let (now, before) = (spacings(self), spacings(earlier));
         let lengths = (product(&now, &now) * product(&before, &before)).sqrt();
-        let similarity = if product(&now, &before) == 0.0 { 1.0 } else { product(&now, &before) / lengths };
+        let similarity = product(&now, &before) / lengths;
+        let spacing_change_rad = if product(&now, &before) == 0.0 { 0.0 } else { similarity.min(1.0).acos() };
 
         let range_step_m = self.0[1].0 - self.0[0].0;
         let most = (motion::MOST_SHIFT_M / range_step_m).round() as i64;
@@ -317,7 +318,7 @@ impl MovingProfile {
             _ => 0.0,
         };
         [
-            similarity,
+            spacing_change_rad,
             error_m(best.0 as f64 * range_step_m, strongest.1, strongest_before.1),
             error_m(nearest.0 - nearest_before.0, nearest.1, nearest_before.1),
             separation_change_m,

@@ -120,7 +120,7 @@ struct Cell {
 /// | 47 | person without motion nearer than one with motion: strongest cell of zero velocity more than six bins nearer than the strongest cell, 0 up to 20 dB and 1 from 35 dB on, times 0 where the strongest cell has 10 dB, and 1 where it has 25 dB | 1 |
 /// | 48 | person without motion slightly nearer than one with motion: strongest cell of zero velocity more than two bins nearer than the strongest cell, 0 up to 33 dB and 1 from 42 dB on, times 0 where it is 10 dB weaker than the strongest cell, and 1 where it is at least as strong, times 0 where the strongest cell has 14 dB, and 1 where it has 26 dB; 0 where the strongest cell is slow | 1 |
 /// | 49 | the same where the strongest cell approaches, 0 otherwise: change near a receding person may be caused by this person | 1 |
-/// | 50 to 55 | quantities of [`Motion`] | 1, m, m, m, 1, m/s |
+/// | 50 to 55 | quantities of [`Motion`] | rad, m, m, m, 1, m/s |
 ///
 /// Cells of zero velocity are used by 42 and 47 to 49 only. Cells of noise are those above 0 dB and up to 10 dB that are not slow.
 /// Range bins whose cells are all equal hold no noise. Without two different pairs of cells, a correlation is 0.
