@@ -71,6 +71,12 @@ impl Map {
         self.inner.flags.saturated_samples
     }
 
+    /// Motion of echoes over the last frames, a dict of six quantities; `None` unless the spec has `motion_over_s`.
+    #[getter]
+    fn motion<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.inner.motion)
+    }
+
     fn __repr__(&self) -> String {
         format!("<radome.Map of frame {}, {}>", self.inner.sequence, self.inner.shape)
     }
@@ -193,6 +199,8 @@ static PROCESSORS: Mutex<Vec<(Arc<radome_dsp::Waveform>, RdmProcessor)>> = Mutex
 /// - `physical_axes`: `None` (the axes of the waveform) or a dict of `range_step_m`, m, `range_bins`, `velocity_step_m_per_s`, m/s,
 ///   and `velocity_bins`.
 /// - `change_over_s`: `None` or the time constant, s, of change in cells of zero velocity; with `physical_axes` and a stream.
+/// - `motion_over_s`: `None` or the time constant, s, over which the motion of echoes is averaged (`Map.motion`); with one channel
+///   and a stream.
 /// - `max_range_m`: `None` or the greatest range that is measured, m; with `physical_axes`. Cells beyond hold noise.
 /// - `slow_time`: `"chirps"`, `{"frames": {"frames": 64}}` (a window over frames; with a stream).
 /// - `amplitude`: `"full_scale_sine"`, `"unnormalised"`, `"vendor"`: the amplitude that reads 0 dB.
