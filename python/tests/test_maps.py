@@ -53,6 +53,27 @@ def test_presets_and_specs_are_taken(desk_frames):
     assert np.allclose(10.0 ** (summed.astype(np.float64) / 10.0), power.mean(axis=0), rtol=1e-3, atol=1e-12)
 
 
+def test_maps_have_the_motion_of_echoes_if_asked_for(desk_frames):
+    waveform = desk_frames[0].waveform
+    assert radome.rdm(desk_frames[0]).motion is None
+    processor = radome.MapProcessor(waveform, {"channels": {"one": 0}, "motion_over_s": 1.0})
+    motions = [processor(frame).motion for frame in desk_frames]
+    quantities = [
+        "spacing_change_rad",
+        "shift_error_m",
+        "nearest_error_m",
+        "separation_change_m",
+        "second_share",
+        "velocity_difference_m_per_s",
+    ]
+    assert all(list(motion) == quantities for motion in motions)
+    # The first frame has none to be compared with.
+    assert [motions[0][key] for key in quantities[:4]] == [0.0] * 4
+    assert all(0.0 <= value < 10.0 for motion in motions for value in motion.values())
+    with pytest.raises(radome.RadomeError, match="motion_over_s needs maps of one channel"):
+        radome.MapProcessor(waveform, {"motion_over_s": 1.0})
+
+
 def test_a_processor_keeps_its_window_over_frames(desk_frames):
     processor = radome.MapProcessor(desk_frames[0].waveform, {"slow_time": {"frames": {"frames": 4}}})
     maps = [processor(frame) for frame in desk_frames[:5]]
