@@ -340,6 +340,14 @@ impl FrameClassifier<'_> {
         }
     }
 
+    /// Resets the state of maps, as before frames of another scene. The mean of earlier evidence persists: its weight decays with time.
+    pub fn reset(&mut self) {
+        match &mut self.0 {
+            Kind::Network { processor, .. } => processor.reset(),
+            Kind::Cfar(counter) => counter.reset(),
+        }
+    }
+
     /// Classifies the next frame. Reports receivers with errors on stderr, each error once per run of the program.
     ///
     /// # Errors
@@ -370,11 +378,8 @@ impl FrameClassifier<'_> {
                 (prediction, _) => prediction,
             });
         }
-        // A frame without a signal must not affect later frames.
-        match &mut self.0 {
-            Kind::Network { processor, .. } => processor.reset(),
-            Kind::Cfar(counter) => counter.reset(),
-        }
+        // The reset keeps a frame without a signal from affecting later frames.
+        self.reset();
         Ok(Prediction::NoSignal)
     }
 

@@ -28,7 +28,9 @@ fn main() -> Result<()> {
     let Some(spec) = NetworkSpec::named(&name) else { bail!("there is no network '{name}'") };
     let network = Network::initialise(&spec, 1, 0, level)?;
     let mut inference = Inference::new(&network)?;
-    let maps: Vec<f32> = Trainer::random_maps(1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
+    let (input, _) = Trainer::random_inputs(&spec, 1, SIZE, SIZE)?;
+    let shape = input.dims3()?;
+    let input: Vec<f32> = input.flatten_all()?.to_vec1()?;
     // Times of each step and of the whole run.
     let mut times: Vec<(String, Vec<f64>)> = Vec::new();
     for _ in 0..runs {
@@ -42,7 +44,7 @@ fn main() -> Result<()> {
         };
         let start = Instant::now();
         let mut last = start;
-        inference.logits_step_by_step(&maps, [1, SIZE, SIZE], |name| {
+        inference.logits_step_by_step(&input, shape.into(), |name| {
             let now = Instant::now();
             add(name, (now - last).as_secs_f64());
             last = now;

@@ -67,7 +67,8 @@ impl std::fmt::Display for Ablation {
 }
 
 impl Ablation {
-    /// Returns the changed map. Its noise is a function of `index`. Its motion stays that of the unchanged maps. A map whose cells do not match its shape stays unchanged.
+    /// Returns the changed map. Its noise is a function of `index`. Its motion stays. A map whose cells do not match its shape stays
+    /// unchanged.
     pub fn apply(self, map: &Rdm, skip_range_bins: usize, index: u64) -> Rdm {
         let mut changed = map.clone();
         let RdmShape { rx, doppler, range } = map.shape;

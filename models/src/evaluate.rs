@@ -17,7 +17,8 @@ pub fn evaluate(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize
     evaluate_changed(classifier, dataset, indices, |_, _| ())
 }
 
-/// Evaluates as [`evaluate`] does, after `change` has modified each map. Its arguments are the index and the cells of the map.
+/// Evaluates as [`evaluate`] does, after `change` has modified each map. Its arguments are the index and the cells of the map. The
+/// motion of the maps stays.
 pub(crate) fn evaluate_changed(
     classifier: &mut Classifier,
     dataset: &Dataset,

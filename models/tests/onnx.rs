@@ -36,7 +36,7 @@ fn logits(network: &Network, maps: &[f32], shape: [usize; 3]) -> Vec<f32> {
 /// Weights of a network after a few training steps, so that its normalisations have an effect and its logits differ.
 fn trained(spec: &NetworkSpec) -> BTreeMap<String, Vec<f32>> {
     let mut trainer = Trainer::new(spec, 3, 1e-3, KernelLevel::detect()).expect("trainer");
-    let (maps, labels) = Trainer::random_maps(6, 32, 32).expect("maps");
+    let (maps, labels) = Trainer::random_inputs(spec, 6, 32, 32).expect("maps");
     for _ in 0..15 {
         trainer.step(&maps, &labels).expect("step");
     }

@@ -5,6 +5,7 @@ use std::path::Path;
 use radome_dsp::rdm::Motion;
 use radome_dsp::{Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
 use radome_models::dataset::{DatasetError, DatasetHeader, Domain, ManifestRow, Split, SplitBy, SplitSpec, merge};
+use radome_models::evaluate::evaluate;
 use radome_models::layer::KernelLevel;
 use radome_models::network::NetworkKind;
 use radome_models::occupancy_filter::Smoothing;
@@ -76,6 +77,7 @@ fn of_motion_alone() -> Dataset {
 #[test]
 fn networks_of_descriptors_learn_from_motion() {
     let set = of_motion_alone();
+    let easy_set = dataset(Maps { size: 16, sequences: [3, 2, 1], length: 3, ..Maps::default() });
     for network in descriptor_networks() {
         let spec =
             descriptors(network, TrainSpec { epochs: 30, linear_epochs: Some(20), learning_rate: 0.02, ..quick() });
@@ -87,7 +89,21 @@ fn networks_of_descriptors_learn_from_motion() {
         assert_eq!(original.classify(&map).expect("classify"), loaded.classify(&map).expect("classify"));
         let error = original.classify(&rdm(&set, 0)).expect_err("no motion");
         assert!(matches!(&error, ClassifyError::OtherMaps { what } if what.contains("no motion")), "{error}");
+        // The settings of maps without motion differ.
+        let error = evaluate(&mut original, &easy_set, &[0]).expect_err("no motion").to_string();
+        assert!(error.contains("motion_over_s null instead of 1.0"), "{error}");
     }
+}
+
+/// Networks that read the cells of maps take maps with motion and without.
+#[test]
+fn networks_of_cells_ignore_motion() {
+    let (set, spec) = brief();
+    let mut classifier = Classifier::new(train(&set, &spec, &mut |_| ()).expect("train").model);
+    let map = rdm(&set, 0);
+    let moving = Rdm { motion: Some(Motion::default()), ..map.clone() };
+    assert_eq!(classifier.classify(&map).expect("classify"), classifier.classify(&moving).expect("classify"));
+    evaluate(&mut classifier, &of_motion_alone(), &[0, 1]).expect("evaluate");
 }
 
 /// Trains until the checkpoint holds this number of epochs. The report of the next one panics, which is as abrupt as a signal: an epoch
@@ -696,13 +712,20 @@ mod hard_cases {
         }
     }
 
-    /// Superposed people would not move as the motion of one of the maps says.
+    /// Augmented echoes would not move as the motion of their maps says.
     #[test]
-    fn maps_with_motion_are_not_superposed() {
-        let augmentation = Augmentation { superpose: Some(Superpose { probability: 0.3 }), ..Augmentation::default() };
-        for network in descriptor_networks() {
-            let spec = descriptors(network, TrainSpec { augmentation: augmentation.clone(), ..quick() });
-            assert!(matches!(refused(&of_motion_alone(), &spec), TrainError::SuperposedMotion));
+    fn augmentations_that_motion_does_not_follow_are_refused() {
+        let set = of_motion_alone();
+        for (augmentation, expected) in [
+            (all_augmentations(), "superpose"),
+            (Augmentation { velocity_stretch: 0.1, ..Augmentation::default() }, "velocity_stretch"),
+            (Augmentation { sway: Some(Sway::default()), ..Augmentation::default() }, "sway"),
+        ] {
+            for network in descriptor_networks() {
+                let spec = descriptors(network, TrainSpec { augmentation: augmentation.clone(), ..quick() });
+                let error = refused(&set, &spec);
+                assert!(matches!(&error, TrainError::UnfollowedMotion { setting } if *setting == expected), "{error}");
+            }
         }
     }
 

@@ -66,8 +66,8 @@ class Counter:
         return Answer(frame.sequence, time_s, label, filtered, raw, frame.truth)
 
     def gap(self) -> None:
-        """Forgets what must not reach across missing frames."""
-        self.model.reset()
+        """Forgets what needs consecutive frames."""
+        self.model.gap()
 
     def reset(self) -> None:
         """Forgets all frames."""

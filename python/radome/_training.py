@@ -173,7 +173,10 @@ def _add_recording(
         adapter.begin(source.waveform.frame_interval_s)
         labels = known if known is not None and not isinstance(known, str) else source.labels
         for event in source.events():
-            if isinstance(event, Gap) or not event.has_signal:
+            if isinstance(event, Gap):
+                processor.gap()
+                continue
+            if not event.has_signal:
                 processor.reset()
                 continue
             map = processor(event)

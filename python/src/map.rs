@@ -122,7 +122,8 @@ pub fn next_map(processor: &mut RdmProcessor, frame: &radome_dsp::Frame) -> Outc
 /// Maker of maps from a stream of frames, with the state between frames that the spec asks for.
 ///
 /// Call it with the frames of one source in their order. It returns the `Map` of each, or `None` while a window over frames
-/// fills. `spec` is the name of a preset, a dict of keys or `None`; `radome.rdm` lists them. Call `reset` at a gap.
+/// fills. `spec` is the name of a preset, a dict of keys or `None`; `radome.rdm` lists them. Call `gap` where frames are missing, and
+/// `reset` before frames of another scene.
 #[pyclass(frozen, module = "radome._radome")]
 pub struct MapProcessor {
     processor: Mutex<RdmProcessor>,
@@ -148,7 +149,12 @@ impl MapProcessor {
         Ok(map.map(|inner| Map { inner, spec: self.spec, waveform: self.waveform.clone() }))
     }
 
-    /// Forgets the frames before, as at a gap.
+    /// Forgets what needs consecutive frames, as where some are missing. Motion stays unless more than a second is missing.
+    fn gap(&self, py: Python<'_>) {
+        py.detach(|| lock(&self.processor).reset_at_gap());
+    }
+
+    /// Forgets all frames before.
     fn reset(&self, py: Python<'_>) {
         py.detach(|| lock(&self.processor).reset());
     }

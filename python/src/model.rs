@@ -37,7 +37,7 @@ struct Work {
 /// Trained model: a file, or `"room-hqnn"` for the built-in one.
 ///
 /// Called with a `Frame` or a `Map` it returns the probabilities of empty, one and two (`radome.CLASSES`), `[class]`, float32. Give
-/// it the frames of one source in their order, and call `reset` at a gap. It returns `None` while a window over frames fills, and
+/// it the frames of one source in their order. Call `gap` where frames are missing, and `reset` before another source. It returns `None` while a window over frames fills, and
 /// for a frame in which no receiver that the model needs gives a signal. A map must be made by the model's `rdm_spec`.
 #[pyclass(frozen, module = "radome._radome")]
 pub struct Model {
@@ -122,7 +122,17 @@ impl Model {
         Ok(probabilities.map(|probabilities| probabilities.to_vec().into_pyarray(py)))
     }
 
-    /// Forgets the frames before, as at a gap.
+    /// Forgets what needs consecutive frames, as where some are missing. Motion and evidence stay; their weights decay with time.
+    fn gap(&self, py: Python<'_>) -> PyResult<()> {
+        detached(py, || {
+            if let Some((_, processor)) = &mut self.lock()?.maps {
+                processor.reset_at_gap();
+            }
+            Ok(())
+        })
+    }
+
+    /// Forgets all frames before.
     fn reset(&self, py: Python<'_>) -> PyResult<()> {
         detached(py, || {
             let Work { maps, mean, .. } = &mut *self.lock()?;

@@ -134,7 +134,7 @@ impl<'m> LiveClassifier<'m> {
         let has_jumped = self.last_time_s.is_some_and(|last_s| time_s < last_s || is_long_after(last_s));
         let is_outdated = self.last_signal_s.is_some_and(is_long_after);
         if has_jumped {
-            self.frame_classifier.reset_at_gap();
+            self.frame_classifier.reset();
         }
         if has_jumped || is_outdated {
             // After a seek in a recording, a long gap or a long time without a signal, people may have come or gone.

@@ -299,10 +299,12 @@ impl Profile {
         let Some(earlier) = earlier.filter(|earlier| self.is_moving && earlier.is_moving) else {
             return [0.0, 0.0, 0.0, 0.0, second_share, velocity_difference_m_per_s];
         };
-        let spacing_change_rad = match overlap(&self.spacings, &earlier.spacings) {
-            // A profile of one bin has no spacings.
-            0.0 => 0.0,
-            similarity => f64::from(similarity.min(1.0)).acos(),
+        // A profile of one bin has no spacings.
+        let has_spacings = |profile: &Profile| profile.spacings.iter().any(|spacing| *spacing > 0.0);
+        let spacing_change_rad = if has_spacings(self) && has_spacings(earlier) {
+            f64::from(overlap(&self.spacings, &earlier.spacings).min(1.0)).acos()
+        } else {
+            0.0
         };
         let error_m = |way_m: f64, velocities_m_per_s: [f64; 2]| {
             let expected_m = 0.5 * velocities_m_per_s.iter().sum::<f64>() * earlier.age_s;

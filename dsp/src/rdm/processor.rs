@@ -30,8 +30,8 @@ pub enum MapStatus {
 /// Processor from frames to maps by an [`RdmSpec`]. It owns its plans and buffers; nothing is allocated per frame.
 ///
 /// It keeps state between frames where the spec needs it: the background of recursive MTI, the window of frames, change, and motion.
-/// The state is reset when sequence numbers are not consecutive, and by [`reset`](Self::reset). Motion is reset only if more than a
-/// second is missing.
+/// Background, window and change are reset when sequence numbers are not consecutive, motion when more than a second is missing.
+/// [`reset`](Self::reset) resets all.
 ///
 /// Frames with powers of two on both axes go through a kernel at the machine's [`KernelLevel`]. Other sizes, and slow time across
 /// frames, go through `realfft`. Maps on [`PhysicalAxes`](super::PhysicalAxes) are sums of products. Their cells that the waveform

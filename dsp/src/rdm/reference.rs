@@ -208,10 +208,13 @@ fn change(sums: &[Complex64], step: f64) -> f64 {
     variance * variance / (variance + mean.norm_sqr()).max(f64::MIN_POSITIVE)
 }
 
-/// Motion of the last of `maps`, which are of one channel and finite, in f64.
+/// Motion of the last of `maps`, in f64. They are of one channel, finite, and in the order of their sequence numbers.
 ///
 /// Each map is compared with the earlier one whose age is closest to 0.3 s, and the comparisons are averaged with weights that fall by
 /// `1/e` over `over_s`. Maps before a gap of more than a second do not count. Intervals of frames must be at least 20 ms.
+///
+/// # Panics
+/// If sequence numbers decrease.
 pub fn motion(maps: &[Rdm], frame_interval_s: f64, over_s: f64) -> Motion {
     let seconds = |from: &Rdm, to: &Rdm| (to.sequence - from.sequence) as f64 * frame_interval_s;
     let is_gap = |pair: &[Rdm]| seconds(&pair[0], &pair[1]) > motion::MOST_AGE_S;
@@ -299,10 +302,9 @@ impl MovingProfile {
         let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let (now, before) = (spacings(self), spacings(earlier));
         let lengths = (product(&now, &now) * product(&before, &before)).sqrt();
-        let similarity = product(&now, &before) / lengths;
-        let spacing_change_rad = if product(&now, &before) == 0.0 { 0.0 } else { similarity.min(1.0).acos() };
+        let spacing_change_rad = if lengths == 0.0 { 0.0 } else { (product(&now, &before) / lengths).min(1.0).acos() };
 
-        let range_step_m = self.0[1].0 - self.0[0].0;
+        let range_step_m = self.0.get(1).map_or(1.0, |second| second.0 - self.0[0].0);
         let most = (motion::MOST_SHIFT_M / range_step_m).round() as i64;
         let overlaps = (-most..=most).map(|shift| (shift, self.overlap(earlier, shift)));
         let best = overlaps.reduce(|best, other| if other.1 > best.1 { other } else { best }).unwrap_or((0, 0.0));

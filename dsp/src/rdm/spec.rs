@@ -138,8 +138,9 @@ pub struct RdmSpec {
     /// Time constant over which the motion of echoes is averaged, s ([`Motion`](super::Motion)); only with one channel. If absent,
     /// maps have no motion.
     ///
-    /// Motion tells two people who walk from one person with multipath echoes: echoes of one person keep their distances. Frames may
-    /// be missing for up to 1 s.
+    /// Motion tells two people who walk from one person with multipath echoes: echoes of one person keep their distances. Each frame is
+    /// compared with the one about 0.3 s before; frames more than 0.6 s apart are not compared. Frames may be missing for up to 1 s.
+    /// Levels over noise are those of one receiver.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion_over_s: Option<f64>,
     /// Greatest range of a cell that is measured, m; only with `physical_axes`. Cells beyond it hold noise, as cells beyond the

@@ -58,11 +58,16 @@ pub enum DatasetError {
         "map {map}: {cells} cells are not finite\n\nhint: check the program that made the map; all cells of a dataset are finite"
     )]
     NonFinite { map: String, cells: usize },
+    /// The map spec asks for motion and a map has none that is finite, or the other way round. Maps are identified by index or name.
+    #[error("map {map}: expected {expected}\n\nhint: make the map by the map spec of the dataset")]
+    Motion { map: String, expected: &'static str },
     /// The dataset has no map with this index.
     #[error("there is no map {index}: the dataset has {maps} maps")]
     NoSuchMap { index: usize, maps: usize },
-    /// A map does not match the hash that was computed when it was written.
-    #[error("{path}: map {index} has SHA-256 {found}, the manifest says {expected}; the file was changed or damaged")]
+    /// A map or its motion does not match the hash that was computed when it was written.
+    #[error(
+        "{path}: map {index} has SHA-256 {found}, the manifest says {expected}; this file or the manifest was changed or damaged"
+    )]
     Hash { path: PathBuf, index: usize, expected: String, found: String },
     /// Frames of one sequence are in two splits.
     #[error(

@@ -13,7 +13,7 @@ use super::header::{DatasetHeader, FORMAT_VERSION};
 use super::layout::{MAPS_PER_SHARD, network_input, shard_name};
 use super::manifest::{ManifestRow, Split};
 use super::split::SplitSpec;
-use super::writer::{check_map, map_hash};
+use super::writer::{check_map, check_motion, map_hash};
 
 /// Longest manifest that is read. A row has about 300 bytes, and datasets have some hundred thousand maps.
 pub const MANIFEST_LIMIT_BYTES: u64 = 512 << 20;
@@ -62,6 +62,9 @@ impl Dataset {
     pub fn open(dir: &Path) -> Result<Self, DatasetError> {
         let header = read_header(dir)?;
         let rows = read_rows(dir)?;
+        for (index, row) in rows.iter().enumerate() {
+            check_motion(row.motion, &header, || index.to_string())?;
+        }
         let mut shards = Vec::new();
         for (shard, rows) in rows.chunks(MAPS_PER_SHARD).enumerate() {
             let path = dir.join(shard_name(shard));
@@ -81,13 +84,13 @@ impl Dataset {
     /// Makes a dataset in memory, and fills in motion and hash of the rows.
     ///
     /// # Errors
-    /// [`DatasetError::Shape`] or [`DatasetError::NonFinite`] for the first map of another shape than the header's or with a cell
-    /// that is not finite.
+    /// [`DatasetError::Shape`], [`DatasetError::NonFinite`] or [`DatasetError::Motion`] for the first map of another shape than the
+    /// header's, with a cell that is not finite, or with motion that is missing or not expected.
     pub fn from_maps(header: DatasetHeader, maps: Vec<(Rdm, ManifestRow)>) -> Result<Self, DatasetError> {
         let mut rows = Vec::with_capacity(maps.len());
         let mut cells = Vec::with_capacity(maps.len());
         for (map, mut row) in maps {
-            check_map(&map.db, map.shape, header.shape, map.sequence)?;
+            check_map(&map, &header)?;
             (row.motion, row.hash) = (map.motion, map_hash(&map.db, map.motion));
             rows.push(row);
             cells.push(map.db);
@@ -119,7 +122,7 @@ impl Dataset {
     ///
     /// # Errors
     /// [`DatasetError::NoSuchMap`] beyond the last map, [`DatasetError::Io`] if the shard cannot be read,
-    /// [`DatasetError::NonFinite`] if a cell is NaN or infinite, and [`DatasetError::Hash`] if the cells do not match the hash.
+    /// [`DatasetError::NonFinite`] if a cell is NaN or infinite, and [`DatasetError::Hash`] if cells and motion do not match the hash.
     pub fn map(&self, index: usize) -> Result<Vec<f32>, DatasetError> {
         let missing = || DatasetError::NoSuchMap { index, maps: self.rows.len() };
         let row = self.rows.get(index).ok_or_else(missing)?;

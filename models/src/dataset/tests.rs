@@ -64,9 +64,11 @@ fn motion_travels_with_the_maps() {
     let dir = tempfile::tempdir().expect("folder");
     let path = dir.path().join("set");
     let motion = |k: u64| Some(Motion { second_share: 0.1 * k as f32, ..Motion::default() });
-    let mut writer = DatasetWriter::create(&path, &header()).expect("create");
+    let spec = RdmSpec { motion_over_s: Some(1.0), ..header().rdm_spec };
+    let with_motion = DatasetHeader::new(header().waveform, spec).expect("header");
+    let mut writer = DatasetWriter::create(&path, &with_motion).expect("create");
     for k in 0..3 {
-        let map = Rdm { motion: motion(k), ..map(&header(), k) };
+        let map = Rdm { motion: motion(k), ..map(&with_motion, k) };
         writer.push(&map, row("a", k, Occupancy::One)).expect("push");
     }
     writer.finish().expect("finish");
@@ -85,6 +87,16 @@ fn motion_travels_with_the_maps() {
     let set = Dataset::open(&path).expect("open");
     assert!(matches!(set.map(1), Err(DatasetError::Hash { index: 1, .. })));
     assert!(set.map(0).is_ok());
+    // Motion that is missing, infinite or not asked for is refused.
+    std::fs::write(&manifest, text.replace("\"second_share\":0.1", "\"second_share\":1e39")).expect("write");
+    assert!(matches!(Dataset::open(&path), Err(DatasetError::Motion { map, .. }) if map == "1"));
+    for (header, motion) in [(&with_motion, None), (&header(), motion(1))] {
+        let map = Rdm { motion, ..map(header, 4) };
+        let mut writer = DatasetWriter::create(&dir.path().join("refused"), header).expect("create");
+        assert!(matches!(writer.push(&map, row("a", 4, Occupancy::One)), Err(DatasetError::Motion { .. })));
+        let of_maps = Dataset::from_maps(header.clone(), vec![(map, row("a", 4, Occupancy::One))]);
+        assert!(matches!(of_maps, Err(DatasetError::Motion { .. })));
+    }
 }
 
 #[test]

@@ -45,16 +45,32 @@ pub(super) fn map_hash(db: &[f32], motion: Option<Motion>) -> String {
     format!("{:x}", hash.finalize())
 }
 
-/// Checks that a map has the expected shape and finite cells. `frame` is used in errors only.
-pub(super) fn check_map(db: &[f32], shape: RdmShape, expected: RdmShape, frame: u64) -> Result<(), DatasetError> {
-    if shape != expected || db.len() != expected.cells() {
-        return Err(DatasetError::Shape { sequence: frame, expected, got: shape });
+/// Checks that a map has the shape and the motion of a dataset, and finite numbers.
+pub(super) fn check_map(map: &Rdm, header: &DatasetHeader) -> Result<(), DatasetError> {
+    let (expected, frame) = (header.shape, map.sequence);
+    if map.shape != expected || map.db.len() != expected.cells() {
+        return Err(DatasetError::Shape { sequence: frame, expected, got: map.shape });
     }
-    let cells = db.iter().filter(|v| !v.is_finite()).count();
+    let cells = map.db.iter().filter(|v| !v.is_finite()).count();
     if cells > 0 {
         return Err(DatasetError::NonFinite { map: format!("of frame {frame}"), cells });
     }
-    Ok(())
+    check_motion(map.motion, header, || format!("of frame {frame}"))
+}
+
+/// Checks that a map has motion if the map spec says so, and that it is finite. `map` names the map.
+pub(super) fn check_motion(
+    motion: Option<Motion>,
+    header: &DatasetHeader,
+    map: impl FnOnce() -> String,
+) -> Result<(), DatasetError> {
+    let is_finite = |motion: Motion| motion.to_array().iter().all(|quantity| quantity.is_finite());
+    let expected = match header.rdm_spec.motion_over_s {
+        Some(_) if !motion.is_some_and(is_finite) => "motion of finite numbers, as the map spec has motion_over_s",
+        None if motion.is_some() => "no motion, as the map spec has no motion_over_s",
+        _ => return Ok(()),
+    };
+    Err(DatasetError::Motion { map: map(), expected })
 }
 
 impl DatasetWriter {
@@ -100,10 +116,10 @@ impl DatasetWriter {
     /// Appends a map. The motion and the hash of its row are those of the map.
     ///
     /// # Errors
-    /// [`DatasetError::Shape`] for a map of another shape, [`DatasetError::NonFinite`] for one with NaN or infinity, and
-    /// [`DatasetError::Io`] or [`DatasetError::Json`] if it cannot be written.
+    /// [`DatasetError::Shape`] for a map of another shape, [`DatasetError::NonFinite`] for one with NaN or infinity,
+    /// [`DatasetError::Motion`] if motion is missing or not expected, and [`DatasetError::Io`] or [`DatasetError::Json`] if it cannot be written.
     pub fn push(&mut self, map: &Rdm, row: ManifestRow) -> Result<(), DatasetError> {
-        check_map(&map.db, map.shape, self.header.shape, map.sequence)?;
+        check_map(map, &self.header)?;
         self.push_checked(&map.db, ManifestRow { motion: map.motion, ..row })
     }
 

@@ -143,7 +143,7 @@ struct Cell {
 /// strongest cell of 10 dB in the middle of the range axis, at velocity 0. A region without cells has a strongest level
 /// of 10 dB and no energy.
 ///
-/// Finite for any finite cells; all are NaN if a cell is not finite.
+/// Finite for any finite cells and motion; all are NaN if a cell is not finite.
 pub fn descriptors(
     map_db: &[f32],
     motion: Motion,

@@ -8,7 +8,7 @@
 //!   [`scale_channels`], [`dropout`], [`activation`], [`adaptive_average_pool`], [`linear`], [`circuit()`], [`cross_entropy`].
 //! - [`PreparedConv`], [`PreparedBlock`], [`PreparedDense`] and [`Feature`]: the same layers for inference, without gradients, with
 //!   folded batch normalisation and reused buffers.
-//! - [`descriptors`]: numbers that describe a map, the input of some networks.
+//! - [`descriptors`]: numbers that describe a map and its motion, the input of some networks.
 //! - [`backward`]: candle's backward pass without its copies.
 //!
 //! All layers run in parallel over the batch or over outputs, and sum in a fixed order. Results have the same bits for any number of

@@ -1,5 +1,6 @@
 //! Classification of maps by a trained model.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use radome_dsp::rdm::Motion;
@@ -98,14 +99,16 @@ pub enum ClassifyError {
     Network(#[from] candle_core::Error),
 }
 
-/// Settings in which a map spec differs from the expected one, as text.
+/// Settings in which a map spec differs from the expected one, as text. Settings that are absent are null.
 fn differences(got: &RdmSpec, expected: &RdmSpec) -> String {
     let settings = |spec: &RdmSpec| serde_json::to_value(spec).unwrap_or_default();
     let (got, expected) = (settings(got), settings(expected));
-    let all = expected.as_object().into_iter().flatten();
-    let different = all.filter(|&(key, value)| got.get(key) != Some(value));
-    let texts = different
-        .map(|(key, value)| format!("{key} {} instead of {value}", got.get(key).unwrap_or(&serde_json::Value::Null)));
+    // Absent settings are not serialised, so the keys of both count.
+    let keys: BTreeSet<&String> =
+        [&got, &expected].into_iter().flat_map(|spec| spec.as_object()).flat_map(|spec| spec.keys()).collect();
+    let different = keys.into_iter().filter(|key| got.get(key) != expected.get(key));
+    let value = |spec: &serde_json::Value, key: &str| spec.get(key).cloned().unwrap_or_default();
+    let texts = different.map(|key| format!("{key} {} instead of {}", value(&got, key), value(&expected, key)));
     texts.collect::<Vec<_>>().join(", ")
 }
 
@@ -210,12 +213,15 @@ impl ModelCard {
     }
 
     /// Checks that `spec` makes the same kind of maps of the frames of `waveform` as the model was trained on. They may end at a nearer
-    /// range ([`RdmSpec::max_range_m`]): people beyond it then do not count.
+    /// range ([`RdmSpec::max_range_m`]): people beyond it then do not count. Motion counts only for networks that read it.
     ///
     /// # Errors
     /// [`ClassifyError::OtherMaps`] if a setting differs, or the waveform does not fit.
     pub fn check_maps(&self, spec: &RdmSpec, waveform: &Waveform) -> Result<(), ClassifyError> {
-        let expected = RdmSpec { max_range_m: spec.max_range_m, ..self.rdm_spec };
+        let mut expected = RdmSpec { max_range_m: spec.max_range_m, ..self.rdm_spec };
+        if !self.network.reads_descriptors() {
+            expected.motion_over_s = spec.motion_over_s;
+        }
         if *spec != expected {
             let what = format!("the maps were made with {}", differences(spec, &expected));
             return Err(ClassifyError::OtherMaps { what });
@@ -257,10 +263,10 @@ impl ModelCard {
             let cells = db.iter().filter(|v| !v.is_finite()).count();
             return Err(ClassifyError::NonFinite { sequence, cells, first });
         }
-        if motion.is_some() != self.rdm_spec.motion_over_s.is_some() {
-            let what =
-                if motion.is_some() { "the map has motion over frames" } else { "the map has no motion over frames" };
-            return Err(ClassifyError::OtherMaps { what: what.to_owned() });
+        if self.network.reads_descriptors() && motion.is_some() != self.rdm_spec.motion_over_s.is_some() {
+            let what = if motion.is_some() { "motion" } else { "no motion" };
+            let what = format!("the map has {what} over frames (motion_over_s)");
+            return Err(ClassifyError::OtherMaps { what });
         }
         self.standardisation.apply(&mut input, doppler, scene_and_class);
         if self.is_transposed() {

@@ -65,7 +65,7 @@ enum Kernel {
 }
 
 impl Network {
-    /// Logits `[batch][3]` for standardised maps `[batch][range][doppler]`.
+    /// Logits `[batch][3]` for standardised maps `[batch][range][doppler]`, or for descriptors `[batch][1][descriptor]`.
     ///
     /// Prepares an [`Inference`] for this call. Callers with many maps keep one.
     ///

@@ -107,6 +107,18 @@ impl MapUse {
 }
 
 impl Augmentation {
+    /// Name of the first setting that changes how echoes move over frames; `None` if there is none.
+    pub(super) fn first_motion_setting(&self) -> Option<&'static str> {
+        [
+            ("superpose", self.superpose.is_some()),
+            ("range_stretch", self.range_stretch > 0.0),
+            ("velocity_stretch", self.velocity_stretch > 0.0),
+            ("sway", self.sway.is_some()),
+        ]
+        .into_iter()
+        .find_map(|(name, is_on)| is_on.then_some(name))
+    }
+
     /// Name of the first setting that changes powers over noise; `None` if there is none.
     pub(super) fn first_power_setting(&self) -> Option<&'static str> {
         [

@@ -104,8 +104,8 @@ impl Data {
             return Err(TrainError::AllSkipped { skipped, range: shape.range });
         }
         let has_motion = spec.network.reads_descriptors() && dataset.header().rdm_spec.motion_over_s.is_some();
-        if has_motion && spec.augmentation.superpose.is_some() {
-            return Err(TrainError::SuperposedMotion);
+        if let Some(setting) = spec.augmentation.first_motion_setting().filter(|_| has_motion) {
+            return Err(TrainError::UnfollowedMotion { setting });
         }
         let warnings = training_warnings(dataset, spec)?;
         let Indices { train, validation, test } = Indices::choose(dataset, spec)?;

@@ -27,12 +27,12 @@ pub enum TrainError {
         "training: augmentation.{setting} changes levels over noise, which maps of an absolute reference do not have\n\nhint: add [reference.over_noise] with skip_range_bins = 3 to the training's settings, or take augmentation.{setting} out"
     )]
     NeedsOverNoise { setting: &'static str },
-    /// Superposed people do not move as the motion of either recording says.
+    /// A setting of the [`Augmentation`](super::Augmentation) changes how echoes move, which the motion of the maps does not follow.
     #[error(
-        "training: augmentation.superpose adds people of two recordings, but the motion of the dataset's maps is that of one\n\nhint: \
-         take superpose out, or build the dataset without motion_over_s in its map spec"
+        "training: augmentation.{setting} changes the echoes of maps, but not their motion over frames\n\nhint: take \
+         augmentation.{setting} out, or build the dataset without motion_over_s in its map spec"
     )]
-    SuperposedMotion,
+    UnfollowedMotion { setting: &'static str },
     /// Networks take one channel.
     #[error(
         "the dataset's maps have {rx} channels, a network takes one\n\nhint: build the dataset with channels = {{ one = 0 }} or \"incoherent_sum\" in its map spec"

@@ -33,7 +33,8 @@ impl Trainer {
         &self.network
     }
 
-    /// Runs a forward pass, a backward pass and Adam's step on maps `[batch][range][doppler]`. Returns the loss before the step.
+    /// Runs a forward pass, a backward pass and Adam's step on the inputs of [`Trainer::random_inputs`]. Returns the loss before the
+    /// step.
     ///
     /// # Errors
     /// Maps or labels do not fit the network, or a gradient is not finite.
@@ -54,14 +55,21 @@ impl Trainer {
         loss.to_scalar()
     }
 
-    /// Maps of random numbers and labels in turn.
+    /// Random inputs of a network for maps of `range x doppler` bins, and labels in turn: `[batch][range][doppler]`, or
+    /// `[batch][1][descriptor]`.
     ///
     /// # Errors
     /// A tensor operation failed.
-    pub fn random_maps(batch: usize, range: usize, doppler: usize) -> Result<(Tensor, Vec<usize>)> {
+    pub fn random_inputs(
+        spec: &NetworkSpec,
+        batch: usize,
+        range: usize,
+        doppler: usize,
+    ) -> Result<(Tensor, Vec<usize>)> {
+        let [rows, columns] = spec.kind.input_size([range, doppler]);
         let mut rng = stream(1, "made-up maps", 0);
-        let cells: Vec<f32> = (0..batch * range * doppler).map(|_| rng.random_range(-1.5..1.5)).collect();
-        let maps = Tensor::from_vec(cells, (batch, range, doppler), &Device::Cpu)?;
-        Ok((maps, (0..batch).map(|index| index % 3).collect()))
+        let cells: Vec<f32> = (0..batch * rows * columns).map(|_| rng.random_range(-1.5..1.5)).collect();
+        let inputs = Tensor::from_vec(cells, (batch, rows, columns), &Device::Cpu)?;
+        Ok((inputs, (0..batch).map(|index| index % 3).collect()))
     }
 }

@@ -77,7 +77,7 @@ pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
         // At learning rate zero a step does all its work, but the network stays random. Learning the random maps by
         // heart would kill units, which would make later steps cheaper.
         let mut trainer = Trainer::new(spec, 1, 0.0, KernelLevel::detect())?;
-        let (maps, labels) = Trainer::random_maps(batch, SIZE, SIZE)?;
+        let (maps, labels) = Trainer::random_inputs(spec, batch, SIZE, SIZE)?;
         Ok(Box::new(move || Ok(trainer.step(&maps, &labels).map(|_| ())?)))
     })
 }
@@ -102,7 +102,7 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
     };
     for (name, stage) in NETWORKS.iter().zip(STAGES) {
         let spec = NetworkSpec::named(name).with_context(|| format!("there is no network '{name}'"))?;
-        let maps: Vec<f32> = Trainer::random_maps(1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
+        let maps: Vec<f32> = Trainer::random_inputs(&spec, 1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
         let mut portable = Vec::new();
         for level in [KernelLevel::Portable, KernelLevel::detect()] {
             let network = Network::initialise(&spec, 1, 0, level)?;
@@ -145,7 +145,7 @@ pub fn infer(arguments: &Arguments) -> anyhow::Result<()> {
     compare(arguments, "infer", batch, repeats, &|spec, name, folder| {
         let network = Network::initialise(spec, 1, 0, KernelLevel::detect())?;
         std::fs::write(folder.join(format!("{name}.onnx")), onnx::export_network(&network, SIZE, SIZE)?)?;
-        let maps: Vec<f32> = Trainer::random_maps(batch, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
+        let maps: Vec<f32> = Trainer::random_inputs(spec, batch, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
         let mut inference = Inference::new(&network)?;
         Ok(Box::new(move || Ok(inference.logits(&maps, [batch, SIZE, SIZE]).map(|_| ())?)))
     })

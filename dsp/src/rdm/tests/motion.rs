@@ -160,6 +160,25 @@ mod hard_cases {
     }
 
     #[test]
+    fn a_gap_keeps_motion_and_a_reset_does_not() {
+        let w = ten_frames_a_second();
+        for (forget, is_kept) in
+            [(RdmProcessor::reset_at_gap as fn(&mut RdmProcessor), true), (RdmProcessor::reset, false)]
+        {
+            let mut processor = RdmProcessor::new(&spec(), &w).expect("spec fits");
+            let (mut random, mut map) = (Random(3), processor.empty_map());
+            for sequence in 0..9 {
+                if sequence == 8 {
+                    forget(&mut processor);
+                }
+                let samples = samples(&w, sequence as f64 * 0.1, &WALKERS, &mut random);
+                processor.process_samples(sequence, &samples, &mut map).expect("length fits");
+            }
+            assert_eq!(map.motion.is_some_and(|motion| motion.separation_change_m > 0.1), is_kept);
+        }
+    }
+
+    #[test]
     fn a_map_that_is_not_finite_is_left_out() {
         let w = ten_frames_a_second();
         let mut processor = RdmProcessor::new(&spec(), &w).expect("spec fits");

@@ -16,7 +16,7 @@ pub enum ExportError {
         "layer {layer}: {reason}\n\nhint: export a model whose circuit is exact, without gate errors, of at most {most} qubits"
     )]
     Circuit { layer: String, reason: String, most: usize },
-    /// The network describes maps instead of reading them.
+    /// The network reads descriptors of maps.
     #[error(
         "{network}: the descriptors of a map have no ONNX form\n\nhint: use the model file (--model \
          FILE.safetensors), or export a network that reads the cells of maps"

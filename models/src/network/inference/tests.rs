@@ -22,8 +22,7 @@ fn inputs([batch, rows, columns]: [usize; 3]) -> Vec<f32> {
 /// Numbers of a network after a few steps of training, so that its normalisations are not trivial and its logits differ.
 fn trained_values(spec: &NetworkSpec) -> std::collections::BTreeMap<String, Vec<f32>> {
     let mut trainer = Trainer::new(spec, 3, 1e-3, KernelLevel::detect()).expect("trainer");
-    let [batch, rows, columns] = input_shape(spec, [6, 32, 32]);
-    let (maps, labels) = Trainer::random_maps(batch, rows, columns).expect("maps");
+    let (maps, labels) = Trainer::random_inputs(spec, 6, 32, 32).expect("inputs");
     for _ in 0..15 {
         trainer.step(&maps, &labels).expect("step");
     }
