@@ -14,6 +14,7 @@ mod lanes;
 mod library_chain;
 mod map;
 mod motion;
+mod motion_average;
 mod physical;
 mod plan;
 mod processor;

@@ -7,7 +7,8 @@ use num_complex::Complex64;
 use super::axes::AxesCoverage;
 use super::error::SpecError;
 use super::map::{Rdm, RdmShape};
-use super::motion::{self, Motion};
+use super::motion::Motion;
+use super::motion_average as average;
 use super::spec::{AmplitudeScale, Channels, RdmSpec, SlowTime, StaticRemoval};
 use crate::{Frame, Waveform};
 
@@ -217,14 +218,14 @@ fn change(sums: &[Complex64], step: f64) -> f64 {
 /// If sequence numbers decrease.
 pub fn motion(maps: &[Rdm], frame_interval_s: f64, over_s: f64) -> Motion {
     let seconds = |from: &Rdm, to: &Rdm| (to.sequence - from.sequence) as f64 * frame_interval_s;
-    let is_gap = |pair: &[Rdm]| seconds(&pair[0], &pair[1]) > motion::MOST_AGE_S;
+    let is_gap = |pair: &[Rdm]| seconds(&pair[0], &pair[1]) > average::MOST_AGE_S;
     let maps = &maps[maps.windows(2).rposition(is_gap).map_or(0, |gap| gap + 1)..];
     let Some(last) = maps.last() else { return Motion::default() };
     let profiles: Vec<MovingProfile> = maps.iter().map(MovingProfile::new).collect();
     let (mut sums, mut weights) = ([0.0; Motion::QUANTITIES], 0.0);
     for (index, map) in maps.iter().enumerate() {
         let age = |earlier: usize| seconds(&maps[earlier], map);
-        let from_lag = |earlier: usize| (age(earlier) - motion::LAG_S).abs();
+        let from_lag = |earlier: usize| (age(earlier) - average::LAG_S).abs();
         let closest = (0..=index).rev().min_by(|a, b| from_lag(*a).total_cmp(&from_lag(*b))).unwrap_or(index);
         let weight = (-seconds(map, last) / over_s).exp();
         let comparison = profiles[index].compare(&profiles[closest], age(closest));
@@ -241,12 +242,12 @@ impl MovingProfile {
     fn new(map: &Rdm) -> Self {
         let cell = |range: usize| {
             let mut levels: Vec<f64> = (0..map.shape.doppler).map(|d| f64::from(map.at(0, d, range))).collect();
-            let moving = (0..map.shape.doppler).filter(|d| map.velocity_m_per_s(*d).abs() > motion::SLOW_M_PER_S);
+            let moving = (0..map.shape.doppler).filter(|d| map.velocity_m_per_s(*d).abs() > average::SLOW_M_PER_S);
             let strongest = moving.reduce(|best, d| if levels[d] > levels[best] { d } else { best });
             let (velocity, level_db) = strongest.map_or((0.0, f64::MIN), |d| (map.velocity_m_per_s(d), levels[d]));
             levels.sort_unstable_by(f64::total_cmp);
             let noise_db = levels[levels.len() / 4] - 10.0 * (4.0f64 / 3.0).ln().log10();
-            let is_leakage = map.range_m(range) < motion::LEAKAGE_M;
+            let is_leakage = map.range_m(range) < average::LEAKAGE_M;
             let over_noise_db = 10.0 * (1.0 + 10f64.powf((level_db - noise_db) / 10.0)).log10();
             (map.range_m(range), velocity, if is_leakage { 0.0 } else { over_noise_db })
         };
@@ -260,7 +261,7 @@ impl MovingProfile {
     }
 
     fn is_moving(&self) -> bool {
-        self.strongest(|_| true).2 > f64::from(motion::MOTION_DB)
+        self.strongest(|_| true).2 > f64::from(average::MOTION_DB)
     }
 
     /// The larger of a level below the strongest cell and a level over noise.
@@ -270,7 +271,7 @@ impl MovingProfile {
 
     fn weight(&self, bin: i64) -> f64 {
         let cell = usize::try_from(bin).ok().and_then(|bin| self.0.get(bin));
-        cell.map_or(0.0, |cell| (cell.2 - self.threshold(motion::PROFILE_DB)).max(0.0).sqrt())
+        cell.map_or(0.0, |cell| (cell.2 - self.threshold(average::PROFILE_DB)).max(0.0).sqrt())
     }
 
     /// Sum over ranges of the products of the weights with those of another profile, shifted.
@@ -279,14 +280,14 @@ impl MovingProfile {
     }
 
     fn nearest(&self) -> (f64, f64, f64) {
-        let least_db = self.threshold(motion::NEAREST_DB);
+        let least_db = self.threshold(average::NEAREST_DB);
         self.0.iter().copied().find(|cell| cell.2 > least_db).unwrap_or((0.0, 0.0, 0.0))
     }
 
     fn second(&self) -> Option<(f64, f64, f64)> {
         let nearest_m = self.nearest().0;
-        let second = self.strongest(|range_m| range_m - nearest_m > motion::BEHIND_M);
-        (second.2 > f64::from(motion::SECOND_DB)).then_some(second)
+        let second = self.strongest(|range_m| range_m - nearest_m > average::BEHIND_M);
+        (second.2 > f64::from(average::SECOND_DB)).then_some(second)
     }
 
     fn compare(&self, earlier: &MovingProfile, age_s: f64) -> [f64; Motion::QUANTITIES] {
@@ -305,17 +306,17 @@ impl MovingProfile {
         let spacing_change_rad = if lengths == 0.0 { 0.0 } else { (product(&now, &before) / lengths).min(1.0).acos() };
 
         let range_step_m = self.0.get(1).map_or(1.0, |second| second.0 - self.0[0].0);
-        let most = (motion::MOST_SHIFT_M / range_step_m).round() as i64;
+        let most = (average::MOST_SHIFT_M / range_step_m).round() as i64;
         let overlaps = (-most..=most).map(|shift| (shift, self.overlap(earlier, shift)));
         let best = overlaps.reduce(|best, other| if other.1 > best.1 { other } else { best }).unwrap_or((0, 0.0));
         let error_m = |way_m: f64, velocity: f64, velocity_before: f64| {
-            (way_m - 0.5 * (velocity + velocity_before) * age_s).abs().min(motion::MOST_DISTANCE_M)
+            (way_m - 0.5 * (velocity + velocity_before) * age_s).abs().min(average::MOST_DISTANCE_M)
         };
         let (strongest, strongest_before) = (self.strongest(|_| true), earlier.strongest(|_| true));
         let (nearest, nearest_before) = (self.nearest(), earlier.nearest());
         let separation_change_m = match (second, earlier.second()) {
             (Some(second), Some(second_before)) => {
-                ((second.0 - nearest.0) - (second_before.0 - nearest_before.0)).abs().min(motion::MOST_DISTANCE_M)
+                ((second.0 - nearest.0) - (second_before.0 - nearest_before.0)).abs().min(average::MOST_DISTANCE_M)
             }
             _ => 0.0,
         };
