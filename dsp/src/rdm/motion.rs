@@ -29,21 +29,13 @@ impl Motion {
 
     /// The quantities in the order of their declaration.
     pub fn to_array(self) -> [f32; Self::QUANTITIES] {
-        let Motion {
-            spacing_change_rad,
-            shift_error_m,
-            nearest_error_m,
-            separation_change_m,
-            second_share,
-            velocity_difference_m_per_s,
-        } = self;
         [
-            spacing_change_rad,
-            shift_error_m,
-            nearest_error_m,
-            separation_change_m,
-            second_share,
-            velocity_difference_m_per_s,
+            self.spacing_change_rad,
+            self.shift_error_m,
+            self.nearest_error_m,
+            self.separation_change_m,
+            self.second_share,
+            self.velocity_difference_m_per_s,
         ]
     }
 
