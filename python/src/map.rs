@@ -71,7 +71,7 @@ impl Map {
         self.inner.flags.saturated_samples
     }
 
-    /// Motion of echoes over the last frames, a dict of six quantities; `None` unless the spec has `motion_over_s`.
+    /// Motion of echoes over the last frames, a dict of seven quantities; `None` unless the spec has `motion_over_s`.
     #[getter]
     fn motion<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.inner.motion)

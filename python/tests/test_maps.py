@@ -65,6 +65,7 @@ def test_maps_have_the_motion_of_echoes_if_asked_for(desk_frames):
         "separation_change_m",
         "second_share",
         "velocity_difference_m_per_s",
+        "nearer_change",
     ]
     assert all(list(motion) == quantities for motion in motions)
     # The first frame has none to be compared with.

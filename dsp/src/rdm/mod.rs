@@ -15,6 +15,7 @@ mod library_chain;
 mod map;
 mod motion;
 mod motion_average;
+mod nearer_change;
 mod physical;
 mod plan;
 mod processor;
@@ -27,6 +28,7 @@ pub use error::{MapMismatch, SpecError};
 pub use library_chain::LibraryChain;
 pub use map::{MapFlags, Rdm, RdmShape};
 pub use motion::Motion;
+pub use nearer_change::nearer_change;
 pub use processor::{MapStatus, RdmProcessor};
 pub use spec::{AmplitudeScale, Channels, RdmSpec, SampleScale, SlowTime, StaticRemoval};
 

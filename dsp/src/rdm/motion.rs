@@ -3,7 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Motion of echoes over the last frames: averages of comparisons of frames, with weights that fall exponentially with age.
+/// Motion of echoes over the last frames: averages of comparisons of frames, with weights that fall exponentially with age, and change
+/// nearer than the motion.
 ///
 /// All quantities are 0 where nothing moves, which is the default.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -21,11 +22,14 @@ pub struct Motion {
     pub second_share: f32,
     /// Difference between the velocities of the nearest echo and the strongest one behind it, m/s; 0 in frames with one echo.
     pub velocity_difference_m_per_s: f32,
+    /// Change nearer than the motion, as of somebody who sits while another person walks behind, 0 to 1: the largest of the last frames,
+    /// where earlier ones count less. 0 in maps without change.
+    pub nearer_change: f32,
 }
 
 impl Motion {
     /// Number of quantities.
-    pub const QUANTITIES: usize = 6;
+    pub const QUANTITIES: usize = 7;
 
     /// The quantities in the order of their declaration.
     pub fn to_array(self) -> [f32; Self::QUANTITIES] {
@@ -36,6 +40,7 @@ impl Motion {
             self.separation_change_m,
             self.second_share,
             self.velocity_difference_m_per_s,
+            self.nearer_change,
         ]
     }
 
@@ -48,6 +53,7 @@ impl Motion {
             separation_change_m,
             second_share,
             velocity_difference_m_per_s,
+            nearer_change,
         ] = quantities;
         Motion {
             spacing_change_rad,
@@ -56,6 +62,7 @@ impl Motion {
             separation_change_m,
             second_share,
             velocity_difference_m_per_s,
+            nearer_change,
         }
     }
 }

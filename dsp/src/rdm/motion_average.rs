@@ -4,6 +4,9 @@
 //! Doppler says. Two people move independently. A single frame shows this only where they move in different directions. Therefore
 //! each frame is compared with the one about 0.3 s before, and the differences are averaged over about a second.
 //!
+//! Who sits while another person walks behind hardly moves within a frame, and is seen by the change from frame to frame. Where it is
+//! nearer than the motion, it is held for a while, because the walker may stop or be hidden.
+//!
 //! All quantities are computed from the range profile of a map: the strongest moving cell of each range bin, with its level over the
 //! noise of the bin and its velocity. [`reference::motion`](super::reference::motion) is the slow version.
 
@@ -11,6 +14,7 @@ use std::collections::VecDeque;
 
 use super::map::{Rdm, RdmShape};
 use super::motion::Motion;
+use super::nearer_change::nearer_change;
 use super::physical::{QUARTILES, quantile};
 
 /// Time between compared frames, s. The stored frame whose age is closest to it is taken.
@@ -35,6 +39,12 @@ pub(super) const BEHIND_M: f64 = 0.65;
 pub(super) const MOST_SHIFT_M: f64 = 2.1;
 /// Upper bound of distances, m. Where the nearest echo changes from one person to another, the distance says nothing more.
 pub(super) const MOST_DISTANCE_M: f64 = 1.5;
+/// Change is nearer than the motion if its distance to it is more than this, m. Limbs and the range window extend over less.
+pub(super) const NEARER_M: f64 = 0.4;
+/// Time in which held change falls by `1/e`, s.
+pub(super) const HELD_S: f64 = 0.7;
+/// Number of quantities that are averages.
+pub(super) const AVERAGES: usize = Motion::QUANTITIES - 1;
 /// Least time between stored frames, s. Of faster frames, some are not stored.
 const STORED_INTERVAL_S: f64 = 0.02;
 
@@ -47,8 +57,12 @@ pub(super) struct MotionAverage {
     earlier: VecDeque<Profile>,
     /// Profiles whose memory is used again.
     spare: Vec<Profile>,
-    sums: [f64; Motion::QUANTITIES],
+    sums: [f64; AVERAGES],
     weight: f64,
+    /// Change nearer than the motion: the largest of the frames, where earlier ones count less.
+    nearer_change: f64,
+    /// Whether cells of zero velocity hold the change from frame to frame.
+    has_change: bool,
     /// Buffer for the levels of a range bin.
     column: Vec<f32>,
 }
@@ -58,11 +72,15 @@ pub(super) struct MotionAverage {
 struct Profile {
     /// Time since the frame, s.
     age_s: f64,
+    /// Change nearer than the motion, 0 to 1.
+    nearer_change: f64,
     /// Whether the frame shows motion. If not, the fields below do not count.
     is_moving: bool,
     /// Level of the strongest moving cell of each range bin, dB over noise, and its velocity, m/s.
     levels_db: Vec<f32>,
     velocities_m_per_s: Vec<f64>,
+    /// Level of the cell of zero velocity of each range bin, dB over noise.
+    changes_db: Vec<f32>,
     /// Square root of the height of each level over the larger of the two [`PROFILE_DB`].
     weights: Vec<f32>,
     /// Autocorrelation of the weights by distance in bins, from 1 on, scaled to length 1; 0 if it is 0.
@@ -81,8 +99,9 @@ struct Echo {
 }
 
 impl MotionAverage {
-    /// Starts averages over maps of this shape, whose weights fall by `1/e` over `over_s`.
-    pub(super) fn new(shape: RdmShape, over_s: f64, frame_interval_s: f64) -> Self {
+    /// Starts averages over maps of this shape, whose weights fall by `1/e` over `over_s`. `has_change` says whether the cells of zero
+    /// velocity hold the change from frame to frame.
+    pub(super) fn new(shape: RdmShape, over_s: f64, frame_interval_s: f64, has_change: bool) -> Self {
         let most_stored = (MOST_AGE_S / frame_interval_s.max(STORED_INTERVAL_S)) as usize + 2;
         MotionAverage {
             over_s,
@@ -90,8 +109,10 @@ impl MotionAverage {
             last_sequence: None,
             earlier: VecDeque::with_capacity(most_stored),
             spare: (0..most_stored).map(|_| Profile::with_capacity(shape.range)).collect(),
-            sums: [0.0; Motion::QUANTITIES],
+            sums: [0.0; AVERAGES],
             weight: 0.0,
+            nearer_change: 0.0,
+            has_change,
             column: Vec::with_capacity(shape.doppler),
         }
     }
@@ -100,7 +121,7 @@ impl MotionAverage {
     pub(super) fn reset(&mut self) {
         self.last_sequence = None;
         self.spare.extend(self.earlier.drain(..));
-        (self.weight, self.sums) = (0.0, [0.0; Motion::QUANTITIES]);
+        (self.weight, self.sums, self.nearer_change) = (0.0, [0.0; AVERAGES], 0.0);
     }
 
     /// Takes the map of the next frame, of one channel, and returns the averages. Some frames may be missing. A map with cells that are
@@ -134,6 +155,8 @@ impl MotionAverage {
         for (sum, quantity) in self.sums.iter_mut().zip(comparison) {
             *sum = *sum * retention + quantity;
         }
+        let nearer_change = if self.has_change { newest.nearer_change } else { 0.0 };
+        self.nearer_change = nearer_change.max(self.nearer_change * (-elapsed_s / HELD_S).exp());
         let is_dense = self.earlier.front().is_some_and(|profile| profile.age_s < STORED_INTERVAL_S);
         if is_dense {
             self.spare.push(newest);
@@ -144,11 +167,11 @@ impl MotionAverage {
     }
 
     fn average(&self) -> Motion {
-        if self.weight > 0.0 {
-            Motion::from_array(self.sums.map(|sum| (sum / self.weight) as f32))
-        } else {
-            Motion::default()
+        let mut quantities = [self.nearer_change as f32; Motion::QUANTITIES];
+        for (quantity, sum) in quantities.iter_mut().zip(self.sums) {
+            *quantity = if self.weight > 0.0 { (sum / self.weight) as f32 } else { 0.0 };
         }
+        Motion::from_array(quantities)
     }
 }
 
@@ -157,6 +180,7 @@ impl Profile {
         Profile {
             levels_db: Vec::with_capacity(range),
             velocities_m_per_s: Vec::with_capacity(range),
+            changes_db: Vec::with_capacity(range),
             weights: Vec::with_capacity(range),
             spacings: Vec::with_capacity(range),
             ..Profile::default()
@@ -168,21 +192,39 @@ impl Profile {
         self.age_s = 0.0;
         self.levels_db.clear();
         self.velocities_m_per_s.clear();
+        self.changes_db.clear();
+        // Slow cells are no motion, but where the strongest cell is one, change may be that of the same person.
+        let (mut slow_db, mut fast_db, mut fast_range) = (f32::MIN, f32::MIN, 0);
         for range in 0..map.shape.range {
-            let (mut strongest_db, mut velocity_m_per_s) = (f32::MIN, 0.0);
+            let (mut strongest_db, mut velocity_m_per_s, mut slowest_db) = (f32::MIN, 0.0, f32::MIN);
             column.clear();
             for doppler in 0..map.shape.doppler {
                 let (level_db, velocity) = (map.at(0, doppler, range), map.velocity_m_per_s(doppler));
                 column.push(level_db);
                 if velocity.abs() > SLOW_M_PER_S && level_db > strongest_db {
                     (strongest_db, velocity_m_per_s) = (level_db, velocity);
+                } else if velocity != 0.0 && velocity.abs() <= SLOW_M_PER_S {
+                    slowest_db = slowest_db.max(level_db);
                 }
             }
+            let change_db = column[map.shape.doppler / 2];
             let noise_db = quantile(column, 4) - 10.0 * QUARTILES[0].log10();
-            let level_db = 10.0 * (1.0 + 10f32.powf(0.1 * (strongest_db - noise_db))).log10();
-            self.levels_db.push(if map.range_m(range) < LEAKAGE_M { 0.0 } else { level_db });
+            let is_leakage = map.range_m(range) < LEAKAGE_M;
+            let over_noise_db = |level_db: f32| {
+                if is_leakage { 0.0 } else { 10.0 * (1.0 + 10f32.powf(0.1 * (level_db - noise_db))).log10() }
+            };
+            let level_db = over_noise_db(strongest_db);
+            self.levels_db.push(level_db);
             self.velocities_m_per_s.push(velocity_m_per_s);
+            self.changes_db.push(over_noise_db(change_db));
+            slow_db = slow_db.max(over_noise_db(slowest_db));
+            if level_db > fast_db {
+                (fast_db, fast_range) = (level_db, range);
+            }
         }
+        let is_nearer = |range: &usize| map.range_m(fast_range) - map.range_m(*range) > NEARER_M;
+        let nearer_db = (0..map.shape.range).filter(is_nearer).map(|range| self.changes_db[range]).fold(0.0, f32::max);
+        self.nearer_change = if fast_db > slow_db { nearer_change(nearer_db, fast_db) } else { 0.0 };
 
         let strongest = self.strongest(0);
         let most_db = strongest.map_or(0.0, |bin| self.levels_db[bin]);
@@ -223,8 +265,8 @@ impl Profile {
         }
     }
 
-    /// Compares the frame with an earlier one, and the echoes of the frame with each other: the quantities of [`Motion`].
-    fn compare(&self, earlier: Option<&Profile>, range_step_m: f64) -> [f64; Motion::QUANTITIES] {
+    /// Compares the frame with an earlier one, and the echoes of the frame with each other: the averaged quantities of [`Motion`].
+    fn compare(&self, earlier: Option<&Profile>, range_step_m: f64) -> [f64; AVERAGES] {
         let second = self.second.filter(|_| self.is_moving);
         let second_share = if second.is_some() { 1.0 } else { 0.0 };
         let difference = |second: Echo| (second.velocity_m_per_s - self.nearest.velocity_m_per_s).abs();

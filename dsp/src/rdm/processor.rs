@@ -122,9 +122,9 @@ impl RdmProcessor {
             source_start: plan.used_samples().start,
             background: vec![0.0; if is_recursive { codes } else { 0 }],
             has_background: false,
-            motion: spec
-                .motion_over_s
-                .map(|over_s| MotionAverage::new(plan.shape, over_s, waveform.frame_interval_s())),
+            motion: spec.motion_over_s.map(|over_s| {
+                MotionAverage::new(plan.shape, over_s, waveform.frame_interval_s(), spec.change_over_s.is_some())
+            }),
             plan,
         })
     }

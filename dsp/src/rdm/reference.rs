@@ -9,6 +9,7 @@ use super::error::SpecError;
 use super::map::{Rdm, RdmShape};
 use super::motion::Motion;
 use super::motion_average as average;
+use super::nearer_change::nearer_change;
 use super::spec::{AmplitudeScale, Channels, RdmSpec, SlowTime, StaticRemoval};
 use crate::{Frame, Waveform};
 
@@ -212,17 +213,17 @@ fn change(sums: &[Complex64], step: f64) -> f64 {
 /// Motion of the last of `maps`, in f64. They are of one channel, finite, and in the order of their sequence numbers.
 ///
 /// Each map is compared with the earlier one whose age is closest to 0.3 s, and the comparisons are averaged with weights that fall by
-/// `1/e` over `over_s`. Maps before a gap of more than a second do not count. Intervals of frames must be at least 20 ms.
+/// `1/e` over `over_s`. Change nearer than the motion counts only if `has_change`. Maps before a gap of more than a second do not count. Intervals of frames must be at least 20 ms.
 ///
 /// # Panics
 /// If sequence numbers decrease.
-pub fn motion(maps: &[Rdm], frame_interval_s: f64, over_s: f64) -> Motion {
+pub fn motion(maps: &[Rdm], frame_interval_s: f64, over_s: f64, has_change: bool) -> Motion {
     let seconds = |from: &Rdm, to: &Rdm| (to.sequence - from.sequence) as f64 * frame_interval_s;
     let is_gap = |pair: &[Rdm]| seconds(&pair[0], &pair[1]) > average::MOST_AGE_S;
     let maps = &maps[maps.windows(2).rposition(is_gap).map_or(0, |gap| gap + 1)..];
     let Some(last) = maps.last() else { return Motion::default() };
     let profiles: Vec<MovingProfile> = maps.iter().map(MovingProfile::new).collect();
-    let (mut sums, mut weights) = ([0.0; Motion::QUANTITIES], 0.0);
+    let (mut sums, mut weights, mut nearer_change) = ([0.0; average::AVERAGES], 0.0, 0f64);
     for (index, map) in maps.iter().enumerate() {
         let age = |earlier: usize| seconds(&maps[earlier], map);
         let from_lag = |earlier: usize| (age(earlier) - average::LAG_S).abs();
@@ -231,8 +232,38 @@ pub fn motion(maps: &[Rdm], frame_interval_s: f64, over_s: f64) -> Motion {
         let comparison = profiles[index].compare(&profiles[closest], age(closest));
         sums.iter_mut().zip(comparison).for_each(|(sum, quantity)| *sum += weight * quantity);
         weights += weight;
+        let of_map = if has_change { nearer_change_of(map) } else { 0.0 };
+        nearer_change = nearer_change.max(of_map * (-seconds(map, last) / average::HELD_S).exp());
     }
-    Motion::from_array(sums.map(|sum| (sum / weights) as f32))
+    let averages = sums.map(|sum| (sum / weights) as f32);
+    Motion::from_array(std::array::from_fn(|k| averages.get(k).copied().unwrap_or(nearer_change as f32)))
+}
+
+/// Change nearer than the motion in one map, 0 to 1.
+fn nearer_change_of(map: &Rdm) -> f64 {
+    let zero = map.shape.doppler / 2;
+    let cells: Vec<(f64, f64, f64)> = (0..map.shape.range)
+        .filter(|range| map.range_m(*range) >= average::LEAKAGE_M)
+        .flat_map(|range| {
+            let levels: Vec<f64> = (0..map.shape.doppler).map(|d| f64::from(map.at(0, d, range))).collect();
+            let over_noise_db = move |d: usize| over_noise_db(&levels, levels[d]);
+            (0..map.shape.doppler).map(move |d| (map.range_m(range), map.velocity_m_per_s(d), over_noise_db(d)))
+        })
+        .collect();
+    let (changes, motions): (Vec<_>, Vec<_>) = cells.into_iter().partition(|cell| cell.1 == map.velocity_m_per_s(zero));
+    let strongest = motions.into_iter().reduce(|best, cell| if cell.2 > best.2 { cell } else { best });
+    let Some((range_m, velocity, motion_db)) = strongest else { return 0.0 };
+    let nearer = changes.into_iter().filter(|change| range_m - change.0 > average::NEARER_M);
+    let change_db = nearer.map(|change| change.2).fold(0.0, f64::max);
+    if velocity.abs() > average::SLOW_M_PER_S { nearer_change(change_db as f32, motion_db as f32) } else { 0.0 }
+}
+
+/// `1 + P / N` of a cell in dB, for the levels of its range bin.
+fn over_noise_db(levels: &[f64], level_db: f64) -> f64 {
+    let mut sorted = levels.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let noise_db = sorted[sorted.len() / 4] - 10.0 * (4.0f64 / 3.0).ln().log10();
+    10.0 * (1.0 + 10f64.powf((level_db - noise_db) / 10.0)).log10()
 }
 
 /// Strongest moving cells of a map by range: `(range_m, velocity_m_per_s, dB over noise)`.
@@ -241,15 +272,12 @@ struct MovingProfile(Vec<(f64, f64, f64)>);
 impl MovingProfile {
     fn new(map: &Rdm) -> Self {
         let cell = |range: usize| {
-            let mut levels: Vec<f64> = (0..map.shape.doppler).map(|d| f64::from(map.at(0, d, range))).collect();
+            let levels: Vec<f64> = (0..map.shape.doppler).map(|d| f64::from(map.at(0, d, range))).collect();
             let moving = (0..map.shape.doppler).filter(|d| map.velocity_m_per_s(*d).abs() > average::SLOW_M_PER_S);
             let strongest = moving.reduce(|best, d| if levels[d] > levels[best] { d } else { best });
             let (velocity, level_db) = strongest.map_or((0.0, f64::MIN), |d| (map.velocity_m_per_s(d), levels[d]));
-            levels.sort_unstable_by(f64::total_cmp);
-            let noise_db = levels[levels.len() / 4] - 10.0 * (4.0f64 / 3.0).ln().log10();
             let is_leakage = map.range_m(range) < average::LEAKAGE_M;
-            let over_noise_db = 10.0 * (1.0 + 10f64.powf((level_db - noise_db) / 10.0)).log10();
-            (map.range_m(range), velocity, if is_leakage { 0.0 } else { over_noise_db })
+            (map.range_m(range), velocity, if is_leakage { 0.0 } else { over_noise_db(&levels, level_db) })
         };
         MovingProfile((0..map.shape.range).map(cell).collect())
     }
@@ -290,7 +318,7 @@ impl MovingProfile {
         (second.2 > f64::from(average::SECOND_DB)).then_some(second)
     }
 
-    fn compare(&self, earlier: &MovingProfile, age_s: f64) -> [f64; Motion::QUANTITIES] {
+    fn compare(&self, earlier: &MovingProfile, age_s: f64) -> [f64; average::AVERAGES] {
         let second = self.second().filter(|_| self.is_moving());
         let share = if second.is_some() { 1.0 } else { 0.0 };
         let velocity_difference = second.map_or(0.0, |second| (second.1 - self.nearest().1).abs());

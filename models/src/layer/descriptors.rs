@@ -22,15 +22,18 @@
 //! The features in `dataset/features.rs` are different: they are quantiles over many maps, which compare simulated rooms with real
 //! ones.
 
-use radome_dsp::rdm::Motion;
+use radome_dsp::rdm::{Motion, nearer_change};
 
 /// Number of descriptors of the cells of a map.
 const OF_CELLS: usize = 50;
+/// Number of quantities of motion that describe the moving echoes. The one after them is change nearer than the motion.
+const OF_MOVING: usize = Motion::QUANTITIES - 1;
 /// Number of descriptors of a map with its motion.
-pub const DESCRIPTORS: usize = OF_CELLS + Motion::QUANTITIES;
+pub const DESCRIPTORS: usize = OF_CELLS + Motion::QUANTITIES + OF_MOVING;
 /// Numbers of descriptors in earlier models. These had only the first descriptors of a map: without the correlations of the noise,
-/// without change much nearer than the motion, without change slightly nearer than the motion, and without the motion over frames.
-pub(crate) const EARLIER_DESCRIPTORS: [usize; 4] = [43, 47, 48, OF_CELLS];
+/// without change much nearer than the motion, without change slightly nearer than the motion, without the motion over frames, and
+/// without change nearer than the motion over frames.
+pub(crate) const EARLIER_DESCRIPTORS: [usize; 5] = [43, 47, 48, OF_CELLS, OF_CELLS + OF_MOVING];
 
 /// Level above which a cell counts as an echo, dB. One of 8,192 cells of noise exceeds it.
 const ECHO_THRESHOLD_DB: f32 = 10.0;
@@ -48,15 +51,6 @@ const OTHER_PERSON_BINS: usize = 6;
 /// The same for strong change, if the strongest cell is not slow. Change of limbs and of the window is weaker, and a single standing
 /// person has a slow strongest cell.
 const CLOSE_PERSON_BINS: usize = 2;
-/// Level of strong change: up to the first value it does not count as that of a person, from the second on it does, dB over noise.
-/// A person who has just left a place leaves weaker change.
-const CLOSE_CHANGE_DB: [f32; 2] = [33.0, 42.0];
-/// Level of the strongest cell, dB: up to the first value it may be noise or an echo of the standing person, from the second on it
-/// is the motion of another person.
-const CLOSE_MOTION_DB: [f32; 2] = [14.0, 26.0];
-/// Level of change less that of the strongest cell, dB: up to the first value it counts as change of the same person, from the
-/// second on as that of another person.
-const CHANGE_OVER_MOTION_DB: [f32; 2] = [-10.0, 0.0];
 /// Number of velocity bins on either side of the strongest cell that count as its velocity. Limbs are that much faster and slower.
 const SAME_VELOCITY_BINS: i64 = 4;
 /// Number of velocity bins on either side of zero that are slow. Echoes of a room at rest extend over them.
@@ -118,9 +112,10 @@ struct Cell {
 /// | 43, 44 | correlation of the levels of noise one and two velocity bins apart | 1 |
 /// | 45, 46 | the same one and two range bins apart | 1 |
 /// | 47 | person without motion nearer than one with motion: strongest cell of zero velocity more than six bins nearer than the strongest cell, 0 up to 20 dB and 1 from 35 dB on, times 0 where the strongest cell has 10 dB, and 1 where it has 25 dB | 1 |
-/// | 48 | person without motion slightly nearer than one with motion: strongest cell of zero velocity more than two bins nearer than the strongest cell, 0 up to 33 dB and 1 from 42 dB on, times 0 where it is 10 dB weaker than the strongest cell, and 1 where it is at least as strong, times 0 where the strongest cell has 14 dB, and 1 where it has 26 dB; 0 where the strongest cell is slow | 1 |
+/// | 48 | person without motion slightly nearer than one with motion: [`nearer_change`] of the strongest cell of zero velocity more than two bins nearer than the strongest cell; 0 where the strongest cell is slow | 1 |
 /// | 49 | the same where the strongest cell approaches, 0 otherwise: change near a receding person may be caused by this person | 1 |
-/// | 50 to 55 | quantities of [`Motion`] | rad, m, m, m, 1, m/s |
+/// | 50 to 56 | quantities of [`Motion`] | rad, m, m, m, 1, m/s, 1 |
+/// | 57 to 62 | 50 to 55 times 56: where somebody sits nearer than a walking person, the motion is that of one person | rad, m, m, m, 1, m/s |
 ///
 /// Cells of zero velocity are used by 42 and 47 to 49 only. Cells of noise are those above 0 dB and up to 10 dB that are not slow.
 /// Range bins whose cells are all equal hold no noise. Without two different pairs of cells, a correlation is 0.
@@ -182,12 +177,12 @@ pub fn descriptors(
     values.push(ramp(CHANGE_DB, nearer_db) * moving);
     let close_db = strongest_change_db(peak.row.saturating_sub(CLOSE_PERSON_BINS));
     let is_moving = peak.velocity_bin.abs() > SLOW_BINS;
-    let close_person = ramp(CLOSE_CHANGE_DB, close_db)
-        * ramp(CHANGE_OVER_MOTION_DB, close_db - peak.level_db)
-        * ramp(CLOSE_MOTION_DB, peak.level_db);
+    let close_person = nearer_change(close_db, peak.level_db);
     values.push(if is_moving { close_person } else { 0.0 });
     values.push(if is_moving && peak.velocity_bin < 0 { close_person } else { 0.0 });
-    values.extend(motion.to_array().map(f64::from));
+    let motion = motion.to_array().map(f64::from);
+    values.extend(motion);
+    values.extend(motion[..OF_MOVING].iter().map(|quantity| quantity * motion[OF_MOVING]));
     std::array::from_fn(|k| values.get(k).map_or(f32::NAN, |&value| value as f32))
 }
 
@@ -685,11 +680,16 @@ mod tests {
 
     #[test]
     fn motion_comes_last() {
-        let quantities = [0.5, 0.1, 0.2, 0.3, 0.9, 1.2];
+        let quantities = [0.5, 0.1, 0.2, 0.3, 0.9, 1.2, 0.5];
         let map = noise(20, 30, 4);
         let found = descriptors(&map, Motion::from_array(quantities), 30, RANGE_STEP_M, VELOCITY_STEP_M_PER_S);
         assert_eq!(found[..OF_CELLS], describe(&map, 30)[..OF_CELLS]);
-        assert_eq!(found[OF_CELLS..], quantities);
+        assert_eq!(found[OF_CELLS..][..Motion::QUANTITIES], quantities);
+        let products = &found[OF_CELLS + Motion::QUANTITIES..];
+        assert_eq!(products.len(), OF_MOVING);
+        for (product, quantity) in products.iter().zip(quantities) {
+            assert_eq!(*product, 0.5 * quantity);
+        }
     }
 
     mod hard_cases {

@@ -2,11 +2,11 @@
 //!
 //! ```text
 //! map [1][range][doppler], dB over noise, and motion
-//!   56 descriptors (layer/descriptors.rs), ranges and velocities in bins: the input of the network
+//!   63 descriptors (layer/descriptors.rs), ranges and velocities in bins: the input of the network
 //!   standardise by constants, folded into the dense layer behind
 //!
 //! descriptor_linear                       descriptor_hqnn
-//!   linear 56 -> 3: logits       171        linear 56 -> 2: the latent           114
+//!   linear 63 -> 3: logits       192        linear 63 -> 2: the latent           128
 //!                                           standardise by constants, pi * sigmoid
 //!                                           two-qubit circuit, <ZI> and <IZ>       4
 //!                                           linear 2 -> 3: logits                  9
@@ -61,8 +61,9 @@ mod tests {
     /// Descriptors of [`maps`], with other motion in each.
     fn inputs() -> Vec<f32> {
         let [_, rows, columns] = SHAPE;
-        let motion =
-            |k: usize| Motion::from_array([1.0 - 0.2 * k as f32, 0.1, 0.2 * k as f32, 0.3, 0.5, 0.4 * k as f32]);
+        let motion = |k: usize| {
+            Motion::from_array([1.0 - 0.2 * k as f32, 0.1, 0.2 * k as f32, 0.3, 0.5, 0.4 * k as f32, 0.2 * k as f32])
+        };
         let input =
             |(k, map): (usize, &[f32])| NetworkKind::DescriptorLinear.input(map.to_vec(), Some(motion(k)), columns);
         maps().chunks_exact(rows * columns).enumerate().flat_map(input).collect()
@@ -120,7 +121,7 @@ mod tests {
     #[test]
     fn multiply_adds_are_few() {
         let [linear, hqnn] = ["descriptor_linear", "descriptor_hqnn"].map(|name| NetworkSpec::named(name).expect(name));
-        assert_eq!(linear.multiply_adds(64, 32), 17 * 64 * 32 + 56 * 3);
+        assert_eq!(linear.multiply_adds(64, 32), 17 * 64 * 32 + 63 * 3);
         assert!(hqnn.multiply_adds(128, 128) < 300_000);
         assert_eq!(linear.too_small_for(1, 1), None);
     }

@@ -7,8 +7,8 @@ estimator_matched, dequantization, squashed_linear, squashed_dequantization, tri
                          the same with other heads than a trained circuit
 doppler_net, resnet18, efficientnet_b0, efficientnet_b0_rgb
                          larger networks
-descriptor_linear        56 descriptors of a map and of motion, and a linear head: the baseline
-descriptor_hqnn          the same 56 descriptors, two numbers, and the paper's circuit or another head
+descriptor_linear        63 descriptors of a map and of motion, and a linear head: the baseline
+descriptor_hqnn          the same 63 descriptors, two numbers, and the paper's circuit or another head
 
 Networks whose names begin with descriptor_ read maps over their own noise: their training spec needs \
 reference = { over_noise = { skip_range_bins = 3 } }. They have no ONNX form.";

@@ -35,10 +35,24 @@ fn samples(w: &Waveform, start_s: f64, reflectors: &[Reflector], random: &mut Ra
     samples
 }
 
+/// Specification of maps whose cells of zero velocity hold change.
+fn spec_with_change() -> RdmSpec {
+    RdmSpec { change_over_s: Some(OVER_S), ..spec() }
+}
+
 /// Maps of the frames with these sequence numbers.
 fn maps(w: &Waveform, sequences: impl IntoIterator<Item = u64>, reflectors: &[Reflector]) -> Vec<Rdm> {
+    maps_by(&spec(), w, sequences, reflectors)
+}
+
+fn maps_by(
+    spec: &RdmSpec,
+    w: &Waveform,
+    sequences: impl IntoIterator<Item = u64>,
+    reflectors: &[Reflector],
+) -> Vec<Rdm> {
     let mut random = Random(3);
-    let mut processor = RdmProcessor::new(&spec(), w).expect("spec fits");
+    let mut processor = RdmProcessor::new(spec, w).expect("spec fits");
     let map = |sequence: u64| {
         let samples = samples(w, sequence as f64 * w.frame_interval_s(), reflectors, &mut random);
         let mut map = processor.empty_map();
@@ -61,6 +75,11 @@ const GHOSTS: [Reflector; 3] = [(2.0, 0.6, 0.1), (3.2, 0.6, 0.05), (4.7, 0.6, 0.
 /// Two walkers, who meet.
 const WALKERS: [Reflector; 2] = [(2.0, 0.6, 0.1), (4.5, -0.7, 0.06)];
 
+/// Somebody who sits: strong, and 1.5 mm farther away in each frame of ten a second.
+const SITS: Reflector = (1.0, 0.015, 0.1);
+/// Somebody who walks behind.
+const WALKS: Reflector = (3.0, 0.6, 0.03);
+
 #[test]
 fn motion_agrees_with_the_reference() {
     for interval_s in [0.03, 0.1, 0.25, 0.7] {
@@ -68,18 +87,51 @@ fn motion_agrees_with_the_reference() {
         // Three frames are missing, and later more than a second.
         let sequences = (0..12).chain(15..22).chain(70..76);
         let mut random = Random(9);
-        let reflectors: Vec<Reflector> = (0..5)
+        let mut reflectors: Vec<Reflector> = (0..5)
             .map(|_| (1.5 + 4.0 * random.uniform(), 3.0 * random.uniform() - 1.5, 0.1 * random.uniform()))
             .collect();
-        let maps = maps(&w, sequences, &reflectors);
-        for count in 1..=maps.len() {
-            let maps = &maps[..count];
-            let expected = reference::motion(maps, w.frame_interval_s(), OVER_S).to_array();
-            for (found, expected) in last_motion(maps).to_array().into_iter().zip(expected) {
-                assert!((found - expected).abs() < 1e-3, "{interval_s} {count}: {found} {expected}");
+        reflectors.push(SITS);
+        for (spec, has_change) in [(spec(), false), (spec_with_change(), true)] {
+            let maps = maps_by(&spec, &w, sequences.clone(), &reflectors);
+            for count in 1..=maps.len() {
+                let maps = &maps[..count];
+                let expected = reference::motion(maps, w.frame_interval_s(), OVER_S, has_change).to_array();
+                for (found, expected) in last_motion(maps).to_array().into_iter().zip(expected) {
+                    assert!((found - expected).abs() < 1e-3, "{interval_s} {count}: {found} {expected}");
+                }
             }
         }
     }
+}
+
+#[test]
+fn who_sits_nearer_than_a_walker_is_seen_by_change() {
+    let w = ten_frames_a_second();
+    let nearer_change =
+        |reflectors: &[Reflector]| last_motion(&maps_by(&spec_with_change(), &w, 0..12, reflectors)).nearer_change;
+    assert!(nearer_change(&[SITS, WALKS]) > 0.9);
+    assert_eq!(nearer_change(&[SITS]), 0.0, "nobody walks");
+    assert_eq!(nearer_change(&[WALKS]), 0.0, "nobody sits");
+    let behind = (WALKS.0 + 1.5, SITS.1, SITS.2);
+    assert_eq!(nearer_change(&[behind, WALKS]), 0.0, "change behind a walker may be a shadow");
+    assert_eq!(last_motion(&maps(&w, 0..12, &[SITS, WALKS])).nearer_change, 0.0, "a map without change");
+}
+
+#[test]
+fn change_nearer_than_a_walker_is_held_for_a_while() {
+    let w = ten_frames_a_second();
+    let mut random = Random(3);
+    let mut processor = RdmProcessor::new(&spec_with_change(), &w).expect("spec fits");
+    let mut map = processor.empty_map();
+    let mut held = Vec::new();
+    for sequence in 0..20 {
+        let reflectors = if sequence < 13 { &[SITS, WALKS][..] } else { &[SITS] };
+        let samples = samples(&w, sequence as f64 * w.frame_interval_s(), reflectors, &mut random);
+        processor.process_samples(sequence, &samples, &mut map).expect("length fits");
+        held.push(map.motion.expect("motion").nearer_change);
+    }
+    // After 0.7 s it is 1/e.
+    assert!((held[19] / held[12] - (-1.0f32).exp()).abs() < 0.01, "{held:?}");
 }
 
 #[test]
