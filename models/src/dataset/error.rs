@@ -37,7 +37,9 @@ pub enum DatasetError {
     #[error("{path}: {what} is not that of {first}; only maps that were made in the same way can be merged")]
     DifferentMaps { path: PathBuf, what: String, first: PathBuf },
     /// A JSON document or line is invalid. Lines count from 1.
-    #[error("{path}, line {line}: {source}")]
+    #[error(
+        "{path}, line {line}: {source}\n\nhint: the file is damaged or of an earlier version of this program; build the dataset again"
+    )]
     Json { path: PathBuf, line: usize, source: serde_json::Error },
     /// A newer program wrote the dataset.
     #[error(

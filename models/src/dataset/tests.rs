@@ -520,6 +520,7 @@ mod hard_cases {
         std::fs::write(&manifest, rows.replacen("\"one\"", "\"seven\"", 1)).expect("write");
         let error = Dataset::open(&path).expect_err("no such class").to_string();
         assert!(error.contains("manifest.jsonl, line 1") && error.contains("seven"), "{error}");
+        assert!(error.contains("build the dataset again"), "{error}");
         std::fs::write(&manifest, rows).expect("write");
 
         let head = path.join("dataset.json");

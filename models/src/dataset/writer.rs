@@ -117,7 +117,7 @@ impl DatasetWriter {
     ///
     /// # Errors
     /// [`DatasetError::Shape`] for a map of another shape, [`DatasetError::NonFinite`] for one with NaN or infinity,
-    /// [`DatasetError::Motion`] if motion is missing or not expected, and [`DatasetError::Io`] or [`DatasetError::Json`] if it cannot be written.
+    /// [`DatasetError::Motion`] if motion is missing or not expected, and [`DatasetError::Io`] if it cannot be written.
     pub fn push(&mut self, map: &Rdm, row: ManifestRow) -> Result<(), DatasetError> {
         check_map(map, &self.header)?;
         self.push_checked(&map.db, ManifestRow { motion: map.motion, ..row })
@@ -127,11 +127,8 @@ impl DatasetWriter {
     pub(super) fn push_checked(&mut self, db: &[f32], mut row: ManifestRow) -> Result<(), DatasetError> {
         row.hash = map_hash(db, row.motion);
         let path = self.temporary.join("manifest.jsonl");
-        serde_json::to_writer(&mut self.manifest, &row).map_err(|source| DatasetError::Json {
-            path: path.clone(),
-            line: self.maps + 1,
-            source,
-        })?;
+        serde_json::to_writer(&mut self.manifest, &row)
+            .map_err(|error| DatasetError::io(&path, "writing")(error.into()))?;
         self.manifest.write_all(b"\n").map_err(DatasetError::io(&path, "writing"))?;
         self.pending.extend_from_slice(db);
         self.maps += 1;
@@ -183,17 +180,14 @@ impl DatasetWriter {
     /// Writes the remaining maps and gives the folder its name.
     ///
     /// # Errors
-    /// [`DatasetError::Io`] or [`DatasetError::Json`] if a file cannot be written or the folder cannot be renamed.
+    /// [`DatasetError::Io`] if a file cannot be written or the folder cannot be renamed.
     pub fn finish(mut self) -> Result<(), DatasetError> {
         self.write_shard()?;
         let path = self.temporary.join("manifest.jsonl");
         self.manifest.flush().map_err(DatasetError::io(&path, "writing"))?;
         self.manifest.get_ref().sync_all().map_err(DatasetError::io(&path, "writing"))?;
-        let text = serde_json::to_string_pretty(&self.header).map_err(|source| DatasetError::Json {
-            path: self.temporary.join("dataset.json"),
-            line: 1,
-            source,
-        })?;
+        let text = serde_json::to_string_pretty(&self.header)
+            .map_err(|error| DatasetError::io(&self.temporary.join("dataset.json"), "writing")(error.into()))?;
         self.add_file("dataset.json", (text + "\n").as_bytes())?;
         sync_folder(&self.temporary).map_err(DatasetError::io(&self.temporary, "writing"))?;
         // Renaming replaces an empty folder only.
