@@ -70,6 +70,11 @@ pub enum SpecError {
          motion_over_s out"
     )]
     MotionOfChannels,
+    /// Motion is requested for maps whose slow time is across frames: echoes then hardly move from map to map.
+    #[error(
+        "map spec: motion_over_s needs the chirps of a frame as slow_time\n\nhint: leave slow_time out, or leave motion_over_s out"
+    )]
+    MotionAcrossFrames,
     /// A greatest range is requested without physical axes.
     #[error("map spec: max_range_m needs physical_axes\n\nhint: give physical_axes, or leave max_range_m out")]
     MaxRangeWithoutAxes,

@@ -135,12 +135,12 @@ pub struct RdmSpec {
     /// first frame and after a gap.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub change_over_s: Option<f64>,
-    /// Time constant over which the motion of echoes is averaged, s ([`Motion`](super::Motion)); only with one channel. If absent,
-    /// maps have no motion.
+    /// Time constant over which the motion of echoes is averaged, s ([`Motion`](super::Motion)); only with one channel, and with the chirps
+    /// of a frame as slow time. If absent, maps have no motion.
     ///
     /// Motion tells two people who walk from one person with multipath echoes: echoes of one person keep their distances. Each frame is
     /// compared with the one about 0.3 s before; frames more than 0.6 s apart are not compared. Frames may be missing for up to 1 s.
-    /// Levels over noise are those of one receiver.
+    /// Levels over noise are those of one receiver. Change nearer than the motion is part of it where `change_over_s` is given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion_over_s: Option<f64>,
     /// Greatest range of a cell that is measured, m; only with `physical_axes`. Cells beyond it hold noise, as cells beyond the
@@ -278,6 +278,9 @@ impl RdmSpec {
         }
         if self.motion_over_s.is_some() && rx != 1 {
             return Err(SpecError::MotionOfChannels);
+        }
+        if self.motion_over_s.is_some() && self.slow_time != SlowTime::Chirps {
+            return Err(SpecError::MotionAcrossFrames);
         }
         for (key, time_s) in [("change_over_s", self.change_over_s), ("motion_over_s", self.motion_over_s)] {
             if let Some(time_s) = time_s.filter(|time_s| !(LEAST_TIME_S..=MOST_TIME_S).contains(time_s)) {

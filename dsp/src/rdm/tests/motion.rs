@@ -251,10 +251,12 @@ mod hard_cases {
     }
 
     #[test]
-    fn maps_of_several_channels_and_odd_times_are_refused() {
+    fn maps_of_several_channels_or_across_frames_and_odd_times_are_refused() {
         let w = realised(|w| w.rx_antennas = RxMask::ALL);
         let refused = |spec: RdmSpec| RdmProcessor::new(&spec, &w).err().expect("refused").to_string();
         assert!(refused(RdmSpec { channels: Channels::All, ..spec() }).contains("one channel"));
+        let across_frames = RdmSpec { physical_axes: None, slow_time: SlowTime::Frames { frames: 32 }, ..spec() };
+        assert!(refused(across_frames).contains("leave slow_time out"));
         for time_s in [0.0, -1.0, f64::NAN, 1e4] {
             assert!(refused(RdmSpec { motion_over_s: Some(time_s), ..spec() }).contains("motion_over_s"));
         }
