@@ -22,7 +22,7 @@ use crate::panics::lock;
 /// Name that selects the classical detector instead of a model file.
 pub const CFAR: &str = "cfar";
 
-/// Velocity resolution beyond which the shipped models mostly count two people as one, m/s. `room-hqnn` was tested on
+/// Velocity resolution beyond which the shipped models mostly count two people who walk as one, m/s. An earlier `room-hqnn` was tested on
 /// frames of simulated rooms (seeds 731033 to 731038) with two people. It called 67 % of them `two` at 0.10 m/s, 16 %
 /// at 0.26 m/s and none at 0.52 m/s.
 const COUNTING_RESOLUTION_M_PER_S: f64 = 0.25;
@@ -291,7 +291,7 @@ fn losses(axes: &PhysicalAxes, waveform: &Waveform, nominal: &Waveform) -> Vec<S
             given.velocity_resolution_m_per_s, own.velocity_resolution_m_per_s
         ));
         if given.velocity_resolution_m_per_s > COUNTING_RESOLUTION_M_PER_S {
-            losses.push("two people are mostly counted as one".to_owned());
+            losses.push("two people who walk are mostly counted as one".to_owned());
         }
     }
     let samples = |coverage: &AxesCoverage| (coverage.samples.len() * coverage.chirps.len()) as f64;

@@ -3,10 +3,10 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Motion of echoes over the last frames: averages of comparisons of frames, with weights that fall exponentially with age, and change
-/// nearer than the motion.
+/// Motion of echoes over the last frames.
 ///
-/// All quantities are 0 where nothing moves, which is the default.
+/// The first six quantities are averages of comparisons of frames, with weights that fall exponentially with age. The last one is change
+/// nearer than the motion, which is held for a while. All are 0, the default, where nothing has moved.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Motion {

@@ -4,10 +4,10 @@
 //! Doppler says. Two people move independently. A single frame shows this only where they move in different directions. Therefore
 //! each frame is compared with the one about 0.3 s before, and the differences are averaged over about a second.
 //!
-//! Who sits while another person walks behind hardly moves within a frame, and is seen by the change from frame to frame. Where it is
-//! nearer than the motion, it is held for a while, because the walker may stop or be hidden.
+//! A person who sits hardly moves within a frame. Change from frame to frame shows this person. If it is nearer than the motion of another
+//! person, it is held for a while, because this other person may stop or be hidden.
 //!
-//! All quantities are computed from the range profile of a map: the strongest moving cell of each range bin, with its level over the
+//! The other quantities are computed from the range profile of a map: the strongest moving cell of each range bin, with its level over the
 //! noise of the bin and its velocity. [`reference::motion`](super::reference::motion) is the slow version.
 
 use std::collections::VecDeque;
@@ -39,7 +39,8 @@ pub(super) const BEHIND_M: f64 = 0.65;
 pub(super) const MOST_SHIFT_M: f64 = 2.1;
 /// Upper bound of distances, m. Where the nearest echo changes from one person to another, the distance says nothing more.
 pub(super) const MOST_DISTANCE_M: f64 = 1.5;
-/// Change is nearer than the motion if its distance to it is more than this, m. Limbs and the range window extend over less.
+/// Change is nearer than the motion if its distance to it is more than this, m. Limbs and, with at least 1 GHz of bandwidth, the range
+/// window extend over less.
 pub(super) const NEARER_M: f64 = 0.4;
 /// Time in which held change falls by `1/e`, s.
 pub(super) const HELD_S: f64 = 0.7;
@@ -74,13 +75,13 @@ struct Profile {
     age_s: f64,
     /// Change nearer than the motion, 0 to 1.
     nearer_change: f64,
+    /// Level of the cell of zero velocity of each range bin, dB over noise.
+    changes_db: Vec<f32>,
     /// Whether the frame shows motion. If not, the fields below do not count.
     is_moving: bool,
     /// Level of the strongest moving cell of each range bin, dB over noise, and its velocity, m/s.
     levels_db: Vec<f32>,
     velocities_m_per_s: Vec<f64>,
-    /// Level of the cell of zero velocity of each range bin, dB over noise.
-    changes_db: Vec<f32>,
     /// Square root of the height of each level over the larger of the two [`PROFILE_DB`].
     weights: Vec<f32>,
     /// Autocorrelation of the weights by distance in bins, from 1 on, scaled to length 1; 0 if it is 0.

@@ -213,7 +213,8 @@ fn change(sums: &[Complex64], step: f64) -> f64 {
 /// Motion of the last of `maps`, in f64. They are of one channel, finite, and in the order of their sequence numbers.
 ///
 /// Each map is compared with the earlier one whose age is closest to 0.3 s, and the comparisons are averaged with weights that fall by
-/// `1/e` over `over_s`. Change nearer than the motion counts only if `has_change`. Maps before a gap of more than a second do not count. Intervals of frames must be at least 20 ms.
+/// `1/e` over `over_s`. Change nearer than the motion counts only if `has_change`. Maps before a gap of more than a second do not count.
+/// Intervals of frames must be at least 20 ms.
 ///
 /// # Panics
 /// If sequence numbers decrease.

@@ -140,7 +140,8 @@ pub struct RdmSpec {
     ///
     /// Motion tells two people who walk from one person with multipath echoes: echoes of one person keep their distances. Each frame is
     /// compared with the one about 0.3 s before; frames more than 0.6 s apart are not compared. Frames may be missing for up to 1 s.
-    /// Levels over noise are those of one receiver. Change nearer than the motion is part of it where `change_over_s` is given.
+    /// Levels over noise are those of one receiver. Change nearer than the motion is part of it where `change_over_s` is given; it
+    /// falls by 1/e in 0.7 s whatever this time is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub motion_over_s: Option<f64>,
     /// Greatest range of a cell that is measured, m; only with `physical_axes`. Cells beyond it hold noise, as cells beyond the

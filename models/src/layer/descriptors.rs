@@ -17,7 +17,8 @@
 //! a bin, neighbouring cells of noise are correlated. Four descriptors measure this correlation.
 //!
 //! The last descriptors are the [`Motion`] of echoes over about a second, which the map processor measures: echoes of one person keep
-//! their distances, two people move independently.
+//! their distances, two people move independently. They include change nearer than the motion over the last frames, and its products with
+//! the other quantities.
 //!
 //! The features in `dataset/features.rs` are different: they are quantiles over many maps, which compare simulated rooms with real
 //! ones.
@@ -117,13 +118,13 @@ struct Cell {
 /// | 50 to 56 | quantities of [`Motion`] | rad, m, m, m, 1, m/s, 1 |
 /// | 57 to 62 | 50 to 55 times 56: where somebody sits nearer than a walking person, the motion is that of one person | rad, m, m, m, 1, m/s |
 ///
-/// Cells of zero velocity are used by 42 and 47 to 49 only. Cells of noise are those above 0 dB and up to 10 dB that are not slow.
+/// Of the descriptors of the cells, only 42 and 47 to 49 use cells of zero velocity. Cells of noise are those above 0 dB and up to 10 dB that are not slow.
 /// Range bins whose cells are all equal hold no noise. Without two different pairs of cells, a correlation is 0.
 ///
 /// The same range is within two bins of the strongest cell, the same velocity within four, and slow is one bin from zero. The
 /// opposite direction is more than a bin beyond zero as seen from the strongest cell.
 ///
-/// Only descriptor 49 changes when approaching and receding are exchanged about zero Doppler. Otherwise the direction of motion
+/// Of the descriptors of the cells, only 49 changes when approaching and receding are exchanged about zero Doppler. Otherwise the direction of motion
 /// carries no information on the number of people. Magnitudes of velocities are inputs, because a linear classifier cannot compute
 /// them.
 ///

@@ -164,29 +164,42 @@ fn a_room_without_motion_has_none() {
 
 #[test]
 fn the_frame_rate_hardly_matters() {
-    for reflectors in [&GHOSTS[..], &WALKERS] {
-        let motions = [0.05, 0.1, 0.15].map(|interval_s| {
+    let motions = |spec: &RdmSpec, reflectors: &[Reflector]| {
+        [0.05, 0.1, 0.15].map(|interval_s| {
             let w = realised(|w| w.frame_interval_s = interval_s);
-            last_motion(&maps(&w, 0..(1.8 / interval_s) as u64, reflectors)).to_array()
-        });
+            last_motion(&maps_by(spec, &w, 0..(1.8 / interval_s) as u64, reflectors))
+        })
+    };
+    for reflectors in [&GHOSTS[..], &WALKERS] {
+        let motions = motions(&spec(), reflectors).map(Motion::to_array);
         for k in 0..Motion::QUANTITIES {
             let all = motions.map(|motion| motion[k]);
             let spread = all.iter().fold(f32::MIN, |a, b| a.max(*b)) - all.iter().fold(f32::MAX, |a, b| a.min(*b));
             assert!(spread < 0.15, "{k}: {all:?}");
         }
     }
+    let motions = motions(&spec_with_change(), &[SITS, WALKS]);
+    assert!(motions.iter().all(|motion| motion.nearer_change > 0.85), "{motions:?}");
 }
 
 mod hard_cases {
     use super::*;
 
-    /// Change needs consecutive frames; motion does not.
     #[test]
     fn missing_frames_change_little() {
         let w = ten_frames_a_second();
         let all = last_motion(&maps(&w, 0..30, &WALKERS)).to_array();
         let some = last_motion(&maps(&w, (0..30).filter(|k| k % 4 != 1), &WALKERS)).to_array();
         assert!(all.iter().zip(some).all(|(a, b)| (a - b).abs() < 0.15), "{all:?} {some:?}");
+    }
+
+    /// Change needs consecutive frames, and is held over the missing ones.
+    #[test]
+    fn change_nearer_than_a_walker_outlasts_missing_frames() {
+        let w = ten_frames_a_second();
+        let sequences = (0..24).filter(|k| *k != 20 && *k != 21);
+        let held = last_motion(&maps_by(&spec_with_change(), &w, sequences, &[SITS, WALKS])).nearer_change;
+        assert!(held > 0.5, "{held}");
     }
 
     #[test]
