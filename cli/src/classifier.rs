@@ -22,9 +22,9 @@ use crate::panics::lock;
 /// Name that selects the classical detector instead of a model file.
 pub const CFAR: &str = "cfar";
 
-/// Velocity resolution beyond which the shipped models mostly count two people who walk as one, m/s. An earlier `room-hqnn` was tested on
-/// frames of simulated rooms (seeds 731033 to 731038) with two people. It called 67 % of them `two` at 0.10 m/s, 16 %
-/// at 0.26 m/s and none at 0.52 m/s.
+/// Velocity resolution beyond which the shipped models mostly count two people who walk as one, m/s. It was chosen with an earlier
+/// `room-hqnn`, on frames of simulated rooms with two people (seeds 731033 to 731038): this model called 67 % of them `two` at 0.10 m/s,
+/// 16 % at 0.26 m/s and none at 0.52 m/s.
 const COUNTING_RESOLUTION_M_PER_S: f64 = 0.25;
 
 /// Probabilities of the classes empty, one and two for each number of people that the detector counts, `[counted][class]`.

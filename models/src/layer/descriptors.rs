@@ -118,15 +118,15 @@ struct Cell {
 /// | 50 to 56 | quantities of [`Motion`] | rad, m, m, m, 1, m/s, 1 |
 /// | 57 to 62 | 50 to 55 times 56: where somebody sits nearer than a walking person, the motion is that of one person | rad, m, m, m, 1, m/s |
 ///
-/// Of the descriptors of the cells, only 42 and 47 to 49 use cells of zero velocity. Cells of noise are those above 0 dB and up to 10 dB that are not slow.
-/// Range bins whose cells are all equal hold no noise. Without two different pairs of cells, a correlation is 0.
+/// Cells of zero velocity are used by 42 and 47 to 49, and by 56 to 62 through the motion. Cells of noise are those above 0 dB and up to
+/// 10 dB that are not slow. Range bins whose cells are all equal hold no noise. A correlation is 0 without two different pairs of cells.
 ///
 /// The same range is within two bins of the strongest cell, the same velocity within four, and slow is one bin from zero. The
 /// opposite direction is more than a bin beyond zero as seen from the strongest cell.
 ///
-/// Of the descriptors of the cells, only 49 changes when approaching and receding are exchanged about zero Doppler. Otherwise the direction of motion
-/// carries no information on the number of people. Magnitudes of velocities are inputs, because a linear classifier cannot compute
-/// them.
+/// Descriptor 49 is the only one of a single map that changes when approaching and receding are exchanged about zero Doppler. Otherwise the
+/// direction of motion carries no information on the number of people. Magnitudes of velocities are inputs, because a linear classifier
+/// cannot compute them.
 ///
 /// Zero velocity is at index `velocity_bins / 2`, range 0 at row 0. Cells of an incomplete last row are left out. Only
 /// cells above 10 dB count, and energies are `1 + P / N` less 10, so that cells of noise do not count. Means and
